@@ -1,0 +1,258 @@
+//! The scene: triangles, materials, textures, and the readers that bring them in.
+//!
+//! Everything is kept as the file says it: lengths in the file's unit and double precision, `Ke` as radiance,
+//! `Kd` as reflectance. Whoever casts rays recentres and rescales ([`crate::trace`]).
+
+pub mod obj;
+mod texture;
+mod triangulate;
+
+use std::path::Path;
+
+use glam::{DVec2, DVec3};
+
+use crate::{Error, Result};
+pub use texture::{Texture, TextureMap};
+
+/// One triangle of the scene; counter-clockwise vertices seen from its front.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Triangle {
+    /// Indices into [`Scene::vertices`].
+    pub vertices: [u32; 3],
+    /// Index into [`Scene::materials`].
+    pub material: u32,
+    /// Which triangle of the file this is, in file order after triangulation (degenerate ones counted too).
+    pub source: u32,
+}
+
+/// A Lambertian material.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Material {
+    /// Its name in the file.
+    pub name: String,
+    /// Diffuse reflectance of both sides, R G B in \[0, 1\]; a factor where [`Material::reflectance_map`] is set.
+    pub reflectance: [f64; 3],
+    /// Radiance emitted by the front, W/(m² sr), R G B; a factor where [`Material::emission_map`] is set.
+    pub emission: [f64; 3],
+    /// Texture that multiplies the reflectance.
+    pub reflectance_map: Option<TextureMap>,
+    /// Texture that multiplies the emitted radiance.
+    pub emission_map: Option<TextureMap>,
+}
+
+impl Material {
+    /// A material of one colour without textures.
+    pub fn new(name: &str, reflectance: [f64; 3], emission: [f64; 3]) -> Self {
+        Material { name: name.into(), reflectance, emission, reflectance_map: None, emission_map: None }
+    }
+
+    /// Whether any point of it can emit.
+    pub fn emits(&self) -> bool {
+        self.emission.iter().any(|&e| e > 0.0)
+    }
+}
+
+/// Triangles with materials. Build one with [`Scene::load`] or [`Scene::new`].
+#[derive(Debug, Clone, Default)]
+pub struct Scene {
+    /// Positions in the file's unit; vertices at the same position are one vertex.
+    pub vertices: Vec<DVec3>,
+    /// Triangles of positive area.
+    pub triangles: Vec<Triangle>,
+    /// Texture coordinates of each triangle's corners; empty when no material has a texture.
+    pub texcoords: Vec<[DVec2; 3]>,
+    /// Materials.
+    pub materials: Vec<Material>,
+    /// Textures that the materials refer to.
+    pub textures: Vec<Texture>,
+    /// Triangles left out because their area is zero.
+    pub degenerate: usize,
+    /// What the reader left out or assumed, a sentence each.
+    pub warnings: Vec<String>,
+}
+
+impl Scene {
+    /// Reads a scene; the format is told by the file's extension (`.obj` with its `.mtl`).
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read, [`Error::Input`] with file and line when it cannot be used.
+    pub fn load(path: impl AsRef<Path>) -> Result<Scene> {
+        let path = path.as_ref();
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        match extension.as_deref() {
+            Some("obj") => obj::load(path),
+            _ => Err(Error::input(path, None, "unknown kind of scene")
+                .with_hint("the program reads Wavefront .obj files")),
+        }
+    }
+
+    /// Makes a scene from triangles given as corner positions with a material index each.
+    ///
+    /// Welds equal positions, drops and counts triangles of zero area.
+    ///
+    /// # Panics
+    /// When a position is not finite or a material index is out of range.
+    pub fn new(triangles: &[([DVec3; 3], u32)], materials: Vec<Material>) -> Scene {
+        let mut builder = SceneBuilder::default();
+        for (corners, material) in triangles {
+            assert!((*material as usize) < materials.len(), "material index out of range");
+            builder.push(*corners, *material, None);
+        }
+        builder.finish(materials, Vec::new(), Vec::new())
+    }
+
+    /// The corners of triangle `t`.
+    pub fn corners(&self, t: usize) -> [DVec3; 3] {
+        self.triangles[t].vertices.map(|v| self.vertices[v as usize])
+    }
+
+    /// The area of triangle `t`, in the file's unit squared.
+    pub fn area(&self, t: usize) -> f64 {
+        triangle_area(self.corners(t))
+    }
+
+    /// Unit normal of the front of triangle `t`.
+    pub fn normal(&self, t: usize) -> DVec3 {
+        let [a, b, c] = self.corners(t);
+        scaled_cross(b - a, c - a).0.normalize()
+    }
+
+    /// The material of triangle `t`.
+    pub fn material(&self, t: usize) -> &Material {
+        &self.materials[self.triangles[t].material as usize]
+    }
+
+    /// Whether the front of triangle `t` emits anywhere.
+    pub fn emits(&self, t: usize) -> bool {
+        self.material(t).emits()
+    }
+
+    /// 1 when every material and texture is grey, so that one channel describes the scene; else 3.
+    pub fn channels(&self) -> usize {
+        let grey = |c: [f64; 3]| c[0] == c[1] && c[1] == c[2];
+        let colourful = self.materials.iter().any(|m| {
+            !grey(m.reflectance)
+                || !grey(m.emission)
+                || [&m.reflectance_map, &m.emission_map]
+                    .into_iter()
+                    .flatten()
+                    .any(|map| !self.textures[map.texture].is_grey())
+        });
+        if colourful { 3 } else { 1 }
+    }
+
+    /// Reflectance at a point of triangle `t` given by barycentric coordinates.
+    pub fn reflectance_at(&self, t: usize, barycentric: [f64; 3]) -> [f64; 3] {
+        let m = self.material(t);
+        self.mapped(t, m.reflectance, &m.reflectance_map, |texture, map, uv| {
+            texture.at(map, interpolate(uv, barycentric))
+        })
+    }
+
+    /// Radiance emitted at a point of the front of triangle `t` given by barycentric coordinates.
+    pub fn emission_at(&self, t: usize, barycentric: [f64; 3]) -> [f64; 3] {
+        let m = self.material(t);
+        self.mapped(t, m.emission, &m.emission_map, |texture, map, uv| {
+            texture.at(map, interpolate(uv, barycentric))
+        })
+    }
+
+    /// Reflectance averaged over the part of triangle `t` whose corners have these barycentric coordinates.
+    pub fn mean_reflectance(&self, t: usize, part: &[[f64; 3]; 3]) -> [f64; 3] {
+        let m = self.material(t);
+        self.mapped(t, m.reflectance, &m.reflectance_map, |texture, map, uv| {
+            texture.mean(map, part.map(|b| interpolate(uv, b)))
+        })
+    }
+
+    /// Emitted radiance averaged over the part of triangle `t` whose corners have these barycentric coordinates.
+    pub fn mean_emission(&self, t: usize, part: &[[f64; 3]; 3]) -> [f64; 3] {
+        let m = self.material(t);
+        self.mapped(t, m.emission, &m.emission_map, |texture, map, uv| {
+            texture.mean(map, part.map(|b| interpolate(uv, b)))
+        })
+    }
+
+    fn mapped(
+        &self,
+        t: usize,
+        factor: [f64; 3],
+        map: &Option<TextureMap>,
+        look_up: impl Fn(&Texture, &TextureMap, &[DVec2; 3]) -> [f64; 3],
+    ) -> [f64; 3] {
+        match map {
+            None => factor,
+            Some(map) => {
+                let texel = look_up(&self.textures[map.texture], map, &self.texcoords[t]);
+                std::array::from_fn(|c| factor[c] * texel[c])
+            }
+        }
+    }
+}
+
+fn interpolate(uv: &[DVec2; 3], b: [f64; 3]) -> DVec2 {
+    uv[0] * b[0] + uv[1] * b[1] + uv[2] * b[2]
+}
+
+/// Cross product of edges that may be so short or long that the product under- or overflows: the vector product of
+/// the edges divided by the returned power of two.
+fn scaled_cross(e: DVec3, f: DVec3) -> (DVec3, f64) {
+    let largest = e.abs().max_element().max(f.abs().max_element());
+    if largest == 0.0 || !largest.is_finite() {
+        return (DVec3::ZERO, 1.0);
+    }
+    let scale = 2f64.powi(largest.log2().floor() as i32);
+    ((e / scale).cross(f / scale), scale)
+}
+
+/// Area of a triangle.
+pub(crate) fn triangle_area([a, b, c]: [DVec3; 3]) -> f64 {
+    let (cross, scale) = scaled_cross(b - a, c - a);
+    0.5 * cross.length() * scale * scale
+}
+
+/// Collects triangles, welds their corners, drops those without area.
+#[derive(Default)]
+pub(crate) struct SceneBuilder {
+    scene: Scene,
+    welded: std::collections::HashMap<[u64; 3], u32>,
+    pushed: u32,
+}
+
+impl SceneBuilder {
+    /// Adds the next triangle of the file. `texcoords` are kept when any triangle has some.
+    pub(crate) fn push(&mut self, corners: [DVec3; 3], material: u32, texcoords: Option<[DVec2; 3]>) {
+        assert!(corners.iter().all(|c| c.is_finite()), "a vertex is not finite");
+        let source = self.pushed;
+        self.pushed += 1;
+        let area = triangle_area(corners);
+        if area <= 0.0 || !area.is_finite() {
+            self.scene.degenerate += 1;
+            return;
+        }
+        let vertices = corners.map(|c| {
+            // Adding zero turns -0 into 0, which is the same place.
+            let key = (c + 0.0).to_array().map(f64::to_bits);
+            *self.welded.entry(key).or_insert_with(|| {
+                self.scene.vertices.push(c);
+                (self.scene.vertices.len() - 1) as u32
+            })
+        });
+        self.scene.triangles.push(Triangle { vertices, material, source });
+        self.scene.texcoords.push(texcoords.unwrap_or_default());
+    }
+
+    /// The scene. Texture coordinates are kept only where a material has a texture.
+    pub(crate) fn finish(
+        self,
+        materials: Vec<Material>,
+        textures: Vec<Texture>,
+        warnings: Vec<String>,
+    ) -> Scene {
+        let mut scene = self.scene;
+        if !materials.iter().any(|m| m.reflectance_map.is_some() || m.emission_map.is_some()) {
+            scene.texcoords = Vec::new();
+        }
+        Scene { materials, textures, warnings, ..scene }
+    }
+}

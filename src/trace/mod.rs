@@ -1,0 +1,215 @@
+//! Rays: the one piece of machinery that the solver and the referee share.
+//!
+//! All rays run in *unit space*: the scene recentred and rescaled so that its largest coordinate is 1. A scene in
+//! millimetres, or 10 km from its origin, loses nothing there that single precision need not lose.
+
+pub mod sampling;
+mod watertight;
+
+use glam::{DVec3, Vec3A};
+use obvhs::{
+    BvhBuildParams,
+    aabb::Aabb,
+    bvh2::{Bvh2, builder::build_bvh2},
+    ploc::{PlocSearchDistance, SortPrecision},
+    ray::{Ray, RayHit},
+};
+
+use crate::scene::Scene;
+use watertight::ShearedRay;
+
+/// obvhs's presets lower the search distance near the leaves, which collapses on tessellated planar walls (their
+/// Morton codes tie); a search distance of 6 all the way down does not. Up to three triangles a leaf beat one.
+const BUILD: BvhBuildParams = BvhBuildParams {
+    pre_split: false,
+    ploc_search_distance: PlocSearchDistance::Low,
+    search_depth_threshold: 0,
+    reinsertion_batch_ratio: 0.02,
+    post_collapse_reinsertion_batch_ratio_multiplier: 2.0,
+    sort_precision: SortPrecision::U64,
+    max_prims_per_leaf: 3,
+    collapse_traversal_cost: 1.0,
+};
+
+/// Where a ray met a triangle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// Index into [`Scene::triangles`].
+    pub triangle: u32,
+    /// Whether the ray came from the side where the vertices run counter-clockwise.
+    pub front: bool,
+    /// Distance in multiples of the ray's direction, unit space.
+    pub t: f32,
+    /// Barycentric coordinates of the point, one weight a corner.
+    pub barycentric: [f32; 3],
+}
+
+/// A triangle in unit space.
+#[derive(Debug, Clone, Copy)]
+pub struct UnitTriangle {
+    /// Corners.
+    pub corners: [Vec3A; 3],
+    /// Unit normal of the front.
+    pub normal: Vec3A,
+}
+
+impl UnitTriangle {
+    /// The point with these barycentric coordinates.
+    #[inline]
+    pub fn point(&self, b: [f32; 3]) -> Vec3A {
+        self.corners[0] * b[0] + self.corners[1] * b[1] + self.corners[2] * b[2]
+    }
+
+    /// Normal of the front or the back.
+    #[inline]
+    pub fn side_normal(&self, front: bool) -> Vec3A {
+        if front { self.normal } else { -self.normal }
+    }
+}
+
+/// The scene's triangles, ready for rays.
+pub struct Tracer {
+    bvh: Bvh2,
+    /// Corners in the order of the leaves, so that a leaf reads one stretch of memory.
+    leaves: Vec<[Vec3A; 3]>,
+    triangles: Vec<UnitTriangle>,
+    centre: DVec3,
+    /// File lengths per unit-space length.
+    scale: f64,
+}
+
+impl std::fmt::Debug for Tracer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Tracer").field("triangles", &self.triangles.len()).finish_non_exhaustive()
+    }
+}
+
+impl Tracer {
+    /// Builds the bounding volume hierarchy over the scene's triangles.
+    pub fn new(scene: &Scene) -> Tracer {
+        let (centre, scale) = unit_space(scene);
+        let to_unit = |p: DVec3| ((p - centre) / scale).as_vec3a();
+        let triangles: Vec<UnitTriangle> = (0..scene.triangles.len())
+            .map(|t| UnitTriangle {
+                corners: scene.corners(t).map(to_unit),
+                normal: scene.normal(t).as_vec3a(),
+            })
+            .collect();
+        // Four ulp of the largest coordinate, which is 1: the box test rounds, and must never round a ray out of a
+        // box whose triangle the watertight test would report.
+        let padding = Vec3A::splat(4.0 * f32::EPSILON);
+        let boxes: Vec<Aabb> = triangles
+            .iter()
+            .map(|t| {
+                let [a, b, c] = t.corners;
+                Aabb::new(a.min(b).min(c) - padding, a.max(b).max(c) + padding)
+            })
+            .collect();
+        let bvh = build_bvh2(&boxes, BUILD, &mut Default::default());
+        let leaves = bvh.primitive_indices.iter().map(|&i| triangles[i as usize].corners).collect();
+        Tracer { bvh, leaves, triangles, centre, scale }
+    }
+
+    /// The triangles in unit space, in the order of [`Scene::triangles`].
+    pub fn triangles(&self) -> &[UnitTriangle] {
+        &self.triangles
+    }
+
+    /// A point of the file in unit space.
+    pub fn to_unit(&self, point: DVec3) -> Vec3A {
+        ((point - self.centre) / self.scale).as_vec3a()
+    }
+
+    /// A point of unit space in the file's coordinates.
+    pub fn to_file(&self, point: Vec3A) -> DVec3 {
+        point.as_dvec3() * self.scale + self.centre
+    }
+
+    /// How many of the file's lengths one length in unit space is.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.bvh.nodes[..])
+            + size_of_val(&self.bvh.primitive_indices[..])
+            + size_of_val(&self.leaves[..])
+            + size_of_val(&self.triangles[..])
+    }
+
+    /// The origin for rays that leave the point `p` of a surface on the side of `normal`.
+    ///
+    /// The offset covers the rounding of `p` and of the intersection test wherever in the scene `p` lies, so it is
+    /// relative to the largest coordinate (1), not to `p`: 14 roundings, each of at most 2⁻²⁴, and one ulp outward.
+    #[inline]
+    pub fn leave(p: Vec3A, normal: Vec3A) -> Vec3A {
+        const OFFSET: f32 = 14.0 * 0.5 * f32::EPSILON;
+        let l1 = normal.abs().element_sum();
+        let moved = p + normal * (l1 * OFFSET);
+        let outward = |x: f32, n: f32| {
+            if n > 0.0 {
+                x.next_up()
+            } else if n < 0.0 {
+                x.next_down()
+            } else {
+                x
+            }
+        };
+        Vec3A::new(outward(moved.x, normal.x), outward(moved.y, normal.y), outward(moved.z, normal.z))
+    }
+
+    /// The first triangle that the ray meets. The direction need not be of unit length, but not zero.
+    #[inline]
+    pub fn closest(&self, origin: Vec3A, direction: Vec3A) -> Option<Hit> {
+        let sheared = ShearedRay::new(origin, direction);
+        let mut nearest = f32::INFINITY;
+        let mut found = None;
+        let mut hit = RayHit::none();
+        self.bvh.ray_traverse(Ray::new_inf(origin, direction), &mut hit, |_, i| {
+            match sheared.intersect(&self.leaves[i]) {
+                Some(met) if met.t < nearest => {
+                    nearest = met.t;
+                    found = Some((i, met));
+                    met.t
+                }
+                _ => f32::INFINITY,
+            }
+        });
+        found.map(|(i, met)| Hit {
+            triangle: self.bvh.primitive_indices[i],
+            front: met.front,
+            t: met.t,
+            barycentric: met.barycentric(),
+        })
+    }
+
+    /// Whether nothing stands between two points; both should be moved off their surfaces by [`Tracer::leave`].
+    #[inline]
+    pub fn visible(&self, from: Vec3A, to: Vec3A) -> bool {
+        let direction = to - from;
+        if direction == Vec3A::ZERO {
+            return true;
+        }
+        let sheared = ShearedRay::new(from, direction);
+        self.bvh.ray_traverse_miss(Ray::new(from, direction, 0.0, 1.0), |_, i| {
+            sheared.intersect(&self.leaves[i]).map_or(f32::INFINITY, |met| met.t)
+        })
+    }
+}
+
+/// Centre and half of the largest extent of the scene.
+fn unit_space(scene: &Scene) -> (DVec3, f64) {
+    let mut low = DVec3::INFINITY;
+    let mut high = DVec3::NEG_INFINITY;
+    for &v in &scene.vertices {
+        low = low.min(v);
+        high = high.max(v);
+    }
+    if low.cmpgt(high).any() {
+        return (DVec3::ZERO, 1.0);
+    }
+    // Halved first: the sum of two large coordinates may overflow.
+    let centre = low * 0.5 + high * 0.5;
+    (centre, (high * 0.5 - low * 0.5).max_element())
+}
