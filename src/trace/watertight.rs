@@ -75,7 +75,7 @@ impl ShearedRay {
         let t = sz * (u * a[kz] + v * b[kz] + w * c[kz]) / determinant;
         // Written so that a NaN is a miss.
         if t > 0.0 {
-            Some(Met { t, front: determinant < 0.0, weights: [u, v, w], determinant })
+            Some(Met { t, front: determinant > 0.0, weights: [u, v, w], determinant })
         } else {
             None
         }
