@@ -3,10 +3,13 @@
 #![deny(missing_docs)]
 #![forbid(unsafe_code)]
 
+pub mod energy;
 mod error;
 pub mod form_factor;
+pub mod patch;
 mod progress;
 pub mod scene;
+pub mod solve;
 pub mod trace;
 
 pub use error::{Error, Result};

@@ -51,13 +51,34 @@ pub struct UnitTriangle {
     pub corners: [Vec3A; 3],
     /// Unit normal of the front.
     pub normal: Vec3A,
+    /// Corners of the triangle from which rays leave: the same, each edge moved inward by [`INSET`].
+    inner: [Vec3A; 3],
 }
 
+/// A point computed on a triangle is off by some roundings of coordinates near 1, and next to an edge they may carry it
+/// through the adjoining wall: out of a closed room. Points to start from therefore keep this distance from the edges.
+const INSET: f64 = 10.0 * 0.5 * f32::EPSILON as f64;
+
 impl UnitTriangle {
-    /// The point with these barycentric coordinates.
+    fn new(corners: [DVec3; 3], normal: Vec3A) -> Self {
+        let [a, b, c] = corners;
+        let edges = [(c - b).length(), (a - c).length(), (b - a).length()];
+        let perimeter: f64 = edges.iter().sum();
+        // Shrinking about the centre of the inscribed circle moves all edges equally.
+        let centre = (a * edges[0] + b * edges[1] + c * edges[2]) / perimeter;
+        let radius = (b - a).cross(c - a).length() / perimeter;
+        let keep = (1.0 - INSET / radius).max(0.0);
+        UnitTriangle {
+            corners: corners.map(|p| p.as_vec3a()),
+            normal,
+            inner: corners.map(|p| (centre + (p - centre) * keep).as_vec3a()),
+        }
+    }
+
+    /// The point with these barycentric coordinates, for rays to start from.
     #[inline]
     pub fn point(&self, b: [f32; 3]) -> Vec3A {
-        self.corners[0] * b[0] + self.corners[1] * b[1] + self.corners[2] * b[2]
+        self.inner[0] * b[0] + self.inner[1] * b[1] + self.inner[2] * b[2]
     }
 
     /// Normal of the front or the back.
@@ -88,11 +109,10 @@ impl Tracer {
     /// Builds the bounding volume hierarchy over the scene's triangles.
     pub fn new(scene: &Scene) -> Tracer {
         let (centre, scale) = unit_space(scene);
-        let to_unit = |p: DVec3| ((p - centre) / scale).as_vec3a();
         let triangles: Vec<UnitTriangle> = (0..scene.triangles.len())
-            .map(|t| UnitTriangle {
-                corners: scene.corners(t).map(to_unit),
-                normal: scene.normal(t).as_vec3a(),
+            .map(|t| {
+                let corners = scene.corners(t).map(|p| (p - centre) / scale);
+                UnitTriangle::new(corners, scene.normal(t).as_vec3a())
             })
             .collect();
         // Four ulp of the largest coordinate, which is 1: the box test rounds, and must never round a ray out of a

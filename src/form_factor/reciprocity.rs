@@ -1,0 +1,237 @@
+//! From hits to a reciprocal matrix.
+//!
+//! A ray from i that lands on j measures j → i as well. With h_ij hits from R_i rays, the inverse-variance estimate of
+//! the symmetric exchange area is S_ij = (h_ij + h_ji) / (R_i / A_i + R_j / A_j). The plain mean of A_i F_ij and
+//! A_j F_ji is worse as soon as areas or numbers of rays differ.
+
+use rayon::prelude::*;
+
+use super::{
+    Matrix,
+    hemisphere::{ESCAPED, Hits},
+    row,
+};
+
+/// Rows handled by one task.
+const ROWS: usize = 256;
+
+/// Hits counted: a compressed sparse row a patch.
+#[derive(Debug)]
+pub(super) struct Counts {
+    starts: Vec<usize>,
+    columns: Vec<u32>,
+    counts: Vec<u32>,
+    escaped: Vec<u32>,
+}
+
+impl Counts {
+    fn row(&self, i: usize) -> (&[u32], &[u32]) {
+        let range = self.starts[i]..self.starts[i + 1];
+        (&self.columns[range.clone()], &self.counts[range])
+    }
+
+    /// Rays of patch `i` that left the scene.
+    pub(super) fn escaped(&self, i: usize) -> f64 {
+        f64::from(self.escaped[i])
+    }
+
+    fn len(&self) -> usize {
+        self.escaped.len()
+    }
+
+    /// The counts as they are.
+    pub(super) fn into_matrix(self) -> Matrix {
+        let n = self.len();
+        let values = self.counts.iter().map(|&h| h as f32).collect();
+        Matrix::new((n, n), self.starts, self.columns, values)
+    }
+
+    /// Rows and columns exchanged; rows stay sorted.
+    fn transposed(&self) -> Counts {
+        let n = self.len();
+        let mut starts = vec![0usize; n + 1];
+        for &j in &self.columns {
+            starts[j as usize + 1] += 1;
+        }
+        for j in 0..n {
+            starts[j + 1] += starts[j];
+        }
+        let mut next = starts.clone();
+        let mut columns = vec![0u32; self.columns.len()];
+        let mut counts = vec![0u32; self.columns.len()];
+        for i in 0..n {
+            let (own, hits) = self.row(i);
+            for (&j, &h) in own.iter().zip(hits) {
+                let at = &mut next[j as usize];
+                columns[*at] = i as u32;
+                counts[*at] = h;
+                *at += 1;
+            }
+        }
+        Counts { starts, columns, counts, escaped: Vec::new() }
+    }
+}
+
+/// Counts how many rays of each patch met which patch.
+pub(super) fn count(hits: &Hits) -> Counts {
+    struct Block {
+        lengths: Vec<usize>,
+        columns: Vec<u32>,
+        counts: Vec<u32>,
+        escaped: Vec<u32>,
+    }
+    let n = hits.len();
+    let blocks: Vec<Block> = (0..n.div_ceil(ROWS))
+        .into_par_iter()
+        .map(|block| {
+            let mut out =
+                Block { lengths: Vec::new(), columns: Vec::new(), counts: Vec::new(), escaped: Vec::new() };
+            let mut targets = Vec::new();
+            for i in block * ROWS..((block + 1) * ROWS).min(n) {
+                targets.clear();
+                targets.extend_from_slice(hits.of(i));
+                targets.sort_unstable();
+                let before = out.columns.len();
+                let mut escaped = 0;
+                for run in targets.chunk_by(|a, b| a == b) {
+                    if run[0] == ESCAPED {
+                        escaped = run.len() as u32;
+                    } else {
+                        out.columns.push(run[0]);
+                        out.counts.push(run.len() as u32);
+                    }
+                }
+                out.lengths.push(out.columns.len() - before);
+                out.escaped.push(escaped);
+            }
+            out
+        })
+        .collect();
+    let mut all =
+        Counts { starts: vec![0], columns: Vec::new(), counts: Vec::new(), escaped: Vec::with_capacity(n) };
+    let total = blocks.iter().map(|b| b.columns.len()).sum();
+    all.columns.reserve_exact(total);
+    all.counts.reserve_exact(total);
+    let mut end = 0;
+    for block in blocks {
+        for length in block.lengths {
+            end += length;
+            all.starts.push(end);
+        }
+        all.columns.extend(block.columns);
+        all.counts.extend(block.counts);
+        all.escaped.extend(block.escaped);
+    }
+    all
+}
+
+/// Calls `pair(j, h_ij, h_ji)` for every patch j that row `i` hits or is hit by, in the order of j.
+fn merge(own: (&[u32], &[u32]), back: (&[u32], &[u32]), mut pair: impl FnMut(u32, u32, u32)) {
+    let (mut p, mut q) = (0, 0);
+    loop {
+        let j = own.0.get(p).copied().unwrap_or(u32::MAX);
+        let k = back.0.get(q).copied().unwrap_or(u32::MAX);
+        if j == u32::MAX && k == u32::MAX {
+            return;
+        }
+        let (mut there, mut here) = (0, 0);
+        if j <= k {
+            there = own.1[p];
+            p += 1;
+        }
+        if k <= j {
+            here = back.1[q];
+            q += 1;
+        }
+        pair(j.min(k), there, here);
+    }
+}
+
+/// The pooled exchange areas S_ij: symmetric to the bit.
+pub(super) fn pool(own: Counts, hits: &Hits, areas: &[f64]) -> Matrix {
+    let n = own.len();
+    let back = own.transposed();
+    let lengths: Vec<usize> = (0..n)
+        .into_par_iter()
+        .with_min_len(ROWS)
+        .map(|i| {
+            let mut length = 0;
+            merge(own.row(i), back.row(i), |_, _, _| length += 1);
+            length
+        })
+        .collect();
+    let mut starts = vec![0usize; n + 1];
+    for i in 0..n {
+        starts[i + 1] = starts[i] + lengths[i];
+    }
+    let mut columns = vec![0u32; starts[n]];
+    let mut values = vec![0f32; starts[n]];
+    let density: Vec<f64> = (0..n).map(|i| f64::from(hits.rays_of(i)) / areas[i]).collect();
+
+    let mut tasks = Vec::new();
+    let (mut columns_left, mut values_left) = (&mut columns[..], &mut values[..]);
+    for first in (0..n).step_by(ROWS) {
+        let last = (first + ROWS).min(n);
+        let (c, c_tail) = columns_left.split_at_mut(starts[last] - starts[first]);
+        let (v, v_tail) = values_left.split_at_mut(starts[last] - starts[first]);
+        tasks.push((first..last, c, v));
+        (columns_left, values_left) = (c_tail, v_tail);
+    }
+    tasks.into_par_iter().for_each(|(range, columns, values)| {
+        let mut at = 0;
+        for i in range {
+            merge(own.row(i), back.row(i), |j, there, here| {
+                columns[at] = j;
+                values[at] = (f64::from(there + here) / (density[i] + density[j as usize])) as f32;
+                at += 1;
+            });
+        }
+    });
+    Matrix::new((n, n), starts, columns, values)
+}
+
+/// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) of the one-way estimates F_ij = h_ij / R_i.
+pub(super) fn one_way_deviation(own: &Counts, hits: &Hits, areas: &[f64]) -> f64 {
+    let n = own.len();
+    let values = own.counts.iter().map(|&h| h as f32).collect();
+    let matrix = Matrix::new((n, n), own.starts.clone(), own.columns.clone(), values);
+    deviation(&matrix, areas, |i, h, _| areas[i] * f64::from(h) / f64::from(hits.rays_of(i)))
+}
+
+/// Largest |S_ij - S_ji| / min(A_i, A_j), where `exchange(i, stored, j)` is S_ij.
+///
+/// One pass: while rows are visited in order, the entries of row j with columns below j are met in order too, so a
+/// cursor a row finds the partner of each entry.
+pub(super) fn deviation(matrix: &Matrix, areas: &[f64], exchange: impl Fn(usize, f32, usize) -> f64) -> f64 {
+    let n = matrix.rows();
+    let mut cursor = vec![0usize; n];
+    let mut worst = 0f64;
+    let mut note = |i: usize, j: usize, difference: f64| {
+        worst = worst.max(difference.abs() / areas[i].min(areas[j]));
+    };
+    for i in 0..n {
+        let (columns, values) = row(matrix, i);
+        // What is left below the diagonal has no partner.
+        while cursor[i] < columns.len() && (columns[cursor[i]] as usize) < i {
+            let j = columns[cursor[i]] as usize;
+            note(i, j, exchange(i, values[cursor[i]], j));
+            cursor[i] += 1;
+        }
+        for (&j, &s) in columns.iter().zip(values).filter(|&(&j, _)| j as usize > i) {
+            let j = j as usize;
+            let (other_columns, other_values) = row(matrix, j);
+            while cursor[j] < other_columns.len() && (other_columns[cursor[j]] as usize) < i {
+                let k = other_columns[cursor[j]] as usize;
+                note(j, k, exchange(j, other_values[cursor[j]], k));
+                cursor[j] += 1;
+            }
+            let mut partner = 0.0;
+            if cursor[j] < other_columns.len() && other_columns[cursor[j]] as usize == i {
+                partner = exchange(j, other_values[cursor[j]], i);
+                cursor[j] += 1;
+            }
+            note(i, j, exchange(i, s, j) - partner);
+        }
+    }
+    worst
+}

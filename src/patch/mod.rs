@@ -1,0 +1,234 @@
+//! Patches: the triangles of the scene, cut into pieces of constant radiosity, and their two sides.
+//!
+//! A triangle is cut by a uniform quadtree: level `l` gives 4^l congruent children. Only the input triangles are in
+//! the ray tracer; the barycentric coordinates of a hit tell the patch in `l` steps ([`quadtree`]).
+//!
+//! Every triangle has a front, whose patches are always unknowns of the system, and a back, whose patches become
+//! unknowns only when rays hit them: closed solids never show their inside.
+
+pub mod quadtree;
+
+use crate::scene::Scene;
+
+/// How finely to cut.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Subdivision {
+    /// No patch has an edge longer than this, in the file's unit. Infinity leaves the triangles whole.
+    Edge(f64),
+    /// About this many patches, all edges below one common length; at least one a triangle.
+    Count(usize),
+}
+
+/// More levels than single-precision barycentric coordinates can tell apart are never needed.
+const MAX_LEVEL: u8 = 15;
+const NONE: u32 = u32::MAX;
+
+/// The unknowns: every patch of the fronts, in file order, then the patches of the backs that rays have hit.
+///
+/// Radiometric values come `channels` at a time: element `i * channels + c` is channel `c` of patch `i`.
+#[derive(Debug, Clone)]
+pub struct Patches {
+    channels: usize,
+    fronts: usize,
+    levels: Vec<u8>,
+    triangle_areas: Vec<f64>,
+    front_offsets: Vec<u32>,
+    back_offsets: Vec<u32>,
+    triangle: Vec<u32>,
+    reflectance: Vec<f64>,
+    emission: Vec<f64>,
+    edge: f64,
+}
+
+impl Patches {
+    /// Cuts the fronts of all triangles.
+    ///
+    /// # Panics
+    /// When an edge length is not positive, or when the patches would outnumber 2³¹.
+    pub fn subdivide(scene: &Scene, subdivision: &Subdivision) -> Patches {
+        let longest: Vec<f64> = (0..scene.triangles.len()).map(|t| longest_edge(scene, t)).collect();
+        let edge = match *subdivision {
+            Subdivision::Edge(edge) => edge,
+            Subdivision::Count(count) => edge_for_count(&longest, count),
+        };
+        assert!(edge > 0.0, "the patch size must be positive");
+        let levels: Vec<u8> = longest.iter().map(|&l| level(l, edge)).collect();
+        let total = count(&levels);
+        assert!(total < f64::from(1u32 << 31), "{total:.2e} patches are more than the program can number");
+
+        let mut patches = Patches {
+            channels: scene.channels(),
+            fronts: 0,
+            triangle_areas: (0..levels.len()).map(|t| scene.area(t)).collect(),
+            front_offsets: Vec::with_capacity(levels.len()),
+            back_offsets: vec![NONE; levels.len()],
+            triangle: Vec::with_capacity(total as usize),
+            reflectance: Vec::new(),
+            emission: Vec::new(),
+            levels,
+            edge,
+        };
+        for t in 0..patches.levels.len() {
+            patches.front_offsets.push(patches.triangle.len() as u32);
+            patches.append(scene, t as u32, true);
+        }
+        patches.fronts = patches.triangle.len();
+        patches
+    }
+
+    /// How many patches a subdivision gives, without making them.
+    pub fn forecast(scene: &Scene, subdivision: &Subdivision) -> f64 {
+        let longest: Vec<f64> = (0..scene.triangles.len()).map(|t| longest_edge(scene, t)).collect();
+        let edge = match *subdivision {
+            Subdivision::Edge(edge) => edge,
+            Subdivision::Count(count) => edge_for_count(&longest, count),
+        };
+        count(&longest.iter().map(|&l| level(l, edge)).collect::<Vec<_>>())
+    }
+
+    /// Makes the backs of these triangles unknowns, in this order, unless they are already.
+    pub fn add_backs(&mut self, scene: &Scene, triangles: &[u32]) {
+        for &t in triangles {
+            if self.back_offsets[t as usize] == NONE {
+                self.back_offsets[t as usize] = self.triangle.len() as u32;
+                self.append(scene, t, false);
+            }
+        }
+    }
+
+    fn append(&mut self, scene: &Scene, t: u32, front: bool) {
+        let ti = t as usize;
+        let level = self.levels[ti];
+        let material = scene.material(ti);
+        let textured = material.reflectance_map.is_some() || material.emission_map.is_some();
+        for child in 0..quadtree::children(level) {
+            let (mut reflectance, mut emission) = (material.reflectance, material.emission);
+            if textured {
+                let part = quadtree::corners(child, level);
+                reflectance = scene.mean_reflectance(ti, &part);
+                emission = scene.mean_emission(ti, &part);
+            }
+            self.triangle.push(t);
+            self.reflectance.extend_from_slice(&reflectance[..self.channels]);
+            let side = if front { std::f64::consts::PI } else { 0.0 };
+            self.emission.extend(emission[..self.channels].iter().map(|radiance| side * radiance));
+        }
+    }
+
+    /// Number of unknowns: front patches and those back patches that were added.
+    pub fn len(&self) -> usize {
+        self.triangle.len()
+    }
+
+    /// Whether the scene has no triangle.
+    pub fn is_empty(&self) -> bool {
+        self.triangle.is_empty()
+    }
+
+    /// Number of front patches; they come first.
+    pub fn fronts(&self) -> usize {
+        self.fronts
+    }
+
+    /// 1 for a grey scene, else 3.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// The largest edge that was allowed.
+    pub fn edge(&self) -> f64 {
+        self.edge
+    }
+
+    /// Index of the triangle that patch `i` is a part of.
+    pub fn triangle(&self, i: usize) -> usize {
+        self.triangle[i] as usize
+    }
+
+    /// Whether patch `i` is on the front of its triangle.
+    pub fn is_front(&self, i: usize) -> bool {
+        i < self.fronts
+    }
+
+    /// Quadtree level of a triangle.
+    pub fn level(&self, triangle: usize) -> u8 {
+        self.levels[triangle]
+    }
+
+    /// Which child of its triangle's quadtree patch `i` is.
+    pub fn child(&self, i: usize) -> u32 {
+        let t = self.triangle(i);
+        let offset = if self.is_front(i) { self.front_offsets[t] } else { self.back_offsets[t] };
+        i as u32 - offset
+    }
+
+    /// The patch on the back of front patch `i`, where that is an unknown.
+    pub fn back_of(&self, i: usize) -> Option<u32> {
+        let offset = self.back_offsets[self.triangle(i)];
+        (offset != NONE).then(|| offset + self.child(i))
+    }
+
+    /// Area of patch `i` in the file's unit squared.
+    pub fn area(&self, i: usize) -> f64 {
+        let t = self.triangle(i);
+        self.triangle_areas[t] / quadtree::children(self.levels[t]) as f64
+    }
+
+    /// Barycentric coordinates, in its triangle, of the corners of patch `i`.
+    pub fn corners(&self, i: usize) -> [[f64; 3]; 3] {
+        quadtree::corners(self.child(i), self.levels[self.triangle(i)])
+    }
+
+    /// Reflectance of every patch, `channels` at a time.
+    pub fn reflectance(&self) -> &[f64] {
+        &self.reflectance
+    }
+
+    /// Emitted radiosity Be = π Le of every patch in W/m², `channels` at a time.
+    pub fn emission(&self) -> &[f64] {
+        &self.emission
+    }
+
+    /// The patch at a point of a triangle's front or back; `None` on a back that is no unknown.
+    #[inline]
+    pub fn at(&self, triangle: u32, barycentric: [f32; 3], front: bool) -> Option<u32> {
+        let t = triangle as usize;
+        let offset = if front { self.front_offsets[t] } else { self.back_offsets[t] };
+        (offset != NONE).then(|| offset + quadtree::child_at(barycentric, self.levels[t]))
+    }
+}
+
+fn longest_edge(scene: &Scene, t: usize) -> f64 {
+    let [a, b, c] = scene.corners(t);
+    (b - a).length().max((c - b).length()).max((a - c).length())
+}
+
+/// The lowest level at which an edge of length `longest` is cut to at most `edge`.
+fn level(longest: f64, edge: f64) -> u8 {
+    // A hair of slack, so that an edge cut to exactly the wanted length is not cut once more by a rounding.
+    let mut level = 0;
+    while level < MAX_LEVEL && longest / f64::from(1u32 << level) > edge * (1.0 + 1e-12) {
+        level += 1;
+    }
+    level
+}
+
+fn count(levels: &[u8]) -> f64 {
+    levels.iter().map(|&l| f64::from(quadtree::children(l))).sum()
+}
+
+/// The edge length whose number of patches comes nearest to `wanted`, as a ratio.
+fn edge_for_count(longest: &[f64], wanted: usize) -> f64 {
+    let Some(largest) = longest.iter().copied().reduce(f64::max) else { return f64::INFINITY };
+    let patches =
+        |edge: f64| longest.iter().map(|&l| f64::from(quadtree::children(level(l, edge)))).sum::<f64>();
+    // The number of patches falls as the edge grows, in steps: bisect for the step that straddles the target.
+    let wanted = wanted.max(1) as f64;
+    let (mut fine, mut coarse) = (largest / f64::from(1u32 << MAX_LEVEL), largest);
+    for _ in 0..60 {
+        let middle = (fine * coarse).sqrt();
+        if patches(middle) > wanted { fine = middle } else { coarse = middle }
+    }
+    let ratio = |edge: f64| (patches(edge) / wanted).ln().abs();
+    if ratio(fine) < ratio(coarse) { fine } else { coarse }
+}

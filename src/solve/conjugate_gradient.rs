@@ -1,0 +1,123 @@
+//! Conjugate gradients on the symmetrised system.
+//!
+//! With reciprocal exchange areas S = A F and G = diag(sqrt(ρ / A)), the reflected radiosity is B - Be = G y, where
+//!
+//!   (I - G S G) y = G S Be
+//!
+//! is symmetric and, unless light is caught for ever, positive definite. No division by ρ occurs: black patches simply
+//! have y = 0. Hestenes and Stiefel 1952; the channels run side by side through one product an iteration.
+
+use super::{Iterate, SolveOptions, System};
+use crate::{Progress, Result};
+
+/// Iterates until the true residual is small. Recursive residuals drift from the true ones in ill-conditioned rooms
+/// (reflectances of 1 - 10⁻⁶ and up), so that convergence is judged by the true residual and restarted where needed.
+pub(super) fn solve<const C: usize>(
+    system: &System<C>,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<Iterate<C>> {
+    let mut radiosity = system.emission.to_vec();
+    let mut iterations = 0;
+    let mut best = f64::INFINITY;
+    loop {
+        let irradiance = system.irradiance(&radiosity);
+        let residual = system.relative_residual(&radiosity, &irradiance);
+        if residual <= options.tolerance || iterations >= options.max_iterations || residual > 0.5 * best {
+            return Ok((radiosity, iterations));
+        }
+        best = residual;
+        let correction = correct(
+            system,
+            &radiosity,
+            &irradiance,
+            options.tolerance / residual,
+            &mut iterations,
+            options,
+            progress,
+        )?;
+        for (b, d) in radiosity.iter_mut().zip(&correction) {
+            for c in 0..C {
+                b[c] = (b[c] + d[c]).max(0.0);
+            }
+        }
+    }
+}
+
+/// Solves for the correction that removes the present residual, down to `reduction` times it.
+fn correct<const C: usize>(
+    system: &System<C>,
+    radiosity: &[[f64; C]],
+    irradiance: &[[f64; C]],
+    reduction: f64,
+    iterations: &mut usize,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<Vec<[f64; C]>> {
+    let n = radiosity.len();
+    let areas = system.form_factors.areas();
+    // y = G⁻¹ d = d sqrt(A / ρ): the residual r of d is ρ times something, so that G⁻¹ r = sqrt(ρ A) (r / ρ).
+    let gain: Vec<[f64; C]> =
+        (0..n).map(|i| system.reflectance[i].map(|rho| (rho / areas[i]).sqrt())).collect();
+    let mut r: Vec<[f64; C]> = (0..n)
+        .map(|i| {
+            let residual = system.residual(i, &radiosity[i], &irradiance[i]);
+            std::array::from_fn(|c| if gain[i][c] > 0.0 { residual[c] / gain[i][c] } else { 0.0 })
+        })
+        .collect();
+    let mut y = vec![[0.0; C]; n];
+    let mut p = r.clone();
+    let mut rr = dot(&r, &r);
+    let start = rr;
+    // A margin, since the norm here is another one than that of the tolerance.
+    let goal = (0.03 * reduction.min(1.0)).powi(2);
+    while *iterations < options.max_iterations && (0..C).any(|c| rr[c] > goal * start[c]) {
+        progress.check()?;
+        let q = apply(system, &gain, &p);
+        let pq = dot(&p, &q);
+        let alpha: [f64; C] = std::array::from_fn(|c| if pq[c] > 0.0 { rr[c] / pq[c] } else { 0.0 });
+        for i in 0..n {
+            for c in 0..C {
+                y[i][c] += alpha[c] * p[i][c];
+                r[i][c] -= alpha[c] * q[i][c];
+            }
+        }
+        let next = dot(&r, &r);
+        *iterations += 1;
+        if (0..C).all(|c| alpha[c] == 0.0) {
+            break;
+        }
+        for i in 0..n {
+            for c in 0..C {
+                p[i][c] = if rr[c] > 0.0 { r[i][c] + next[c] / rr[c] * p[i][c] } else { 0.0 };
+            }
+        }
+        rr = next;
+    }
+    Ok((0..n).map(|i| std::array::from_fn(|c| gain[i][c] * y[i][c])).collect())
+}
+
+/// (I - G S G) p, where S = A F.
+fn apply<const C: usize>(system: &System<C>, gain: &[[f64; C]], p: &[[f64; C]]) -> Vec<[f64; C]> {
+    let areas = system.form_factors.areas();
+    let lifted: Vec<[f64; C]> =
+        p.iter().zip(gain).map(|(p, g)| std::array::from_fn(|c| g[c] * p[c])).collect();
+    let mut out = system.irradiance(&lifted);
+    for i in 0..p.len() {
+        for c in 0..C {
+            out[i][c] = p[i][c] - gain[i][c] * areas[i] * out[i][c];
+        }
+    }
+    out
+}
+
+/// Scalar products, summed in order.
+fn dot<const C: usize>(a: &[[f64; C]], b: &[[f64; C]]) -> [f64; C] {
+    let mut sum = [0.0; C];
+    for (a, b) in a.iter().zip(b) {
+        for c in 0..C {
+            sum[c] += a[c] * b[c];
+        }
+    }
+    sum
+}

@@ -1,0 +1,49 @@
+//! Gauss-Seidel iteration: as Jacobi, but every patch gathers what the patches before it have just become. It
+//! converges about twice as fast, but each patch waits for the one before: a sweep runs on one thread.
+
+use super::{Iterate, SolveOptions, System};
+use crate::{Progress, Result, form_factor::row};
+
+/// Sweeps until the true residual is small. It costs a product, so it is computed only once the change of a sweep,
+/// which is of the same order, is small enough.
+pub(super) fn solve<const C: usize>(
+    system: &System<C>,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<Iterate<C>> {
+    let mut radiosity = system.emission.to_vec();
+    for iteration in 0..options.max_iterations {
+        progress.check()?;
+        let change = sweep(system, &mut radiosity);
+        if system.relative(change.into_iter()) <= options.tolerance {
+            let irradiance = system.irradiance(&radiosity);
+            if system.relative_residual(&radiosity, &irradiance) <= options.tolerance {
+                return Ok((radiosity, iteration + 1));
+            }
+        }
+    }
+    Ok((radiosity, options.max_iterations))
+}
+
+/// One sweep over all patches; returns by how much each changed.
+fn sweep<const C: usize>(system: &System<C>, radiosity: &mut [[f64; C]]) -> Vec<[f64; C]> {
+    let (matrix, left, right) = system.form_factors.scaling();
+    (0..radiosity.len())
+        .map(|i| {
+            let (columns, values) = row(matrix, i);
+            let mut sums = [0.0; C];
+            for (&j, &s) in columns.iter().zip(values) {
+                let j = j as usize;
+                let weight = f64::from(s) * right[j];
+                for c in 0..C {
+                    sums[c] += weight * radiosity[j][c];
+                }
+            }
+            let change = system.residual(i, &radiosity[i], &sums.map(|sum| left[i] * sum));
+            for c in 0..C {
+                radiosity[i][c] += change[c];
+            }
+            change
+        })
+        .collect()
+}

@@ -1,0 +1,302 @@
+//! The radiosity equation B = Be + ρ F B.
+//!
+//! All solvers work on every channel in one pass over the matrix and report the same three things: iterations, the
+//! true relative residual of what they return, and a certified bound on its distance from the exact solution of the
+//! discrete system. Not converging is an error, never a silent result.
+
+pub mod conjugate_gradient;
+pub mod direct;
+pub mod gauss_seidel;
+pub mod jacobi;
+pub mod southwell;
+
+use crate::{
+    Error, Progress, Result,
+    form_factor::{Estimator, FormFactors, row},
+    patch::Patches,
+};
+
+/// Which algorithm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Solver {
+    /// Conjugate gradients where the form factors are reciprocal, else Gauss-Seidel.
+    #[default]
+    Auto,
+    /// [`jacobi`]: every patch gathers from the last sweep. Simple, parallel, slow in bright rooms.
+    Jacobi,
+    /// [`gauss_seidel`]: every patch gathers from the newest values; about half the sweeps of Jacobi, serial.
+    GaussSeidel,
+    /// [`southwell`]: the patch with most unshot power shoots (progressive refinement).
+    Southwell,
+    /// [`conjugate_gradient`] on the symmetrised system: few iterations even where hardly anything absorbs.
+    ConjugateGradient,
+    /// [`direct`]: dense LU decomposition, for small scenes and as the oracle of the others.
+    Direct,
+}
+
+impl Solver {
+    /// The name used on the command line and in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Solver::Auto => "auto",
+            Solver::Jacobi => "jacobi",
+            Solver::GaussSeidel => "gauss-seidel",
+            Solver::Southwell => "southwell",
+            Solver::ConjugateGradient => "cg",
+            Solver::Direct => "direct",
+        }
+    }
+}
+
+/// How to solve.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SolveOptions {
+    /// Which algorithm.
+    pub solver: Solver,
+    /// Stop when Σ A |residual| is at most this share of Σ A Be, in every channel. The energy imbalance left by the
+    /// solver is then at most as large.
+    pub tolerance: f64,
+    /// Give up after this many iterations (for Southwell: as many times the number of patches shoot).
+    pub max_iterations: usize,
+}
+
+impl Default for SolveOptions {
+    /// Solver chosen by the system, tolerance 1e-10, at most 10,000 iterations.
+    fn default() -> Self {
+        SolveOptions { solver: Solver::Auto, tolerance: 1e-10, max_iterations: 10_000 }
+    }
+}
+
+/// What the surfaces emit and reflect: the right-hand side and the diagonal of the system.
+#[derive(Debug, Clone, Copy)]
+pub struct Radiometry<'a> {
+    /// 1 or 3; values are interleaved.
+    pub channels: usize,
+    /// Emitted radiosity Be, W/m².
+    pub emission: &'a [f64],
+    /// Reflectance ρ in \[0, 1\].
+    pub reflectance: &'a [f64],
+}
+
+impl<'a> From<&'a Patches> for Radiometry<'a> {
+    fn from(patches: &'a Patches) -> Self {
+        Radiometry {
+            channels: patches.channels(),
+            emission: patches.emission(),
+            reflectance: patches.reflectance(),
+        }
+    }
+}
+
+/// The light on every patch, `channels` interleaved values each.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Solution {
+    /// 1 or 3.
+    pub channels: usize,
+    /// Radiosity B, W/m²: what leaves, emitted and reflected.
+    pub radiosity: Vec<f64>,
+    /// Irradiance E = F B, W/m²: what arrives.
+    pub irradiance: Vec<f64>,
+    /// The solver that ran; never [`Solver::Auto`].
+    pub solver: Solver,
+    /// Its iterations: sweeps, products with the matrix, or shots.
+    pub iterations: usize,
+    /// Σ A |Be + ρ E - B| / Σ A Be of the worst channel, computed from the result itself.
+    pub residual: f64,
+    /// No patch's radiosity is farther than this from the exact solution of the discrete system, W/m². Infinite where
+    /// a patch reflects everything and loses nothing.
+    pub error_bound: f64,
+}
+
+/// Solves B = Be + ρ F B.
+///
+/// # Errors
+/// [`Error::NoEquilibrium`] when light enters a part of the scene that nothing leaves and nothing absorbs in;
+/// [`Error::NotConverged`] when the iterations run out; [`Error::Usage`] when the solver does not suit the system;
+/// [`Error::Stopped`].
+///
+/// # Panics
+/// When the sizes of `radiometry` and `form_factors` disagree.
+pub fn solve<'a>(
+    form_factors: &FormFactors,
+    radiometry: impl Into<Radiometry<'a>>,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<Solution> {
+    let radiometry = radiometry.into();
+    let n = form_factors.len() * radiometry.channels;
+    assert_eq!((radiometry.emission.len(), radiometry.reflectance.len()), (n, n), "sizes disagree");
+    match radiometry.channels {
+        1 => System::<1>::new(form_factors, radiometry).solve(options, progress),
+        3 => System::<3>::new(form_factors, radiometry).solve(options, progress),
+        c => panic!("{c} channels: there are 1 or 3"),
+    }
+}
+
+/// The system with its number of channels known to the compiler.
+pub(crate) struct System<'a, const C: usize> {
+    pub(crate) form_factors: &'a FormFactors,
+    pub(crate) emission: &'a [[f64; C]],
+    pub(crate) reflectance: &'a [[f64; C]],
+}
+
+/// What an algorithm hands back: radiosity and iterations done.
+type Iterate<const C: usize> = (Vec<[f64; C]>, usize);
+
+impl<'a, const C: usize> System<'a, C> {
+    pub(crate) fn new(form_factors: &'a FormFactors, radiometry: Radiometry<'a>) -> Self {
+        System {
+            form_factors,
+            emission: radiometry.emission.as_chunks().0,
+            reflectance: radiometry.reflectance.as_chunks().0,
+        }
+    }
+
+    fn solve(&self, options: &SolveOptions, progress: &Progress) -> Result<Solution> {
+        self.check_equilibrium()?;
+        let symmetric = self.form_factors.estimator() == Estimator::Pooled;
+        let solver = match options.solver {
+            Solver::Auto if symmetric => Solver::ConjugateGradient,
+            Solver::Auto => Solver::GaussSeidel,
+            Solver::ConjugateGradient if !symmetric => {
+                return Err(Error::Usage {
+                    message: "conjugate gradients need reciprocal form factors".into(),
+                    hint: Some("use the pooled estimator, or gauss-seidel".into()),
+                });
+            }
+            named => named,
+        };
+        let (radiosity, iterations) = match solver {
+            Solver::Jacobi => jacobi::solve(self, options, progress)?,
+            Solver::GaussSeidel => gauss_seidel::solve(self, options, progress)?,
+            Solver::Southwell => southwell::solve(self, options, progress)?,
+            Solver::Direct => direct::solve(self)?,
+            _ => conjugate_gradient::solve(self, options, progress)?,
+        };
+        self.finish(solver, radiosity, iterations, options)
+    }
+
+    /// Judges the result by its own residual, whatever the algorithm believed.
+    fn finish(
+        &self,
+        solver: Solver,
+        radiosity: Vec<[f64; C]>,
+        iterations: usize,
+        options: &SolveOptions,
+    ) -> Result<Solution> {
+        let irradiance = self.irradiance(&radiosity);
+        let residual = self.relative_residual(&radiosity, &irradiance);
+        // Negated so that NaN does not pass.
+        if !(residual <= options.tolerance) {
+            return Err(Error::NotConverged {
+                solver: solver.name(),
+                iterations,
+                residual,
+                tolerance: options.tolerance,
+            });
+        }
+        Ok(Solution {
+            channels: C,
+            error_bound: self.error_bound(&radiosity, &irradiance),
+            radiosity: radiosity.into_flattened(),
+            irradiance: irradiance.into_flattened(),
+            solver,
+            iterations,
+            residual,
+        })
+    }
+
+    /// E = F B.
+    pub(crate) fn irradiance(&self, radiosity: &[[f64; C]]) -> Vec<[f64; C]> {
+        let mut irradiance = vec![[0.0; C]; radiosity.len()];
+        self.form_factors.irradiance_into::<C>(radiosity.as_flattened(), irradiance.as_flattened_mut());
+        irradiance
+    }
+
+    /// Be + ρ E - B of patch `i`.
+    pub(crate) fn residual(&self, i: usize, radiosity: &[f64; C], irradiance: &[f64; C]) -> [f64; C] {
+        std::array::from_fn(|c| self.emission[i][c] + self.reflectance[i][c] * irradiance[c] - radiosity[c])
+    }
+
+    /// Σ A Be for each channel.
+    pub(crate) fn emitted(&self) -> [f64; C] {
+        let mut sum = [0.0; C];
+        for (area, emission) in self.form_factors.areas().iter().zip(self.emission) {
+            for c in 0..C {
+                sum[c] += area * emission[c];
+            }
+        }
+        sum
+    }
+
+    /// Σ A |r| / Σ A Be of the worst channel; a dark channel has none.
+    pub(crate) fn relative(&self, residuals: impl Iterator<Item = [f64; C]>) -> f64 {
+        let mut sum = [0.0; C];
+        for (area, r) in self.form_factors.areas().iter().zip(residuals) {
+            for c in 0..C {
+                sum[c] += area * r[c].abs();
+            }
+        }
+        let emitted = self.emitted();
+        (0..C)
+            .map(|c| if sum[c] == 0.0 { 0.0 } else { sum[c] / emitted[c] })
+            .fold(0.0, |a, b| if b > a || b.is_nan() { b } else { a })
+    }
+
+    /// The relative residual of a radiosity with its irradiance.
+    pub(crate) fn relative_residual(&self, radiosity: &[[f64; C]], irradiance: &[[f64; C]]) -> f64 {
+        self.relative((0..radiosity.len()).map(|i| self.residual(i, &radiosity[i], &irradiance[i])))
+    }
+
+    /// Max-norm bound ‖B - B*‖ ≤ ‖r‖ / (1 - max ρ_i Σ_j F_ij): the rows of ρF sum to less than one, so its Neumann
+    /// series is bounded by a geometric one.
+    fn error_bound(&self, radiosity: &[[f64; C]], irradiance: &[[f64; C]]) -> f64 {
+        let escaped = self.form_factors.escaped();
+        let mut worst = 0f64;
+        for c in 0..C {
+            let mut residual = 0f64;
+            let mut loss = f64::INFINITY;
+            for i in 0..radiosity.len() {
+                residual = residual.max(self.residual(i, &radiosity[i], &irradiance[i])[c].abs());
+                // 1 - ρ (1 - e) without cancellation.
+                let rho = self.reflectance[i][c];
+                loss = loss.min((1.0 - rho) + rho * escaped[i]);
+            }
+            if residual > 0.0 {
+                worst = worst.max(residual / loss);
+            }
+        }
+        worst
+    }
+
+    /// Refuses a scene in which light is caught: an emitter from which no path of light leads to anything that absorbs
+    /// or to the outside.
+    fn check_equilibrium(&self) -> Result<()> {
+        let n = self.form_factors.len();
+        for c in 0..C {
+            let loses = |i: usize| self.reflectance[i][c] < 1.0 || self.form_factors.escaped()[i] > 0.0;
+            if (0..n).all(loses) {
+                continue;
+            }
+            // From the losing patches backwards along the light. Hits need not be mutual in one-way form factors, so
+            // sweep until nothing changes instead of walking a transposed graph.
+            let mut drained: Vec<bool> = (0..n).map(loses).collect();
+            let mut changed = true;
+            while changed {
+                changed = false;
+                for i in (0..n).chain((0..n).rev()) {
+                    if !drained[i]
+                        && row(self.form_factors.scaling().0, i).0.iter().any(|&j| drained[j as usize])
+                    {
+                        drained[i] = true;
+                        changed = true;
+                    }
+                }
+            }
+            if (0..n).any(|i| !drained[i] && self.emission[i][c] > 0.0) {
+                return Err(Error::NoEquilibrium);
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,184 @@
+//! Southwell relaxation, known in graphics as progressive refinement (Cohen, Chen, Wallace and Greenberg, SIGGRAPH 88;
+//! Gortler, Cohen and Slusallek, "Radiosity and relaxation methods", 1993): the patch with the most unshot power shoots
+//! it to all that it sees. Every intermediate solution is a picture.
+
+use std::{cmp::Ordering, collections::BinaryHeap};
+
+use super::{Iterate, Radiometry, SolveOptions, System};
+use crate::{
+    Progress, Result,
+    form_factor::{Estimator, FormFactors, Matrix, row},
+};
+
+/// A patch in the queue, by the unshot power it had when it was queued.
+struct Queued {
+    power: f64,
+    patch: u32,
+}
+
+impl PartialEq for Queued {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+impl Eq for Queued {}
+impl PartialOrd for Queued {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Queued {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.power.total_cmp(&other.power).then_with(|| other.patch.cmp(&self.patch))
+    }
+}
+
+/// Shooting in progress, `C` channels. What is unshot is exactly the residual Be + ρ F B - B of what was shot.
+pub struct Shooting<'a, const C: usize> {
+    system: System<'a, C>,
+    /// Column i of the matrix as a row. A symmetric matrix is its own transpose.
+    transposed: Option<Matrix>,
+    radiosity: Vec<[f64; C]>,
+    unshot: Vec<[f64; C]>,
+    queue: BinaryHeap<Queued>,
+    /// The power with which each patch stands in the queue; zero where it does not.
+    queued: Vec<f64>,
+    shots: usize,
+}
+
+impl<'a, const C: usize> Shooting<'a, C> {
+    /// Nothing has been shot yet: the radiosity is zero, all emission is unshot.
+    ///
+    /// # Panics
+    /// When `radiometry` has not `C` channels.
+    pub fn new(form_factors: &'a FormFactors, radiometry: impl Into<Radiometry<'a>>) -> Self {
+        let radiometry = radiometry.into();
+        assert_eq!(radiometry.channels, C, "channels disagree");
+        let system = System::new(form_factors, radiometry);
+        let transposed = (form_factors.estimator() == Estimator::OneWay).then(|| {
+            let matrix = form_factors.scaling().0;
+            matrix.transpose_view().to_csr()
+        });
+        let mut shooting = Shooting {
+            transposed,
+            radiosity: vec![[0.0; C]; form_factors.len()],
+            unshot: system.emission.to_vec(),
+            queue: BinaryHeap::new(),
+            queued: vec![0.0; form_factors.len()],
+            shots: 0,
+            system,
+        };
+        for i in 0..shooting.unshot.len() {
+            shooting.enqueue(i);
+        }
+        shooting
+    }
+
+    fn power(&self, i: usize) -> f64 {
+        self.system.form_factors.areas()[i] * self.unshot[i].iter().sum::<f64>()
+    }
+
+    /// Queues patch `i` anew once its power has doubled: the queue stays short, and what shoots has at least half of
+    /// the greatest power.
+    fn enqueue(&mut self, i: usize) {
+        let power = self.power(i);
+        if power > 2.0 * self.queued[i] {
+            self.queued[i] = power;
+            self.queue.push(Queued { power, patch: i as u32 });
+        }
+    }
+
+    /// The patch with the most unshot power shoots it; returns which, or `None` when nothing is unshot.
+    pub fn shoot(&mut self) -> Option<usize> {
+        // An entry is not removed when its patch is queued again: such stale ones are dropped here.
+        let i = loop {
+            let Queued { power, patch } = self.queue.pop()?;
+            if self.queued[patch as usize] == power {
+                break patch as usize;
+            }
+        };
+        self.queued[i] = 0.0;
+        let shot = std::mem::replace(&mut self.unshot[i], [0.0; C]);
+        for c in 0..C {
+            self.radiosity[i][c] += shot[c];
+        }
+        let (matrix, left, right) = self.system.form_factors.scaling();
+        // Taken out for the loop, which changes the rest of self.
+        let transposed = self.transposed.take();
+        let (columns, values) = row(transposed.as_ref().unwrap_or(matrix), i);
+        for (&j, &s) in columns.iter().zip(values) {
+            let j = j as usize;
+            let form_factor = left[j] * f64::from(s) * right[i];
+            for c in 0..C {
+                self.unshot[j][c] += self.system.reflectance[j][c] * form_factor * shot[c];
+            }
+            self.enqueue(j);
+        }
+        self.transposed = transposed;
+        self.shots += 1;
+        Some(i)
+    }
+
+    /// Shots so far.
+    pub fn shots(&self) -> usize {
+        self.shots
+    }
+
+    /// Σ A |unshot| / Σ A Be of the worst channel: the relative residual.
+    pub fn residual(&self) -> f64 {
+        self.system.relative(self.unshot.iter().copied())
+    }
+
+    /// The radiosity so far, with what is unshot counted where it waits.
+    pub fn radiosity(&self) -> Vec<[f64; C]> {
+        self.radiosity.iter().zip(&self.unshot).map(|(b, u)| std::array::from_fn(|c| b[c] + u[c])).collect()
+    }
+
+    /// The radiosity so far with an ambient term for the light still unshot: spread evenly over all surfaces and
+    /// bounced at their mean reflectance. Good for looking at, never for measuring.
+    pub fn with_ambient(&self) -> Vec<[f64; C]> {
+        let areas = self.system.form_factors.areas();
+        let total: f64 = areas.iter().sum();
+        let mut ambient = [0.0; C];
+        for (c, ambient) in ambient.iter_mut().enumerate() {
+            let unshot: f64 = areas.iter().zip(&self.unshot).map(|(a, u)| a * u[c]).sum();
+            let rho: f64 =
+                areas.iter().zip(self.system.reflectance).map(|(a, r)| a * r[c]).sum::<f64>() / total;
+            *ambient = if rho < 1.0 { unshot / total / (1.0 - rho) } else { 0.0 };
+        }
+        self.radiosity()
+            .iter()
+            .zip(self.system.reflectance)
+            .map(|(b, rho)| std::array::from_fn(|c| b[c] + rho[c] * ambient[c]))
+            .collect()
+    }
+}
+
+/// Shoots until the residual is small.
+pub(super) fn solve<const C: usize>(
+    system: &System<C>,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<Iterate<C>> {
+    let radiometry = Radiometry {
+        channels: C,
+        emission: system.emission.as_flattened(),
+        reflectance: system.reflectance.as_flattened(),
+    };
+    let n = system.form_factors.len();
+    let mut shooting = Shooting::<C>::new(system.form_factors, radiometry);
+    while shooting.shots() < options.max_iterations.saturating_mul(n) {
+        // The residual costs a pass over all patches: look at it after every n shots.
+        let round = shooting.shots();
+        while shooting.shots() < round + n {
+            if shooting.shoot().is_none() {
+                return Ok((shooting.radiosity(), shooting.shots()));
+            }
+        }
+        progress.check()?;
+        if shooting.residual() <= options.tolerance {
+            break;
+        }
+    }
+    Ok((shooting.radiosity(), shooting.shots()))
+}
