@@ -229,11 +229,9 @@ fn a_point_in_a_room_sees_everything() {
         (dvec3(0.3, 1.9, 0.2), dvec3(0.48, 0.6, 0.64)),
         (dvec3(0.999999, 1.0, 0.25), dvec3(-0.6, 0.8, 0.0)),
     ] {
-        let sum: f64 =
-            faces.iter().filter(|f| p != f.corners()[0]).map(|f| point_to_polygon(p, n, &f.corners())).sum();
-        // The floor, seen from a point on it, counts as wholly seen: the limit from above would be from below.
-        let on_floor = p.z == 0.0;
-        assert_close(sum, if on_floor { 2.0 } else { 1.0 }, 1e-14);
+        let sum: f64 = faces.iter().map(|f| point_to_polygon(p, n, &f.corners())).sum();
+        // From a point on the floor the floor itself counts 1 more: the limit from below it.
+        assert_close(sum, if p.z == 0.0 { 2.0 } else { 1.0 }, 1e-14);
     }
 }
 
@@ -261,18 +259,20 @@ fn points_at_the_polygon_and_at_its_horizon() {
     assert_close(point_to_polygon(DVec3::ZERO, DVec3::Z, &circle), 0.2, 0.2 * 7e-8);
 }
 
-/// Far and small: area product over pi r² times the cosines, in relative terms down to 1e-24.
+/// Far and small: area product over pi r² times the cosines, in relative terms down to 1e-24. The coordinates are exact
+/// in binary, so that the triangles have the shape they are written with.
 #[test]
 fn far_polygons_keep_their_digits() {
-    let p = [DVec3::ZERO, dvec3(1e-6, 0.0, 0.0), dvec3(0.0, 1e-6, 0.0)];
-    let q = p.map(|v| dvec3(v.y, v.x, 0.0) + dvec3(0.3, 0.4, 1.2));
-    let (area, cosine, r2) = (0.5e-12, 1.2 / 1.3, 1.69);
-    // The neglected term is the triangles' size over the distance, squared, as their centroids are r apart.
-    assert_close(polygon_exchange_area(&p, &q) / (area * area * cosine * cosine / (PI * r2)), 1.0, 1e-11);
-    let near = centroid(&p) - centroid(&q);
-    assert_close(near.length(), 1.3, 1e-12);
-    let f = point_to_polygon(centroid(&p), DVec3::Z, &q);
-    assert_close(f / (area * cosine * cosine / (PI * r2)), 1.0, 1e-11);
+    let e = 2f64.powi(-20);
+    let p = [DVec3::ZERO, dvec3(e, 0.0, 0.0), dvec3(0.0, e, 0.0)];
+    let shift = dvec3(0.25, -0.5, 1.0);
+    let q = p.map(|v| dvec3(v.y, v.x, 0.0) + shift);
+    let (area, r2) = (0.5 * e * e, shift.length_squared());
+    let per_area = area / (PI * r2 * r2);
+    // The centroids are `shift` apart; what is neglected is of second order in size over distance, 1e-12.
+    assert_close(polygon_exchange_area(&p, &q) / (area * per_area), 1.0, 1e-11);
+    // The point itself is rounded, at 1e-16 of the distance.
+    assert_close(point_to_polygon(centroid(&p), DVec3::Z, &q) / per_area, 1.0, 1e-9);
     // Small against large: the point formula at the small one's centroid, neglecting second order again.
     let large = [dvec3(-3.0, -2.0, 1.0), dvec3(-1.0, 5.0, 1.5), dvec3(4.0, -1.0, 0.5)];
     let want = area * point_to_polygon(centroid(&p), DVec3::Z, &large);

@@ -15,6 +15,12 @@ fn assert_polygon(polygon: &[DVec3]) {
     assert!(polygon.iter().all(|v| v.is_finite()), "vertices must be finite");
 }
 
+/// The power of two next below a length. Dividing by it changes no digit, so that a small polygon far from the origin
+/// keeps its shape.
+fn power_of_two_below(length: f64) -> f64 {
+    length.log2().floor().exp2()
+}
+
 /// Half the sum of the cross products: as long as the area, and pointing to the front (M. E. Newell's formula).
 fn area_vector(polygon: &[DVec3]) -> DVec3 {
     let o = polygon[0];
@@ -83,6 +89,7 @@ pub fn point_to_polygon(point: DVec3, normal: DVec3, polygon: &[DVec3]) -> f64 {
     if unit == 0.0 {
         return 0.0;
     }
+    let unit = power_of_two_below(unit);
     let local: Vec<DVec3> = polygon.iter().map(|&v| (v - point) / unit).collect();
     let above = if local.iter().all(|v| v.dot(normal) >= 0.0) {
         local
@@ -120,6 +127,7 @@ pub fn polygon_exchange_area(p: &[DVec3], q: &[DVec3]) -> f64 {
     if unit == 0.0 {
         return 0.0;
     }
+    let unit = power_of_two_below(unit);
     // The coordinates are given no better than this, so neither is the side of a plane a vertex is on.
     let slack = 16.0 * f64::EPSILON * (1.0 + all().map(|v| v.abs().max_element()).fold(0.0, f64::max) / unit);
     let local = |polygon: &[DVec3]| polygon.iter().map(|&v| (v - origin) / unit).collect::<Vec<_>>();
@@ -128,7 +136,7 @@ pub fn polygon_exchange_area(p: &[DVec3], q: &[DVec3]) -> f64 {
     let (np, nq) = (ap.normalize_or_zero(), aq.normalize_or_zero());
     let (Some(p), Some(q)) = (clip(&p, q[0], nq, slack), clip(&q, p[0], np, slack)) else { return 0.0 };
     let exchange = cubature::exchange_if_far(&p, np, &q, nq, FAR).unwrap_or_else(|| {
-        let size = cubature::ball(&p).1.min(cubature::ball(&q).1);
+        let size = power_of_two_below(cubature::ball(&p).1.min(cubature::ball(&q).1));
         let scaled = |polygon: &[DVec3]| polygon.iter().map(|&v| v / size).collect::<Vec<_>>();
         contour::exchange(&scaled(&p), &scaled(&q)) * size * size
     });
