@@ -93,6 +93,8 @@ fn catalogue_limits() {
         let strings = 0.5 * (1.0 + h / w - 1f64.hypot(h / w));
         assert_close(perpendicular_rectangles(1e9, w, h) / strings, 1.0, 1e-8);
     }
+    // A very narrow floor sees the wall fill half of its sky, but for terms of order W ln W.
+    assert_close(perpendicular_rectangles(1.0, 1e-9, 1.0), 0.5, 1e-7);
     // A very short common edge: (ln(WH / S) / 2 + 3/4) / (pi W) for W, H, S in edges, corrections of order W^-2.
     let (w, h) = (1e6f64, 2e6f64);
     let expected = (0.5 * (w * h / w.hypot(h)).ln() + 0.75) / (PI * w);

@@ -1,6 +1,6 @@
 //! The exchange area of two polygons by Stokes' theorem: A1 F12 = 1/(2 pi) times the double integral of ln r ds1.ds2
 //! over both contours (P. Moon, *The Scientific Basis of Illuminating Engineering*, 1936; C. M. Goral et al.,
-//! "Modeling the Interaction of Light Between Diffuse Surfaces", SIGGRAPH 84, equation 11).
+//! "Modeling the Interaction of Light Between Diffuse Surfaces", SIGGRAPH 84).
 //!
 //! P. Schröder and P. Hanrahan ("On the Form Factor between Two Polygons", SIGGRAPH 93) give the integral over a pair
 //! of edges in closed form with dilogarithms of complex argument. Here the inner integral is closed and the outer one

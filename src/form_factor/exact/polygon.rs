@@ -58,8 +58,8 @@ fn clip(polygon: &[DVec3], origin: DVec3, normal: DVec3, slack: f64) -> Option<V
     (out.len() >= 3).then_some(out)
 }
 
-/// Lambert's sum over the edges of a polygon above the horizon (*Photometria*, 1760; Howell B-5 and the like are special
-/// cases): each adds the angle it subtends times the cosine between the normal and its plane through the point.
+/// Lambert's sum over the edges of a polygon above the horizon (*Photometria*, 1760): each adds the angle it subtends
+/// times the cosine between the normal and the normal of its plane through the point.
 pub(super) fn lambert(point: DVec3, normal: DVec3, polygon: &[DVec3]) -> f64 {
     let edge = |k: usize| {
         let start = polygon[k];
