@@ -47,7 +47,7 @@ impl Materials {
                 let first = !self.made.contains_key(&(id, !key.1));
                 self.convert(&definitions[i], &origins[i], key.1, first)?
             }
-            None => Material::new("default", [DEFAULT_REFLECTANCE; 3], [0.0; 3]),
+            None => Material::new("(none)", [DEFAULT_REFLECTANCE; 3], [0.0; 3]),
         };
         let index = self.materials.len() as u32;
         self.materials.push(material);

@@ -8,7 +8,7 @@ use super::text::{self, split_keyword, without_comment};
 use crate::{Error, Result};
 
 /// What a material without a name is called.
-pub(super) const UNNAMED: &str = "unnamed";
+pub(super) const UNNAMED: &str = "(unnamed)";
 
 /// The polygon that tobj will return at the same place of its list.
 pub(super) struct Face {
@@ -41,6 +41,7 @@ struct Scanner<'a> {
     material: Option<String>,
     skipped: Noted,
     bad_texcoords: Noted,
+    absent_texcoords: Noted,
     surfaces: Noted,
     scan: Scan,
 }
@@ -75,6 +76,7 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
         material: None,
         skipped: Noted::default(),
         bad_texcoords: Noted::default(),
+        absent_texcoords: Noted::default(),
         surfaces: Noted::default(),
         scan: Scan {
             text: String::new(),
@@ -172,47 +174,33 @@ impl Scanner<'_> {
         }
     }
 
-    fn corner(&self, line: usize, word: &str) -> Result<(usize, Option<usize>)> {
+    /// Vertex and texture coordinate of a corner. Normals do not count: which side is the front is told by the order
+    /// of the vertices. A texture coordinate that does not exist is no reason to refuse a file whose light may not
+    /// depend on it.
+    fn corner(&mut self, line: usize, word: &str) -> Result<(usize, Option<usize>)> {
         let mut parts = word.split('/');
-        let v = parts.next().unwrap_or_default();
-        let v = self.index(line, word, v, "vertex", self.positions, self.total_positions)?;
-        let vt = match parts.next().unwrap_or_default() {
-            "" => None,
-            vt => Some(self.index(
-                line,
-                word,
-                vt,
-                "texture coordinate",
-                self.texcoords,
-                self.total_texcoords,
-            )?),
+        let mut index = || match parts.next().unwrap_or_default() {
+            "" => Ok(None),
+            digits => digits.parse::<i64>().map(Some).map_err(|_| {
+                Error::input(self.path, Some(line), format!("face corner `{word}` is not an index"))
+            }),
         };
-        // Normals do not count: which side is the front is told by the order of the vertices.
-        Ok((v, vt))
-    }
-
-    fn index(
-        &self,
-        line: usize,
-        word: &str,
-        digits: &str,
-        what: &str,
-        so_far: usize,
-        total: usize,
-    ) -> Result<usize> {
-        let index: i64 =
-            digits.parse().map_err(|_| self.error(line, format!("face corner `{word}` is not an index")))?;
-        let absolute = if index < 0 { so_far as i64 + 1 + index } else { index };
-        if absolute < 1 || absolute as u64 > total as u64 {
-            let known = if index < 0 { so_far } else { total };
-            let message = match index {
-                0 => format!("face corner `{word}`: {what} 0 does not exist, they count from 1"),
-                i if i < 0 => format!("face corner `{word}`: {what} {i} of the {known} read so far"),
-                i => format!("face corner `{word}`: {what} {i} of the {known} in the file"),
+        let (Some(v), vt) = (index()?, index()?) else {
+            return Err(self.error(line, format!("face corner `{word}` is not an index")));
+        };
+        let Some(position) = absolute(v, self.positions, self.total_positions) else {
+            let why = match v {
+                0 => "vertex 0 does not exist, they count from 1".into(),
+                v if v < 0 => format!("vertex {v} does not exist, {} came before", self.positions),
+                v => format!("vertex {v} does not exist, the file has {}", self.total_positions),
             };
-            return Err(self.error(line, message));
+            return Err(self.error(line, format!("face corner `{word}`: {why}")));
+        };
+        let texcoord = vt.and_then(|vt| absolute(vt, self.texcoords, self.total_texcoords));
+        if vt.is_some() && texcoord.is_none() {
+            self.absent_texcoords.add(line);
         }
-        Ok(absolute as usize)
+        Ok((position, texcoord))
     }
 
     fn finish(self) -> Scan {
@@ -225,8 +213,18 @@ impl Scanner<'_> {
         };
         note(&self.skipped, "a face with fewer than three vertices is left out");
         note(&self.bad_texcoords, "a texture coordinate is not finite; 0 0 is used instead");
+        note(
+            &self.absent_texcoords,
+            "a face corner names a texture coordinate that does not exist; the face goes without texture",
+        );
         note(&self.surfaces, "a free-form surface is left out");
         scan.text = self.vertex_text + &self.face_text;
         scan
     }
+}
+
+/// An index counted from 1; negative ones count back from the last element read.
+fn absolute(index: i64, so_far: usize, total: usize) -> Option<usize> {
+    let index = if index < 0 { index.checked_add_unsigned(so_far as u64)?.checked_add(1)? } else { index };
+    usize::try_from(index).ok().filter(|i| (1..=total).contains(i))
 }
