@@ -276,6 +276,13 @@ fn factor_is_one_where_only_the_map_is_given() {
 }
 
 #[test]
+fn a_black_factor_is_told() {
+    let scene = material("Kd 0 0 0\nmap_Kd t.png").image("t.png", 1, &[WHITE]).load();
+    assert_eq!(scene.reflectance_at(0, [0.2, 0.2, 0.6]), [0.0; 3]);
+    assert_eq!(count(&scene, "s.mtl:3: map_Kd has no effect because Kd is 0"), 1);
+}
+
+#[test]
 fn a_texture_is_found_beside_its_library_under_any_spelling() {
     for (name, line) in [
         ("my tex.tga", "map_Kd my tex.tga"),
