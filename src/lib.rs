@@ -5,6 +5,7 @@
 
 mod error;
 pub mod form_factor;
+pub mod monte_carlo;
 mod progress;
 pub mod scene;
 pub mod trace;
