@@ -40,8 +40,8 @@ impl Default for RenderOptions {
 pub struct Exposure {
     /// Photographic stops brighter (or darker, below 0) than the automatic exposure. Default 0.
     ///
-    /// The automatic one shows the logarithmic mean of the luminance of all pixels that received light as 0.18
-    /// (Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002, eqs. 1 and 2).
+    /// The automatic one shows the luminance that nine tenths of the pixels with any light do not exceed as 0.8:
+    /// lamps in the picture clip, what they light does not, and black surroundings do not count.
     pub stops: f64,
 }
 
@@ -113,9 +113,14 @@ impl Film {
 
     /// The factor by which radiance is multiplied for display.
     pub fn exposure_factor(&self, exposure: Exposure) -> f64 {
-        let logs = self.pixels.iter().map(luminance).filter(|l| *l > 0.0 && l.is_finite()).map(f64::ln);
-        let (n, sum) = logs.fold((0.0, 0.0), |(n, sum), l| (n + 1.0, sum + l));
-        let automatic = if n > 0.0 { 0.18 / (sum / n).exp() } else { 1.0 };
+        let mut lit: Vec<f64> =
+            self.pixels.iter().map(luminance).filter(|l| *l > 0.0 && l.is_finite()).collect();
+        let automatic = if lit.is_empty() {
+            1.0
+        } else {
+            let rank = (lit.len() - 1) * 9 / 10;
+            0.8 / *lit.select_nth_unstable_by(rank, f64::total_cmp).1
+        };
         automatic * exposure.stops.exp2()
     }
 
@@ -235,17 +240,23 @@ mod tests {
     }
 
     #[test]
-    fn png_is_exposed_to_the_key_and_encoded() {
+    fn png_is_exposed_and_encoded() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("grey.png");
-        // Grey 2 and 8 have the logarithmic mean 4; black does not count. 0.18 × 2 / 4 = 0.09 and 0.36.
-        let film = Film::from_pixels(3, 1, vec![[2.0; 3], [8.0; 3], [0.0; 3]]);
+        // 19 lit pixels of luminance 1 to 19, the last a lamp; nine tenths do not exceed 17. Black does not count.
+        let mut pixels = vec![[0.0; 3]; 5];
+        pixels.extend((1..=18).map(|i| [i as f32; 3]));
+        pixels.push([900.0; 3]);
+        let film = Film::from_pixels(12, 2, pixels);
+        assert!((film.exposure_factor(Exposure::default()) - 0.8 / 17.0).abs() < 1e-12);
         film.save(&path, Exposure::default()).unwrap();
         let back = image::open(&path).unwrap().to_rgb8();
-        // By the standard: 255 (1.055 x^(1/2.4) - 0.055) = 84.6 and 161.7.
-        assert_eq!(back.as_raw()[..], [85, 85, 85, 162, 162, 162, 0, 0, 0]);
-        film.save(&path, Exposure { stops: 2.0 }).unwrap();
-        assert_eq!(image::open(&path).unwrap().to_rgb8().as_raw()[..6], [162, 162, 162, 255, 255, 255]);
+        let value = |i: u32| back.get_pixel(i % 12, i / 12).0;
+        // By the standard: 255 (1.055 x^(1/2.4) - 0.055) is 231.1 for 0.8 and 61.3 for 0.8/17.
+        assert_eq!([value(0), value(5), value(21), value(23)], [[0; 3], [61; 3], [231; 3], [255; 3]]);
+        film.save(&path, Exposure { stops: -1.0 }).unwrap();
+        // 0.4: 169.6.
+        assert_eq!(image::open(&path).unwrap().to_rgb8().get_pixel(9, 1).0, [170; 3]);
     }
 
     #[test]

@@ -21,6 +21,9 @@ use crate::{
 /// A path survives roulette with at most this probability, so that it ends even where nothing absorbs.
 const MOST_LIKELY_SURVIVAL: f64 = 0.98;
 
+/// How far from a surface, in unit space, a point can come to lie when its coordinates are printed with six digits.
+const NEAR: f32 = 4e-6;
+
 /// How paths are built. None of it changes the expectation but `max_bounces`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PathOptions {
@@ -56,13 +59,22 @@ impl Receiver {
         Receiver { position: shape.point(barycentric.map(|b| b as f32)), normal: shape.side_normal(front) }
     }
 
-    /// A point in the file's coordinates, which need not lie on a surface.
+    /// A point in the file's coordinates, which need not lie on a surface. One that lies on a surface but for the
+    /// rounding of its printed coordinates is taken to be on it: just below it would be dark.
     ///
     /// # Panics
     /// When the normal is zero or not finite.
     pub fn free(tracer: &Tracer, point: DVec3, normal: DVec3) -> Receiver {
-        let normal = normal.try_normalize().expect("a normal has a direction");
-        Receiver { position: tracer.to_unit(point), normal: normal.as_vec3a() }
+        let normal = normal.try_normalize().expect("a normal has a direction").as_vec3a();
+        let given = Receiver { position: tracer.to_unit(point), normal };
+        match tracer.closest(given.position + normal * NEAR, -normal) {
+            Some(hit) if hit.t < 2.0 * NEAR => {
+                let met = Receiver::of_hit(tracer, &hit);
+                // Steep surfaces are met by chance, near an edge.
+                if met.normal.dot(normal) > 0.7 { Receiver { position: met.position, normal } } else { given }
+            }
+            _ => given,
+        }
     }
 
     /// Where a hit is, seen from the side that was hit.

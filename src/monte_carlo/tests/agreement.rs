@@ -260,3 +260,15 @@ fn backs_reflect_as_fronts_do() {
     assert!(found[0].mean[0] > 0.1 && found[0].standard_error[0] < 0.01 * found[0].mean[0], "{found:?}");
     assert!(apart(&found[0], &found[1]) < 4.0, "{found:?}");
 }
+
+#[test]
+fn a_point_rounded_to_below_a_surface_is_on_it() {
+    let scene = room(true);
+    let tracer = Tracer::new(&scene);
+    let paths = PathTracer::new(&scene, &tracer, NEXT_EVENT);
+    // The scene is 5 long, so 5e-6 is 2e-6 in unit space; 1e-3 is no rounding.
+    let places = [0.0, 5e-6, -5e-6, -1e-3].map(|h| Receiver::free(&tracer, dvec3(3.0, h, 3.4), DVec3::Y));
+    let e = paths.irradiances(&places, &Effort::default(), &Progress::new()).unwrap();
+    assert!(e[0].mean[0] > 0.1 && apart(&e[0], &e[1]) < 4.0 && apart(&e[0], &e[2]) < 4.0, "{e:?}");
+    assert_eq!(e[3].mean, [0.0; 3]);
+}
