@@ -242,7 +242,7 @@ fn the_unit_of_length_changes_nothing() {
 
 #[test]
 fn backs_reflect_as_fronts_do() {
-    // A floor that shows its back to the lamp and to a receiver that looks down on it.
+    // A floor that shows its front or its back to the lamp, and to a plate that looks down on it.
     let found = [false, true].map(|flipped| {
         let mut floor = [dvec3(-2., 0., -2.), dvec3(-2., 0., 2.), dvec3(2., 0., 2.), dvec3(2., 0., -2.)];
         if flipped {
@@ -250,15 +250,26 @@ fn backs_reflect_as_fronts_do() {
         }
         let mut faces = quad(floor, 0);
         faces.extend(quad([dvec3(1., 2., 0.), dvec3(2., 2., 0.), dvec3(2., 2., 1.), dvec3(1., 2., 1.)], 1));
-        let scene = Scene::new(&faces, vec![grey(0.8, 0.0).remove(0), grey(0.0, 5.0).remove(0)]);
+        faces.extend(quad(
+            [dvec3(-1., 1.5, 0.), dvec3(0., 1.5, 0.), dvec3(0., 1.5, 1.), dvec3(-1., 1.5, 1.)],
+            2,
+        ));
+        let materials = [(0.8, 0.0), (0.0, 5.0), (0.0, 0.0)].map(|(rho, le)| grey(rho, le).remove(0));
+        let scene = Scene::new(&faces, materials.to_vec());
         let tracer = Tracer::new(&scene);
-        let at = Receiver::free(&tracer, dvec3(-0.5, 1.5, 0.), DVec3::NEG_Y);
+        let at = Receiver::free(&tracer, dvec3(-0.5, 1.4, 0.5), DVec3::NEG_Y);
         let paths = PathTracer::new(&scene, &tracer, NEXT_EVENT);
         let effort = Effort { samples: 1 << 14, ..Default::default() };
-        paths.irradiances(&[at], &effort, &Progress::new()).unwrap()[0]
+        let by_paths = paths.irradiances(&[at], &effort, &Progress::new()).unwrap()[0];
+        let plate = |hit: &crate::trace::Hit| (hit.triangle >= 4 && hit.front).then_some(0);
+        let options = LightOptions { particles: 1 << 18, ..Default::default() };
+        let light = LightTracer::new(&scene, &tracer, options).trace(1, plate, &Progress::new());
+        [by_paths, light.unwrap().bins[0]]
     });
-    assert!(found[0].mean[0] > 0.1 && found[0].standard_error[0] < 0.01 * found[0].mean[0], "{found:?}");
-    assert!(apart(&found[0], &found[1]) < 4.0, "{found:?}");
+    for [front, back] in [[found[0][0], found[1][0]], [found[0][1], found[1][1]]] {
+        assert!(front.mean[0] > 0.1 && front.standard_error[0] < 0.02 * front.mean[0], "{front:?}");
+        assert!(apart(&front, &back) < 4.0, "{front:?} {back:?}");
+    }
 }
 
 #[test]
