@@ -1,0 +1,154 @@
+//! Error bars: the standard error of every patch's irradiance that comes from sampling the form factors.
+//!
+//! The rays are cast as independent replicates. Replicate k, by itself, gives form factors F_k = F + dF_k, and to first
+//! order the irradiance
+//!
+//!   dE_k = dF_k B + F ρ dE_k
+//!
+//! The first term is summed from the rays of the replicate, its closure included; the second, the error that a patch
+//! inherits through the light of others, is a Neumann series. The spread of dE_k over the K replicates gives the
+//! standard error of their mean, sqrt(Σ dE_k² / (K (K - 1))), with K - 1 degrees of freedom.
+
+use rayon::prelude::*;
+
+use crate::{
+    form_factor::{FormFactors, hemisphere::REPLICATES, replicates::Deviation},
+    solve::{Radiometry, Solution},
+};
+
+/// Rounds of the closure: what is left of the excess halves in each.
+const CLOSURE_ROUNDS: usize = 6;
+/// Terms of the Neumann series at most. Error bars need no more than a few percent of themselves.
+const MOST_BOUNCES: usize = 40;
+/// The series ends when a term changes the root mean square of the deviations by less than this share.
+const ENOUGH: f64 = 0.01;
+
+/// 97.5 % quantile of Student's t distribution with K - 1 = 15 degrees of freedom: E ± this times its standard error
+/// is the 95 % interval of a patch.
+pub const T_QUANTILE: f64 = 2.131;
+
+/// Standard errors of irradiance, W/m², `channels` interleaved values a patch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ErrorBars {
+    /// 1 or 3.
+    pub channels: usize,
+    /// The standard error of each patch and channel.
+    pub standard_error: Vec<f64>,
+}
+
+impl ErrorBars {
+    /// Estimates the error bars of a solution; `None` when its form factors were not sampled.
+    ///
+    /// # Panics
+    /// When the sizes disagree.
+    pub fn of<'a>(
+        form_factors: &FormFactors,
+        radiometry: impl Into<Radiometry<'a>>,
+        solution: &Solution,
+    ) -> Option<ErrorBars> {
+        let reflectance = radiometry.into().reflectance;
+        assert_eq!(reflectance.len(), solution.radiosity.len(), "sizes disagree");
+        let standard_error = match solution.channels {
+            1 => propagate::<1>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0)?,
+            _ => propagate::<3>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0)?,
+        };
+        Some(ErrorBars { channels: solution.channels, standard_error })
+    }
+
+    /// Area-weighted root mean square of the standard errors over the area-weighted mean irradiance, over the first
+    /// `patches` patches and all channels.
+    pub fn relative_rms(&self, areas: &[f64], irradiance: &[f64], patches: usize) -> f64 {
+        let (mut squares, mut mean, mut weight) = (0.0, 0.0, 0.0);
+        for i in 0..patches {
+            for c in i * self.channels..(i + 1) * self.channels {
+                squares += areas[i] * self.standard_error[c].powi(2);
+                mean += areas[i] * irradiance[c];
+                weight += areas[i];
+            }
+        }
+        if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
+    }
+}
+
+/// One value a replicate and channel.
+type Spectrum<const C: usize> = [[f32; REPLICATES]; C];
+
+fn propagate<const C: usize>(
+    form_factors: &FormFactors,
+    reflectance: &[[f64; C]],
+    radiosity: &[[f64; C]],
+) -> Option<Vec<f64>> {
+    let mut local = form_factors.deviations(radiosity)?;
+    close(form_factors, &mut local);
+    let mut total: Vec<Spectrum<C>> = local.iter().map(|d| d.irradiance).collect();
+    let mut size = root_mean_square(&total);
+    for _ in 0..MOST_BOUNCES {
+        let sent: Vec<Spectrum<C>> = total
+            .par_iter()
+            .enumerate()
+            .with_min_len(256)
+            .map(|(i, e)| sent(e, &local[i], &reflectance[i], &radiosity[i]))
+            .collect();
+        total = form_factors.gather_replicates(&sent);
+        total.par_iter_mut().zip(&local).for_each(|(total, local)| {
+            for c in 0..C {
+                for k in 0..REPLICATES {
+                    total[c][k] += local.irradiance[c][k];
+                }
+            }
+        });
+        let before = size;
+        size = root_mean_square(&total);
+        if (size - before).abs() <= ENOUGH * size {
+            break;
+        }
+    }
+    let many = REPLICATES as f64;
+    let spread = |values: &[f32; REPLICATES]| {
+        // The deviations sum to zero but for rounding.
+        let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
+        (squares / (many * (many - 1.0))).sqrt()
+    };
+    Some(total.iter().flat_map(|e| e.iter().map(spread)).collect())
+}
+
+/// Solves for the scales that close all rows of each replicate together, (I + F) d ln d = -excess, by damped Jacobi
+/// iteration, and adds what each row's own scale does to its irradiance.
+fn close<const C: usize>(form_factors: &FormFactors, local: &mut [Deviation<C>]) {
+    let alone: Vec<Spectrum<1>> = local.iter().map(|d| [d.scale]).collect();
+    for _ in 0..CLOSURE_ROUNDS {
+        let scale: Vec<Spectrum<1>> = local.iter().map(|d| [d.scale]).collect();
+        let arriving = form_factors.gather_replicates(&scale);
+        for (i, d) in local.iter_mut().enumerate() {
+            for k in 0..REPLICATES {
+                d.scale[k] = 0.5 * (d.scale[k] + alone[i][0][k] - arriving[i][0][k]);
+            }
+        }
+    }
+    for d in local {
+        for c in 0..C {
+            for k in 0..REPLICATES {
+                d.irradiance[c][k] += d.scale[k] * d.response[c];
+            }
+        }
+    }
+}
+
+/// What the deviations of a patch send on: reflected irradiance, and radiosity through form factors that the closure
+/// scales.
+fn sent<const C: usize>(
+    irradiance: &Spectrum<C>,
+    local: &Deviation<C>,
+    reflectance: &[f64; C],
+    radiosity: &[f64; C],
+) -> Spectrum<C> {
+    std::array::from_fn(|c| {
+        let (rho, b) = (reflectance[c] as f32, radiosity[c] as f32);
+        std::array::from_fn(|k| rho * irradiance[c][k] + local.scale[k] * b)
+    })
+}
+
+fn root_mean_square<const C: usize>(values: &[Spectrum<C>]) -> f64 {
+    let squares: f64 = values.iter().flatten().flatten().map(|&v| f64::from(v).powi(2)).sum();
+    (squares / values.len() as f64).sqrt()
+}
