@@ -127,6 +127,11 @@ impl Scene {
         self.material(t).emits()
     }
 
+    /// Whether any triangle emits.
+    pub fn has_emitter(&self) -> bool {
+        (0..self.triangles.len()).any(|t| self.emits(t))
+    }
+
     /// 1 when every material and texture is grey, so that one channel describes the scene; else 3.
     pub fn channels(&self) -> usize {
         let grey = |c: [f64; 3]| c[0] == c[1] && c[1] == c[2];

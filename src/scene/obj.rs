@@ -1,8 +1,138 @@
 //! Wavefront OBJ with MTL.
-use super::Scene;
-use crate::Result;
+//!
+//! [tobj](https://docs.rs/tobj) parses; a thin layer before it and one after it make up for what it leaves open:
+//!
+//! - before (`text`, `scan`, `mtl`): text that is not UTF-8, line ends, `\` continuations, tabs after keywords,
+//!   several names or names with blanks after `mtllib`, Windows paths, `Kd` with one number, `Kd spectral`, `Kd xyz`,
+//!   statements out of order. Every line of numbers is checked here, because tobj does not tell lines.
+//! - after (`material`, and [`super::triangulate`]): reflectance and radiance in range, textures with their options,
+//!   polygons into triangles.
+//!
+//! What the formats leave open is decided so: a material without `Kd`, an undefined one and a face without one have
+//! reflectance 0.5 (with a warning); with `map_Kd` a missing `Kd` is 1, with `map_Ke` a missing `Ke` is 1; of two
+//! definitions of a material the first counts; normals are not read, the front is where the vertices run
+//! counter-clockwise; a texture statement's `-s` and `-o` make `uv · s + o`. Only materials that faces use are kept.
+
+mod map_line;
+mod material;
+mod mtl;
+mod scan;
+mod text;
+
 use std::path::Path;
+
+use glam::{DVec2, DVec3};
+
+use self::material::{DEFAULT_REFLECTANCE, Materials};
+use self::mtl::{Libraries, Origin};
+use self::scan::{Face, Scan};
+use super::{Scene, SceneBuilder, triangulate};
+use crate::{Error, Result};
+
 /// Reads `path` and the material libraries it names.
-pub fn load(_path: &Path) -> Result<Scene> {
-    todo!()
+///
+/// # Errors
+/// [`Error::Io`] when `path` cannot be read; [`Error::Input`], with the line where there is one, when what it or its
+/// libraries say cannot be used. Missing libraries and textures are warnings.
+pub fn load(path: &Path) -> Result<Scene> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    let mut scan = scan::scan(path, &text::decode(bytes))?;
+    if scan.faces.is_empty() {
+        return Err(Error::input(path, None, "no faces")
+            .with_hint("an OBJ file needs lines like `f 1 2 3`; points and lines have no area to light"));
+    }
+    let mut libraries = Libraries::read(path, &scan);
+    let (models, definitions) = parse(path, &scan, &libraries)?;
+    scan.text = String::new();
+
+    let mut assembly = Assembly { path, materials: Materials::default(), builder: SceneBuilder::default() };
+    assembly.add(&models, &scan.faces, &definitions, &libraries.origins)?;
+    let Assembly { mut materials, builder, .. } = assembly;
+
+    let mut warnings = scan.warnings;
+    warnings.append(&mut libraries.warnings);
+    warnings.append(&mut materials.warnings);
+    let scene = builder.finish(materials.materials, materials.textures, warnings);
+    if scene.triangles.is_empty() {
+        return Err(Error::input(path, None, "every face has zero area")
+            .with_hint("check that the vertices of the faces are at different places"));
+    }
+    Ok(scene)
+}
+
+fn parse(path: &Path, scan: &Scan, libraries: &Libraries) -> Result<(Vec<tobj::Model>, Vec<tobj::Material>)> {
+    // One library under one name: which files there are is `Libraries`' business.
+    let text = format!("mtllib all\n{}", scan.text);
+    let failed = |e: tobj::LoadError| Error::input(path, None, format!("not understood: {e}"));
+    let (models, materials) = tobj::load_obj_buf(&mut text.as_bytes(), &tobj::LoadOptions::default(), |_| {
+        tobj::load_mtl_buf(&mut libraries.text.as_bytes())
+    })
+    .map_err(failed)?;
+    let materials = materials.map_err(failed)?;
+    assert_eq!(
+        materials.len(),
+        libraries.origins.len(),
+        "tobj and the layer before it agree on the materials"
+    );
+    Ok((models, materials))
+}
+
+struct Assembly<'a> {
+    path: &'a Path,
+    materials: Materials,
+    builder: SceneBuilder,
+}
+
+impl Assembly<'_> {
+    /// Adds the polygons of all models, which come in file order: `faces` runs parallel to them.
+    fn add(
+        &mut self,
+        models: &[tobj::Model],
+        faces: &[Face],
+        definitions: &[tobj::Material],
+        origins: &[Origin],
+    ) -> Result<()> {
+        let mut faces = faces.iter();
+        let mut without_material = None;
+        for mesh in models.iter().map(|model| &model.mesh) {
+            let mut start = 0;
+            let count =
+                if mesh.face_arities.is_empty() { mesh.indices.len() / 3 } else { mesh.face_arities.len() };
+            for i in 0..count {
+                let arity = mesh.face_arities.get(i).map_or(3, |&n| n as usize);
+                let face = faces.next().expect("tobj and the layer before it agree on the faces");
+                let material = self.materials.index(mesh.material_id, face.textured, definitions, origins)?;
+                if mesh.material_id.is_none() {
+                    without_material.get_or_insert(face.line);
+                }
+                self.polygon(mesh, start..start + arity, face.textured, material);
+                start += arity;
+            }
+        }
+        assert!(faces.next().is_none(), "tobj and the layer before it agree on the faces");
+        if let Some(line) = without_material {
+            self.materials.warnings.push(format!(
+                "{}:{line}: faces without a material get reflectance {DEFAULT_REFLECTANCE}",
+                self.path.display()
+            ));
+        }
+        Ok(())
+    }
+
+    fn polygon(&mut self, mesh: &tobj::Mesh, corners: std::ops::Range<usize>, textured: bool, material: u32) {
+        let points: Vec<DVec3> = mesh.indices[corners.clone()]
+            .iter()
+            .map(|&i| DVec3::from_slice(&mesh.positions[3 * i as usize..]))
+            .collect();
+        let uv: Option<Vec<DVec2>> = textured.then(|| {
+            mesh.texcoord_indices[corners]
+                .iter()
+                .map(|&i| DVec2::from_slice(&mesh.texcoords[2 * i as usize..]))
+                .collect()
+        });
+        for triangle in triangulate::polygon(&points) {
+            let uv = uv.as_ref().map(|uv| triangle.map(|i| uv[i]));
+            self.builder.push(triangle.map(|i| points[i]), material, uv);
+        }
+    }
 }

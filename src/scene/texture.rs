@@ -1,30 +1,135 @@
 //! Textures.
 
+mod mean;
+
+use std::path::Path;
+use std::sync::LazyLock;
+
 use glam::DVec2;
 
-/// An image, decoded from sRGB when read. Its texels are constant squares: the mean over a patch and the value at
-/// a point agree exactly.
-#[derive(Debug, Clone, Default)]
-pub struct Texture {}
+use self::mean::Pyramid;
+
+/// Larger images are refused: their header may ask for any amount of memory.
+const LARGEST_SIDE: u32 = 16384;
+const LARGEST_DECODED: u64 = 1 << 30;
+
+/// An image, decoded from sRGB when looked up. Its texels are constant squares: the mean over a patch and the value
+/// at a point agree exactly.
+#[derive(Debug, Clone)]
+pub struct Texture {
+    width: usize,
+    height: usize,
+    /// R G B, sRGB-encoded, rows from the top.
+    texels: Vec<u8>,
+    is_grey: bool,
+    pyramid: Pyramid,
+}
 
 /// How a material uses a texture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TextureMap {
     /// Index into [`Scene::textures`](super::Scene::textures).
     pub texture: usize,
+    /// Texture coordinates are multiplied by this,
+    pub scale: DVec2,
+    /// and then moved by this.
+    pub offset: DVec2,
+    /// Outside 0..1 the texels at the rim go on, instead of the image being repeated.
+    pub clamp: bool,
 }
 
+impl TextureMap {
+    /// The texture as it is, repeated.
+    pub fn new(texture: usize) -> Self {
+        TextureMap { texture, scale: DVec2::ONE, offset: DVec2::ZERO, clamp: false }
+    }
+}
+
+/// sRGB transfer function, IEC 61966-2-1.
+static LINEAR: LazyLock<[f64; 256]> = LazyLock::new(|| {
+    std::array::from_fn(|i| {
+        let c = i as f64 / 255.0;
+        if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+    })
+});
+
 impl Texture {
+    /// An image of `width` times `height` texels, R G B a byte each, sRGB-encoded, rows from the top.
+    ///
+    /// # Panics
+    /// When there are no texels or `texels` has another length.
+    pub fn new(width: usize, height: usize, texels: Vec<u8>) -> Texture {
+        assert!(width > 0 && height > 0, "a texture without texels");
+        assert_eq!(texels.len(), 3 * width * height, "three bytes a texel");
+        let is_grey = texels.chunks_exact(3).all(|t| t[0] == t[1] && t[1] == t[2]);
+        let mut texture = Texture { width, height, texels, is_grey, pyramid: Pyramid::default() };
+        texture.pyramid = Pyramid::new(&texture);
+        texture
+    }
+
+    /// Reads a PNG, JPEG, TGA or BMP file; the error says why it cannot.
+    pub(super) fn load(path: &Path) -> Result<Texture, String> {
+        use image::ImageFormat::{Bmp, Jpeg, Png, Tga};
+        let mut reader = image::ImageReader::open(path)
+            .and_then(image::ImageReader::with_guessed_format)
+            .map_err(|e| e.to_string())?;
+        if !matches!(reader.format(), Some(Png | Jpeg | Tga | Bmp)) {
+            return Err("not a PNG, JPEG, TGA or BMP image".into());
+        }
+        let mut limits = image::Limits::default();
+        limits.max_image_width = Some(LARGEST_SIDE);
+        limits.max_image_height = Some(LARGEST_SIDE);
+        limits.max_alloc = Some(LARGEST_DECODED);
+        reader.limits(limits);
+        let image = reader.decode().map_err(|e| e.to_string())?.into_rgb8();
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        if width == 0 || height == 0 {
+            return Err("the image has no texels".into());
+        }
+        Ok(Texture::new(width, height, image.into_raw()))
+    }
+
+    /// Texels in a row and in a column.
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
     /// Whether every texel has three equal channels.
     pub fn is_grey(&self) -> bool {
-        todo!()
+        self.is_grey
     }
+
     /// Linear value at `uv`.
-    pub fn at(&self, _map: &TextureMap, _uv: DVec2) -> [f64; 3] {
-        todo!()
+    pub fn at(&self, map: &TextureMap, uv: DVec2) -> [f64; 3] {
+        let p = self.to_texels(map, uv);
+        let column = |x: f64, n: usize| {
+            let x = x.floor();
+            // The cast saturates, which clamps; and turns NaN into 0.
+            let x = if map.clamp { x } else { x.rem_euclid(n as f64) };
+            (x as usize).min(n - 1)
+        };
+        self.texel(column(p.x, self.width), column(p.y, self.height))
     }
-    /// Linear value averaged over the triangle `uv`.
-    pub fn mean(&self, _map: &TextureMap, _uv: [DVec2; 3]) -> [f64; 3] {
-        todo!()
+
+    /// Linear value averaged over the triangle `uv`, by area; at the centroid when its area is zero.
+    ///
+    /// Exact for triangles up to about a thousand texels large. Beyond that, squares on the triangle's rim that are
+    /// smaller than 1/512 of its extent (width plus height in texels) count with their mean, so that time is bounded
+    /// however often the image repeats.
+    pub fn mean(&self, map: &TextureMap, uv: [DVec2; 3]) -> [f64; 3] {
+        let corners = uv.map(|p| self.to_texels(map, p));
+        mean::over(self, map.clamp, corners)
+            .unwrap_or_else(|| self.at(map, uv[0] / 3.0 + uv[1] / 3.0 + uv[2] / 3.0))
+    }
+
+    /// In texels, x right and y down from the top left corner; v of a texture coordinate points up.
+    fn to_texels(&self, map: &TextureMap, uv: DVec2) -> DVec2 {
+        let p = uv * map.scale + map.offset;
+        DVec2::new(p.x * self.width as f64, (1.0 - p.y) * self.height as f64)
+    }
+
+    fn texel(&self, x: usize, y: usize) -> [f64; 3] {
+        let at = 3 * (y * self.width + x);
+        std::array::from_fn(|c| LINEAR[usize::from(self.texels[at + c])])
     }
 }

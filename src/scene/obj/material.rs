@@ -1,0 +1,233 @@
+//! The layer after tobj: its materials to ours, with everything that light does not forgive checked.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use glam::DVec2;
+
+use super::map_line;
+use super::mtl::Origin;
+use super::text::find_file;
+use crate::Result;
+use crate::scene::{Material, Texture, TextureMap};
+
+/// Reflectance of whatever the file gives none for.
+pub(super) const DEFAULT_REFLECTANCE: f64 = 0.5;
+
+/// Makes the materials that faces use, each once, in the order of their first use.
+#[derive(Default)]
+pub(super) struct Materials {
+    pub(super) materials: Vec<Material>,
+    pub(super) textures: Vec<Texture>,
+    pub(super) warnings: Vec<String>,
+    /// By tobj's index and whether textures apply.
+    made: HashMap<(Option<usize>, bool), u32>,
+    read: HashMap<PathBuf, Option<usize>>,
+    absent: HashMap<(PathBuf, String), ()>,
+}
+
+impl Materials {
+    /// The index of the material `id` for a face that has texture coordinates or not.
+    pub(super) fn index(
+        &mut self,
+        id: Option<usize>,
+        textured: bool,
+        definitions: &[tobj::Material],
+        origins: &[Origin],
+    ) -> Result<u32> {
+        let maps = id.is_some_and(|i| {
+            map_of(&definitions[i], "map_Kd").is_some() || has_emission_map(&definitions[i])
+        });
+        let key = (id, textured || !maps);
+        if let Some(&index) = self.made.get(&key) {
+            return Ok(index);
+        }
+        let material = match id {
+            Some(i) => {
+                let first = !self.made.contains_key(&(id, !key.1));
+                self.convert(&definitions[i], &origins[i], key.1, first)?
+            }
+            None => Material::new("(none)", [DEFAULT_REFLECTANCE; 3], [0.0; 3]),
+        };
+        let index = self.materials.len() as u32;
+        self.materials.push(material);
+        self.made.insert(key, index);
+        Ok(index)
+    }
+
+    fn convert(
+        &mut self,
+        definition: &tobj::Material,
+        origin: &Origin,
+        textured: bool,
+        first: bool,
+    ) -> Result<Material> {
+        origin.check()?;
+        let name = &definition.name;
+        if let Some(kd) = definition.diffuse
+            && let Some(bad) = kd.iter().find(|r| !(0.0..=1.0).contains(*r))
+        {
+            return Err(origin
+                .error("Kd", format!("material `{name}`: reflectance {bad} is outside 0..1"))
+                .with_hint("a surface cannot give back more light than it gets: scale Kd into 0..1"));
+        }
+        if let Some(ke) = definition.emissive
+            && let Some(bad) = ke.iter().find(|e| !(e.is_finite() && **e >= 0.0))
+        {
+            let message = format!("material `{name}`: radiance {bad} is not a finite number of 0 or more");
+            return Err(origin.error("Ke", message));
+        }
+        if first {
+            self.warnings.extend(origin.notes.iter().cloned());
+            self.warn_left_out(definition, origin);
+        }
+        let maps = ["map_Kd", "map_Ke"].map(|statement| {
+            map_of(definition, statement)
+                .filter(|_| textured)
+                .and_then(|value| self.map(statement, value, definition, origin))
+        });
+        let [reflectance_map, emission_map] = maps;
+        if !textured {
+            self.warnings.push(format!(
+                "{}: faces of material `{name}` have no texture coordinates; they go without its texture",
+                origin.file.display()
+            ));
+        }
+        let plain = if reflectance_map.is_some() { 1.0 } else { DEFAULT_REFLECTANCE };
+        if definition.diffuse.is_none()
+            && reflectance_map.is_none()
+            && origin.defined
+            && origin.notes.is_empty()
+        {
+            self.warnings.push(format!(
+                "{}: material `{name}` has no Kd; reflectance {DEFAULT_REFLECTANCE} is used",
+                origin.place("newmtl")
+            ));
+        }
+        let dark = if emission_map.is_some() { 1.0 } else { 0.0 };
+        Ok(Material {
+            name: name.clone(),
+            reflectance: definition.diffuse.unwrap_or([plain; 3]),
+            emission: definition.emissive.unwrap_or([dark; 3]),
+            reflectance_map,
+            emission_map,
+        })
+    }
+
+    fn map(
+        &mut self,
+        statement: &str,
+        value: &str,
+        definition: &tobj::Material,
+        origin: &Origin,
+    ) -> Option<TextureMap> {
+        let line = map_line::parse(value);
+        let place = origin.place(statement);
+        if !line.ignored.is_empty() {
+            self.warnings
+                .push(format!("{place}: texture options without effect: {}", line.ignored.join(" ")));
+        }
+        let factor = if statement == "map_Kd" { definition.diffuse } else { definition.emissive };
+        let texture = self.texture(&line.file, origin, &place, statement, factor)?;
+        if factor == Some([0.0; 3]) {
+            let colour = &statement[4..];
+            self.warnings.push(format!("{place}: {statement} has no effect because {colour} is 0"));
+        }
+        let [scale, offset] = [line.scale, line.offset].map(DVec2::from_array);
+        Some(TextureMap { texture, scale, offset, clamp: line.clamp })
+    }
+
+    /// The index of a texture that may have been read before. Absent or broken ones are told once.
+    fn texture(
+        &mut self,
+        name: &str,
+        origin: &Origin,
+        place: &str,
+        statement: &str,
+        factor: Option<[f64; 3]>,
+    ) -> Option<usize> {
+        let folder = origin.file.parent().unwrap_or(Path::new(""));
+        let instead = match (statement, factor) {
+            ("map_Kd", Some(_)) => "plain Kd is used".to_string(),
+            ("map_Kd", None) => format!("reflectance {DEFAULT_REFLECTANCE} is used"),
+            (_, Some(_)) => "plain Ke is used".to_string(),
+            (_, None) => "the material does not emit".to_string(),
+        };
+        let Some(path) = find_file(folder, name) else {
+            if self.absent.insert((folder.into(), name.into()), ()).is_none() {
+                self.warnings.push(format!("{place}: texture `{name}` not found; {instead}"));
+            }
+            return None;
+        };
+        let path = path.canonicalize().unwrap_or(path);
+        if let Some(&known) = self.read.get(&path) {
+            return known;
+        }
+        let index = match Texture::load(&path) {
+            Ok(texture) => {
+                self.textures.push(texture);
+                Some(self.textures.len() - 1)
+            }
+            Err(why) => {
+                self.warnings.push(format!("{place}: texture `{name}` cannot be read: {why}; {instead}"));
+                None
+            }
+        };
+        self.read.insert(path, index);
+        index
+    }
+
+    fn warn_left_out(&mut self, definition: &tobj::Material, origin: &Origin) {
+        let left_out = not_lambertian(definition);
+        if !left_out.is_empty() {
+            self.warnings.push(format!(
+                "{}: material `{}` is taken as purely diffuse; left out: {}",
+                origin.place("newmtl"),
+                definition.name,
+                left_out.join(", ")
+            ));
+        }
+    }
+}
+
+fn map_of<'a>(definition: &'a tobj::Material, statement: &str) -> Option<&'a str> {
+    match statement {
+        "map_Kd" => definition.diffuse_texture.as_deref(),
+        _ => definition.unknown_param.get(statement).map(String::as_str),
+    }
+}
+
+fn has_emission_map(definition: &tobj::Material) -> bool {
+    map_of(definition, "map_Ke").is_some()
+}
+
+/// What a material has beside diffuse reflection and emission.
+fn not_lambertian(definition: &tobj::Material) -> Vec<String> {
+    let parameter = |key: &str| definition.unknown_param.get(key);
+    let number = |key: &str| parameter(key).and_then(|v| v.parse::<f64>().ok());
+    let mut parts = Vec::new();
+    let mut add = |is_there: bool, what: &str| {
+        if is_there {
+            parts.push(what.to_string());
+        }
+    };
+    add(definition.specular.is_some_and(|ks| ks.iter().any(|&s| s > 0.0)), "gloss (Ks)");
+    add(definition.specular_texture.is_some(), "map_Ks");
+    add(definition.shininess_texture.is_some(), "map_Ns");
+    let clear = definition.dissolve.is_some_and(|d| d < 1.0) || number("Tr").is_some_and(|t| t > 0.0);
+    add(clear, "transparency (d, Tr)");
+    add(definition.dissolve_texture.is_some() || parameter("map_Tr").is_some(), "transparency map");
+    let filters = |tf: &String| tf.split_whitespace().any(|w| w.parse::<f64>().is_ok_and(|t| t != 1.0));
+    add(parameter("Tf").is_some_and(filters), "transmission filter (Tf)");
+    add(definition.normal_texture.is_some() || parameter("norm").is_some(), "bump or normal map");
+    for key in ["disp", "decal", "refl"] {
+        add(parameter(key).is_some(), key);
+    }
+    add(number("Pm").is_some_and(|m| m > 0.0), "metal (Pm)");
+    add(number("Pc").is_some_and(|c| c > 0.0), "clear coat (Pc)");
+    if let Some(illum @ 3..=9) = definition.illumination_model {
+        let what = if matches!(illum, 4 | 6 | 7 | 9) { "glass" } else { "mirror" };
+        parts.push(format!("{what} (illum {illum})"));
+    }
+    parts
+}

@@ -1,0 +1,267 @@
+//! The layer before tobj for material libraries: lines that tobj would panic on (`Kd 0.5`) or drop the whole library
+//! for (`Kd spectral …`) are rewritten or taken out, and the line of every statement is remembered.
+
+use std::collections::{HashMap, HashSet};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use super::scan::{Scan, UNNAMED};
+use super::text::{self, find_file, split_keyword, without_comment};
+use crate::{Error, Result};
+
+/// Statements under the spelling that tobj knows; exporters vary the case.
+const STATEMENTS: [&str; 21] = [
+    "Kd", "Ke", "Ks", "d", "Tr", "Tf", "illum", "map_Kd", "map_Ke", "map_Ks", "map_d", "map_Tr", "map_Ns",
+    "bump", "map_bump", "norm", "disp", "decal", "refl", "Pm", "Pc",
+];
+
+/// Where a material comes from. The list runs parallel to tobj's materials.
+pub(super) struct Origin {
+    pub(super) file: PathBuf,
+    lines: HashMap<&'static str, usize>,
+    /// A statement that cannot be read; an error only if a face uses the material.
+    bad: Option<(usize, String)>,
+    /// Sentences about this material, told only if a face uses it.
+    pub(super) notes: Vec<String>,
+    /// Whether a library defines it.
+    pub(super) defined: bool,
+}
+
+impl Origin {
+    /// An error at the line of `statement`.
+    pub(super) fn error(&self, statement: &str, message: impl Into<String>) -> Error {
+        Error::input(&self.file, self.lines.get(statement).copied(), message)
+    }
+
+    /// `FILE:LINE` of `statement`.
+    pub(super) fn place(&self, statement: &str) -> String {
+        match self.lines.get(statement) {
+            Some(line) => format!("{}:{line}", self.file.display()),
+            None => self.file.display().to_string(),
+        }
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        match &self.bad {
+            Some((line, message)) => Err(Error::input(&self.file, Some(*line), message)),
+            None => Ok(()),
+        }
+    }
+}
+
+/// All libraries of an OBJ file.
+#[derive(Default)]
+pub(super) struct Libraries {
+    /// One text for tobj.
+    pub(super) text: String,
+    pub(super) origins: Vec<Origin>,
+    pub(super) warnings: Vec<String>,
+    names: HashSet<String>,
+    /// Whether the statements read now belong to a second definition, which does not count.
+    skipping: bool,
+}
+
+impl Libraries {
+    /// Reads the libraries that `scan` of `obj` names, and defines what is used but in none of them.
+    pub(super) fn read(obj: &Path, scan: &Scan) -> Libraries {
+        let folder = obj.parent().unwrap_or(Path::new(""));
+        let mut libraries = Libraries::default();
+        let mut seen = HashSet::new();
+        for (line, value) in &scan.libraries {
+            for name in library_names(folder, value) {
+                if !seen.insert(name.clone()) {
+                    continue;
+                }
+                let read = find_file(folder, &name)
+                    .ok_or_else(|| "not found".to_string())
+                    .and_then(|path| std::fs::read(&path).map(|b| (path, b)).map_err(|e| e.to_string()));
+                match read {
+                    Ok((path, bytes)) => libraries.parse(&path, &text::decode(bytes)),
+                    Err(why) => libraries.warnings.push(format!(
+                        "{}:{line}: material library `{name}`: {why}; its materials get reflectance 0.5",
+                        obj.display()
+                    )),
+                }
+            }
+        }
+        for (line, name) in &scan.used {
+            if !libraries.names.contains(name) {
+                libraries.warnings.push(format!(
+                    "{}:{line}: material `{name}` is not defined; it gets reflectance 0.5",
+                    obj.display()
+                ));
+                libraries.define(obj, *line, name, false);
+            }
+        }
+        libraries
+    }
+
+    fn parse(&mut self, path: &Path, text: &str) {
+        // Statements before the first `newmtl` belong to nothing.
+        self.skipping = true;
+        for (number, line) in text::lines(text) {
+            let (keyword, value) = split_keyword(&line);
+            if keyword.eq_ignore_ascii_case("newmtl") {
+                self.define(path, number, if value.is_empty() { UNNAMED } else { value }, true);
+            } else if !self.skipping
+                && let Some(statement) = STATEMENTS.iter().find(|s| s.eq_ignore_ascii_case(keyword))
+            {
+                self.statement(statement, number, value);
+            }
+        }
+    }
+
+    fn define(&mut self, file: &Path, line: usize, name: &str, defined: bool) {
+        self.skipping = !self.names.insert(name.into());
+        if self.skipping {
+            self.warnings.push(format!(
+                "{}:{line}: material `{name}` is defined again; the first definition counts",
+                file.display()
+            ));
+            return;
+        }
+        let _ = writeln!(self.text, "newmtl {name}");
+        self.origins.push(Origin {
+            file: file.into(),
+            lines: HashMap::from([("newmtl", line)]),
+            bad: None,
+            notes: Vec::new(),
+            defined,
+        });
+    }
+
+    fn statement(&mut self, statement: &'static str, number: usize, value: &str) {
+        let Some(origin) = self.origins.last_mut() else { return };
+        let numbers = without_comment(value);
+        let kept = match statement {
+            "Kd" | "Ke" | "Ks" | "Tf" => match colour(numbers) {
+                Ok(rgb) => Some(format!("{:e} {:e} {:e}", rgb[0], rgb[1], rgb[2])),
+                Err(Unread::Spectral) if matches!(statement, "Kd" | "Ke") => {
+                    let place = format!("{}:{number}", origin.file.display());
+                    let default = if statement == "Kd" { "reflectance 0.5" } else { "no emission" };
+                    origin.notes.push(format!(
+                        "{place}: `{statement} spectral` is not supported; {default} is used instead"
+                    ));
+                    None
+                }
+                Err(Unread::Word(word)) if matches!(statement, "Kd" | "Ke") => {
+                    origin.bad = Some((number, format!("{statement} needs three numbers, not `{word}`")));
+                    None
+                }
+                Err(_) => None,
+            },
+            // tobj takes a byte; the cast saturates.
+            "illum" => leading_number(numbers).map(|n| (n as u8).to_string()),
+            "d" | "Tr" => leading_number(numbers).map(|n| n.to_string()),
+            _ => Some(value.to_string()).filter(|v| !v.is_empty()),
+        };
+        if let Some(kept) = kept {
+            origin.lines.insert(statement, number);
+            let _ = writeln!(self.text, "{statement} {kept}");
+        }
+    }
+}
+
+enum Unread {
+    Spectral,
+    Word(String),
+}
+
+/// Three numbers; one number is a grey (MTL specification: g and b default to r). `xyz` is turned into Rec. 709.
+fn colour(value: &str) -> std::result::Result<[f64; 3], Unread> {
+    let mut words: Vec<&str> = value.split_whitespace().take(4).collect();
+    let kind = words.first().map(|w| w.to_ascii_lowercase());
+    if kind.as_deref() == Some("spectral") {
+        return Err(Unread::Spectral);
+    }
+    let xyz = kind.as_deref() == Some("xyz");
+    if xyz {
+        words.remove(0);
+    }
+    let numbers = words
+        .iter()
+        .take(3)
+        .map(|w| w.parse::<f64>().map_err(|_| Unread::Word((*w).into())))
+        .collect::<std::result::Result<Vec<_>, _>>()?;
+    let c = match numbers[..] {
+        [grey] => [grey; 3],
+        [r, g, b] => [r, g, b],
+        _ => return Err(Unread::Word(value.trim().into())),
+    };
+    Ok(if xyz { rec709(c) } else { c })
+}
+
+/// CIE XYZ (D65) to linear Rec. 709. A colour on the rim of the gamut is snapped onto it, up to the digits that files
+/// give.
+fn rec709([x, y, z]: [f64; 3]) -> [f64; 3] {
+    let rgb = [
+        3.2404542 * x - 1.5371385 * y - 0.4985314 * z,
+        -0.9692660 * x + 1.8760108 * y + 0.0415560 * z,
+        0.0556434 * x - 0.2040259 * y + 1.0572252 * z,
+    ];
+    let tolerance = 1e-3 * y.abs();
+    rgb.map(|c| {
+        if (c - 1.0).abs() < tolerance {
+            1.0
+        } else if c.abs() < tolerance {
+            0.0
+        } else {
+            c
+        }
+    })
+}
+
+fn leading_number(value: &str) -> Option<f64> {
+    // `d -halo 0.5` gives the factor last.
+    value.split_whitespace().find_map(|w| w.parse().ok())
+}
+
+/// The names of one `mtllib` line, which may be several and may contain blanks: the whole value where such a file
+/// exists, else cut after each `.mtl`, else word by word.
+fn library_names(folder: &Path, value: &str) -> Vec<String> {
+    if value.is_empty() {
+        return Vec::new();
+    }
+    if find_file(folder, value).is_some() {
+        return vec![value.into()];
+    }
+    let mut names = vec![String::new()];
+    for word in value.replace("\\ ", "\0").split_whitespace() {
+        let word = word.replace('\0', " ");
+        let name = names.last_mut().expect("never empty");
+        if !name.is_empty() {
+            name.push(' ');
+        }
+        name.push_str(&word);
+        if word.to_ascii_lowercase().ends_with(".mtl") {
+            names.push(String::new());
+        }
+    }
+    let rest = names.pop().unwrap_or_default();
+    names.extend(rest.split_whitespace().map(String::from));
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn library_lines_are_cut_after_the_extension() {
+        let none = Path::new("/nonexistent");
+        assert_eq!(library_names(none, "a b.mtl c.MTL"), ["a b.mtl", "c.MTL"]);
+        assert_eq!(library_names(none, r"x\ y.mtl lib other"), ["x y.mtl", "lib", "other"]);
+    }
+
+    #[test]
+    fn white_in_xyz_is_white() {
+        let Ok(c) = colour("xyz 0.9505 1.0 1.089") else { panic!("not read") };
+        assert_eq!(c, [1.0; 3]);
+    }
+
+    #[test]
+    fn one_number_is_grey_and_two_are_wrong() {
+        assert!(matches!(colour("0.25"), Ok([0.25, 0.25, 0.25])));
+        assert!(matches!(colour("0.25 0.5"), Err(Unread::Word(_))));
+    }
+}

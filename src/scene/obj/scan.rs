@@ -1,0 +1,230 @@
+//! The layer before tobj for the OBJ itself: checks every line, remembers where it was, and writes the text that
+//! tobj reads without stumbling.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use super::text::{self, split_keyword, without_comment};
+use crate::{Error, Result};
+
+/// What a material without a name is called.
+pub(super) const UNNAMED: &str = "(unnamed)";
+
+/// The polygon that tobj will return at the same place of its list.
+pub(super) struct Face {
+    pub(super) line: usize,
+    /// Whether every corner has a texture coordinate.
+    pub(super) textured: bool,
+}
+
+/// An OBJ file, checked.
+pub(super) struct Scan {
+    /// For tobj: vertices first, so that faces may come before them as elsewhere, then faces with absolute indices.
+    pub(super) text: String,
+    /// The polygons of `text`, in order.
+    pub(super) faces: Vec<Face>,
+    /// `mtllib` lines.
+    pub(super) libraries: Vec<(usize, String)>,
+    /// Names after `usemtl`, each with the line where a face first needed it.
+    pub(super) used: Vec<(usize, String)>,
+    pub(super) warnings: Vec<String>,
+}
+
+struct Scanner<'a> {
+    path: &'a Path,
+    positions: usize,
+    texcoords: usize,
+    total_positions: usize,
+    total_texcoords: usize,
+    vertex_text: String,
+    face_text: String,
+    material: Option<String>,
+    skipped: Noted,
+    bad_texcoords: Noted,
+    absent_texcoords: Noted,
+    surfaces: Noted,
+    scan: Scan,
+}
+
+/// How often something happened, and where first.
+#[derive(Default)]
+struct Noted {
+    count: usize,
+    line: usize,
+}
+
+impl Noted {
+    fn add(&mut self, line: usize) {
+        if self.count == 0 {
+            self.line = line;
+        }
+        self.count += 1;
+    }
+}
+
+/// Reads the lines of `text`, the contents of `path`.
+pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
+    let count = |keyword| text::lines(text).filter(|(_, l)| split_keyword(l).0 == keyword).count();
+    let mut scanner = Scanner {
+        path,
+        positions: 0,
+        texcoords: 0,
+        total_positions: count("v"),
+        total_texcoords: count("vt"),
+        vertex_text: String::new(),
+        face_text: String::new(),
+        material: None,
+        skipped: Noted::default(),
+        bad_texcoords: Noted::default(),
+        absent_texcoords: Noted::default(),
+        surfaces: Noted::default(),
+        scan: Scan {
+            text: String::new(),
+            faces: Vec::new(),
+            libraries: Vec::new(),
+            used: Vec::new(),
+            warnings: Vec::new(),
+        },
+    };
+    for (number, line) in text::lines(text) {
+        let (keyword, rest) = split_keyword(&line);
+        match keyword {
+            "v" => scanner.position(number, without_comment(rest))?,
+            "vt" => scanner.texcoord(number, without_comment(rest))?,
+            "f" | "fo" => scanner.face(number, without_comment(rest))?,
+            "usemtl" => scanner.material = Some(if rest.is_empty() { UNNAMED } else { rest }.into()),
+            "mtllib" => scanner.scan.libraries.push((number, rest.into())),
+            "surf" => scanner.surfaces.add(number),
+            _ => {}
+        }
+    }
+    Ok(scanner.finish())
+}
+
+impl Scanner<'_> {
+    fn error(&self, line: usize, message: impl Into<String>) -> Error {
+        Error::input(self.path, Some(line), message)
+    }
+
+    /// Only x y z: the weight is for rational curves (OBJ specification, "Vertex data"), colours are an extension.
+    fn position(&mut self, line: usize, rest: &str) -> Result<()> {
+        let mut words = rest.split_whitespace();
+        self.vertex_text.push('v');
+        for axis in ["x", "y", "z"] {
+            let Some(word) = words.next() else {
+                return Err(self.error(line, format!("vertex without {axis}")));
+            };
+            let value: f64 = word
+                .parse()
+                .map_err(|_| self.error(line, format!("vertex coordinate `{word}` is not a number")))?;
+            if !value.is_finite() {
+                return Err(self.error(line, format!("vertex coordinate `{word}` is not finite")));
+            }
+            let _ = write!(self.vertex_text, " {word}");
+        }
+        self.vertex_text.push('\n');
+        self.positions += 1;
+        Ok(())
+    }
+
+    fn texcoord(&mut self, line: usize, rest: &str) -> Result<()> {
+        let mut uv = [0.0f64; 2];
+        for (value, word) in uv.iter_mut().zip(rest.split_whitespace()) {
+            *value = word
+                .parse()
+                .map_err(|_| self.error(line, format!("texture coordinate `{word}` is not a number")))?;
+        }
+        if !uv.iter().all(|c| c.is_finite()) {
+            self.bad_texcoords.add(line);
+            uv = [0.0; 2];
+        }
+        let _ = writeln!(self.vertex_text, "vt {:e} {:e}", uv[0], uv[1]);
+        self.texcoords += 1;
+        Ok(())
+    }
+
+    fn face(&mut self, line: usize, rest: &str) -> Result<()> {
+        let corners =
+            rest.split_whitespace().map(|word| self.corner(line, word)).collect::<Result<Vec<_>>>()?;
+        if corners.len() < 3 {
+            self.skipped.add(line);
+            return Ok(());
+        }
+        self.use_material(line);
+        let textured = corners.iter().all(|(_, vt)| vt.is_some());
+        self.face_text.push('f');
+        for (v, vt) in corners {
+            let _ = match vt.filter(|_| textured) {
+                Some(vt) => write!(self.face_text, " {v}/{vt}"),
+                None => write!(self.face_text, " {v}"),
+            };
+        }
+        self.face_text.push('\n');
+        self.scan.faces.push(Face { line, textured });
+        Ok(())
+    }
+
+    /// Writes `usemtl` only where a face needs it.
+    fn use_material(&mut self, line: usize) {
+        if let Some(name) = self.material.take() {
+            let _ = writeln!(self.face_text, "usemtl {name}");
+            if !self.scan.used.iter().any(|(_, n)| *n == name) {
+                self.scan.used.push((line, name));
+            }
+        }
+    }
+
+    /// Vertex and texture coordinate of a corner. Normals do not count: which side is the front is told by the order
+    /// of the vertices. A texture coordinate that does not exist is no reason to refuse a file whose light may not
+    /// depend on it.
+    fn corner(&mut self, line: usize, word: &str) -> Result<(usize, Option<usize>)> {
+        let mut parts = word.split('/');
+        let mut index = || match parts.next().unwrap_or_default() {
+            "" => Ok(None),
+            digits => digits.parse::<i64>().map(Some).map_err(|_| {
+                Error::input(self.path, Some(line), format!("face corner `{word}` is not an index"))
+            }),
+        };
+        let (Some(v), vt) = (index()?, index()?) else {
+            return Err(self.error(line, format!("face corner `{word}` is not an index")));
+        };
+        let Some(position) = absolute(v, self.positions, self.total_positions) else {
+            let why = match v {
+                0 => "vertex 0 does not exist, they count from 1".into(),
+                v if v < 0 => format!("vertex {v} does not exist, {} came before", self.positions),
+                v => format!("vertex {v} does not exist, the file has {}", self.total_positions),
+            };
+            return Err(self.error(line, format!("face corner `{word}`: {why}")));
+        };
+        let texcoord = vt.and_then(|vt| absolute(vt, self.texcoords, self.total_texcoords));
+        if vt.is_some() && texcoord.is_none() {
+            self.absent_texcoords.add(line);
+        }
+        Ok((position, texcoord))
+    }
+
+    fn finish(self) -> Scan {
+        let mut scan = self.scan;
+        let mut note = |noted: &Noted, what: &str| {
+            if noted.count > 0 {
+                let at = self.path.display();
+                scan.warnings.push(format!("{at}:{}: {what} ({} in the file)", noted.line, noted.count));
+            }
+        };
+        note(&self.skipped, "a face with fewer than three vertices is left out");
+        note(&self.bad_texcoords, "a texture coordinate is not finite; 0 0 is used instead");
+        note(
+            &self.absent_texcoords,
+            "a face corner names a texture coordinate that does not exist; the face goes without texture",
+        );
+        note(&self.surfaces, "a free-form surface is left out");
+        scan.text = self.vertex_text + &self.face_text;
+        scan
+    }
+}
+
+/// An index counted from 1; negative ones count back from the last element read.
+fn absolute(index: i64, so_far: usize, total: usize) -> Option<usize> {
+    let index = if index < 0 { index.checked_add_unsigned(so_far as u64)?.checked_add(1)? } else { index };
+    usize::try_from(index).ok().filter(|i| (1..=total).contains(i))
+}

@@ -1,0 +1,102 @@
+//! Bytes to logical lines, and file names as exporters write them to files that exist.
+
+use std::borrow::Cow;
+use std::path::{Path, PathBuf};
+
+/// The file as text. What is not UTF-8 is taken as Latin-1, which keeps different names different (a replacement
+/// character would not).
+pub(super) fn decode(bytes: Vec<u8>) -> String {
+    let text =
+        String::from_utf8(bytes).unwrap_or_else(|e| e.into_bytes().into_iter().map(char::from).collect());
+    match text.strip_prefix('\u{feff}') {
+        Some(rest) => rest.into(),
+        None => text,
+    }
+}
+
+/// Logical lines with the number of the first physical line of each: LF, CR LF and CR end a line, a backslash at
+/// its end continues it. Comments do not continue: many end with a Windows path.
+pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
+    let mut rest = text;
+    let mut number = 0;
+    std::iter::from_fn(move || {
+        if rest.is_empty() {
+            return None;
+        }
+        number += 1;
+        let first = number;
+        let mut line = Cow::Borrowed(physical_line(&mut rest));
+        while !line.trim_start().starts_with('#')
+            && !rest.is_empty()
+            && let Some(kept) = line.trim_end().strip_suffix('\\')
+        {
+            number += 1;
+            line = Cow::Owned(format!("{kept} {}", physical_line(&mut rest)));
+        }
+        Some((first, line))
+    })
+}
+
+fn physical_line<'a>(rest: &mut &'a str) -> &'a str {
+    let end = rest.find(['\n', '\r']).unwrap_or(rest.len());
+    let (line, tail) = rest.split_at(end);
+    *rest = tail.strip_prefix("\r\n").or_else(|| tail.strip_prefix(['\n', '\r'])).unwrap_or(tail);
+    line
+}
+
+/// The keyword of a line and its trimmed rest.
+pub(super) fn split_keyword(line: &str) -> (&str, &str) {
+    let line = line.trim();
+    line.split_once(char::is_whitespace).map_or((line, ""), |(key, rest)| (key, rest.trim()))
+}
+
+/// The part before a comment that follows on the same line. Only for lines of numbers: names may contain `#`.
+pub(super) fn without_comment(rest: &str) -> &str {
+    rest.split_once('#').map_or(rest, |(before, _)| before)
+}
+
+/// The file that `name` means for a file in `folder`: as it is, with `\ ` as a blank, with `\` as `/`, in another
+/// case, and at last beside the file, for paths of the exporter's machine.
+pub(super) fn find_file(folder: &Path, name: &str) -> Option<PathBuf> {
+    let bare = name.trim().trim_matches('"');
+    let slashes = bare.replace("\\ ", " ").replace('\\', "/");
+    let last = slashes.rsplit('/').next().unwrap_or_default();
+    [bare, &slashes, last].into_iter().filter(|n| !n.is_empty()).find_map(|n| existing(folder, n))
+}
+
+fn existing(folder: &Path, name: &str) -> Option<PathBuf> {
+    let path = folder.join(name);
+    if path.is_file() {
+        return Some(path);
+    }
+    let wanted = path.file_name()?.to_str()?.to_lowercase();
+    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut same: Vec<_> = std::fs::read_dir(parent)
+        .ok()?
+        .flatten()
+        .filter(|entry| entry.file_name().to_string_lossy().to_lowercase() == wanted)
+        .map(|entry| entry.path())
+        .filter(|path| path.is_file())
+        .collect();
+    // The order of a directory is not defined.
+    same.sort();
+    same.into_iter().next()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn continued_lines_keep_the_number_of_their_first() {
+        let text = "a \\\r\n b\r\n# c:\\\nd\re";
+        let got: Vec<_> = lines(text).map(|(n, l)| (n, l.split_whitespace().collect::<String>())).collect();
+        assert_eq!(got, [(1, "ab".into()), (3, "#c:\\".into()), (4, "d".into()), (5, "e".into())]);
+    }
+
+    #[test]
+    fn latin_1_names_stay_different() {
+        assert_ne!(decode(b"gr\xfcn".to_vec()), decode(b"gr\xf6n".to_vec()));
+        assert_eq!(decode("\u{feff}v".into()), "v");
+    }
+}

@@ -1,0 +1,116 @@
+//! Loads every `.obj` below the folder that the environment variable `RADIOSITY_CORPUS` names, and compares with its
+//! `EXPECTED.tsv` where it has one. Without the variable there is nothing to test.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use radiosity::{Error, Scene};
+
+/// Where this reader differs from the list on purpose: files that must be refused, with a part of the message.
+const REFUSED: [(&str, &str); 12] = [
+    ("parser/obj2gltf/box-incomplete-attributes/box-incomplete-positions.obj", "vertex"),
+    ("parser/tinyobjloader/invalid-relative-texture-index.obj", "vertex"),
+    ("parser/tinyobjloader/invalid-relative-vertex-index.obj", "vertex"),
+    ("parser/tinyobjloader/issue-140-zero-face-idx.obj", "count from 1"),
+    ("parser/tobj/invalid_index.obj", "vertex"),
+    ("parser/tinyobjloader/test-nan.obj", ":"),
+    // All that there is has no area.
+    ("degenerate-xatlas/zero_area_face.obj", "zero area"),
+    // No face with three vertices.
+    ("parser/tinyobjloader/invalid-face-definition.obj", "no faces"),
+    ("parser/tinyobjloader/line-prim.obj", "no faces"),
+    ("parser/tinyobjloader/points-prim.obj", "no faces"),
+    ("parser/tobj/lines.obj", "no faces"),
+    ("parser/tinyobjloader/issue-356-leading-spaces-newmtl.obj", "no faces"),
+];
+
+fn objs(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap().flatten() {
+        let path = entry.path();
+        if path.is_dir() {
+            objs(&path, found);
+        } else if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj")) {
+            found.push(path);
+        }
+    }
+}
+
+/// Rows by file name, columns by their names.
+fn expected(folder: &Path) -> HashMap<String, HashMap<String, String>> {
+    let Ok(table) = std::fs::read_to_string(folder.join("EXPECTED.tsv")) else { return HashMap::new() };
+    let mut lines = table.lines();
+    let columns: Vec<&str> = lines.next().unwrap().split('\t').collect();
+    lines
+        .map(|line| {
+            let row = columns.iter().map(ToString::to_string).zip(line.split('\t').map(String::from));
+            (line.split('\t').next().unwrap().to_string(), row.collect())
+        })
+        .collect()
+}
+
+/// What `scene` and the row disagree on.
+fn differences(scene: &Scene, row: &HashMap<String, String>) -> Vec<String> {
+    let mut found = Vec::new();
+    let triangles = (scene.triangles.len() + scene.degenerate).to_string();
+    if triangles != row["triangles_fan"] {
+        found.push(format!("{triangles} triangles, expected {}", row["triangles_fan"]));
+    }
+    // Vertices of degenerate triangles are not kept, and may have been the outermost.
+    if scene.degenerate == 0 {
+        for (column, pick) in [("bbox_min", f64::min as fn(f64, f64) -> f64), ("bbox_max", f64::max)] {
+            let bound = scene
+                .vertices
+                .iter()
+                .map(|v| v.to_array())
+                .reduce(|a, b| std::array::from_fn(|i| pick(a[i], b[i])));
+            let given = row[column].split(' ').map(|w| w.parse::<f64>().unwrap());
+            if !bound.unwrap().iter().zip(given).all(|(b, g)| (b - g).abs() <= 1e-4 * (1.0 + g.abs())) {
+                found.push(format!("{column} {bound:?}, expected {}", row[column]));
+            }
+        }
+        let area: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
+        let given: f64 = row["area_fan"].parse().unwrap();
+        // A fan over a concave polygon counts parts twice.
+        if area > given * (1.0 + 1e-4) || (row["ngons"] == "0" && area < given * (1.0 - 1e-4)) {
+            found.push(format!("area {area}, expected {given}"));
+        }
+    }
+    // The list counts names after `usemtl`; "(none)" and "(unnamed)" are what this reader calls no name.
+    let used: std::collections::HashSet<&str> =
+        scene.materials.iter().map(|m| m.name.as_str()).filter(|n| !n.starts_with('(')).collect();
+    if used.len().to_string() != row["materials_used"] {
+        found.push(format!("materials {used:?}, expected {}", row["materials_used"]));
+    }
+    // The list tells the emitters of the library, whether faces use them or not.
+    let emits = !row["Ke_materials"].is_empty();
+    if !used.is_empty() && scene.has_emitter() != emits {
+        found.push(format!("emits: {}, expected {emits}", scene.has_emitter()));
+    }
+    found
+}
+
+#[test]
+fn every_file_loads_or_says_why_not() {
+    let Some(folder) = std::env::var_os("RADIOSITY_CORPUS").map(PathBuf::from) else { return };
+    let mut files = Vec::new();
+    objs(&folder, &mut files);
+    files.sort();
+    assert!(!files.is_empty(), "no .obj below {}", folder.display());
+    let table = expected(&folder);
+    let mut wrong = Vec::new();
+    for file in &files {
+        let name = file.strip_prefix(&folder).unwrap().to_string_lossy().replace('\\', "/");
+        let refused = REFUSED.iter().find(|(n, _)| *n == name);
+        match (Scene::load(file), refused, table.get(&name)) {
+            (Ok(_), Some(_), _) => wrong.push(format!("{name}: should be refused")),
+            (Ok(scene), None, Some(row)) => {
+                wrong.extend(differences(&scene, row).into_iter().map(|d| format!("{name}: {d}")));
+            }
+            (Ok(_), None, None) => {}
+            (Err(e @ Error::Input { .. }), Some((_, part)), _) if e.to_string().contains(part) => {}
+            (Err(e @ (Error::Input { .. } | Error::Io { .. })), None, None) => println!("{e}"),
+            (Err(e), ..) => wrong.push(format!("{name}: {e}")),
+        }
+    }
+    assert!(wrong.is_empty(), "{} of {} files:\n{}", wrong.len(), files.len(), wrong.join("\n"));
+}
