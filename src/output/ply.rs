@@ -109,7 +109,8 @@ pub fn encode(
 /// Iterative solvers leave a dark patch a little below zero, within their error bound. The exact solution has no
 /// negative value, so zero is closer to it.
 fn positive(rgb: [f64; 3]) -> [f64; 3] {
-    rgb.map(|x| x.max(0.0))
+    // Not `max`, which would turn NaN into darkness.
+    rgb.map(|x| if x < 0.0 { 0.0 } else { x })
 }
 
 fn single(values: [f64; 3]) -> [f32; 3] {
