@@ -8,12 +8,15 @@ pub mod closure;
 pub mod exact;
 pub mod hemisphere;
 pub mod reciprocity;
+mod shadow;
 
 use rayon::prelude::*;
 use sprs::CsMatI;
 
 use crate::{Progress, Result, patch::Patches, scene::Scene, trace::Tracer};
-use hemisphere::Hits;
+use hemisphere::{Hits, REPLICATES, Share};
+use reciprocity::Densities;
+use shadow::Sources;
 
 /// Sparse matrix with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns.
 pub type Matrix = CsMatI<f32, u32, usize>;
@@ -38,12 +41,16 @@ pub struct CastOptions {
     pub estimator: Estimator,
     /// The same seed gives the same bytes, whatever the number of threads.
     pub seed: u64,
+    /// Share of the rays that are shadow rays to emitters.
+    pub shadow_share: f64,
+    /// Rays in proportion to area.
+    pub by_area: bool,
 }
 
 impl Default for CastOptions {
     /// 64 rays a patch, pooled, seed 0.
     fn default() -> Self {
-        CastOptions { rays: 64.0, estimator: Estimator::Pooled, seed: 0 }
+        CastOptions { rays: 64.0, estimator: Estimator::Pooled, seed: 0, shadow_share: 0.5, by_area: true }
     }
 }
 
@@ -84,14 +91,32 @@ impl FormFactors {
         options: &CastOptions,
         progress: &Progress,
     ) -> Result<FormFactors> {
-        let hits = hemisphere::cast(scene, tracer, patches, options.rays, options.seed, progress)?;
+        let sources = match options.estimator {
+            Estimator::OneWay => Sources::default(),
+            Estimator::Pooled => Sources::emitters(patches),
+        };
+        let shadow_share = if sources.is_empty() { 0.0 } else { options.shadow_share };
+        let mean = patches.triangle_areas().iter().sum::<f64>() / patches.fronts() as f64;
+        let share = |patches: &Patches, i: usize| {
+            let weight = if options.by_area { patches.area(i) / mean } else { 1.0 };
+            let per_replicate = |rays: f64| (rays * weight / REPLICATES as f64).round().max(1.0) as u32;
+            Share {
+                hemisphere: per_replicate(options.rays * (1.0 - shadow_share)),
+                shadow: if shadow_share > 0.0 { per_replicate(options.rays * shadow_share) } else { 0 },
+            }
+        };
+        let hits = hemisphere::cast(scene, tracer, patches, sources, share, options.seed, progress)?;
         let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
-        Ok(Self::from_hits(hits, areas, options.estimator))
+        Ok(Self::from_hits(hits, areas, tracer.scale(), options.estimator))
     }
 
-    fn from_hits(hits: Hits, areas: Vec<f64>, estimator: Estimator) -> FormFactors {
+    fn from_hits(hits: Hits, areas: Vec<f64>, scale: f64, estimator: Estimator) -> FormFactors {
         let n = areas.len();
-        let own = reciprocity::count(&hits);
+        // In units of the mean area no exchange area leaves the range of single precision.
+        let mean = areas.iter().sum::<f64>() / n as f64;
+        let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
+        let densities = Densities::new(&hits, &relative, scale * (scale / mean));
+        let own = reciprocity::count(&hits, &densities);
         let one_way = reciprocity::one_way_deviation(&own, &hits, &areas);
         let escaped: Vec<f64> = (0..n).map(|i| own.escaped(i) / f64::from(hits.rays_of(i))).collect();
         match estimator {
@@ -107,10 +132,7 @@ impl FormFactors {
                 reciprocity_deviation: BeforeAfter { before: one_way, after: one_way },
             },
             Estimator::Pooled => {
-                // In units of the mean area no exchange area leaves the range of single precision.
-                let mean = areas.iter().sum::<f64>() / n as f64;
-                let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
-                let matrix = reciprocity::pool(own, &hits, &relative);
+                let matrix = reciprocity::pool(own, &hits, &densities);
                 let mut form_factors = Self::from_exchange(matrix, relative, escaped);
                 form_factors.areas = areas;
                 form_factors.hits = Some(hits);

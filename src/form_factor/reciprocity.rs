@@ -8,8 +8,9 @@ use rayon::prelude::*;
 
 use super::{
     Matrix,
-    hemisphere::{ESCAPED, Hits},
+    hemisphere::{ESCAPED, Hits, LINKED},
     row,
+    shadow::Link,
 };
 
 /// Rows handled by one task.
@@ -20,12 +21,12 @@ const ROWS: usize = 256;
 pub(super) struct Counts {
     starts: Vec<usize>,
     columns: Vec<u32>,
-    counts: Vec<u32>,
+    counts: Vec<f32>,
     escaped: Vec<u32>,
 }
 
 impl Counts {
-    fn row(&self, i: usize) -> (&[u32], &[u32]) {
+    fn row(&self, i: usize) -> (&[u32], &[f32]) {
         let range = self.starts[i]..self.starts[i + 1];
         (&self.columns[range.clone()], &self.counts[range])
     }
@@ -42,8 +43,7 @@ impl Counts {
     /// The counts as they are.
     pub(super) fn into_matrix(self) -> Matrix {
         let n = self.len();
-        let values = self.counts.iter().map(|&h| h as f32).collect();
-        Matrix::new((n, n), self.starts, self.columns, values)
+        Matrix::new((n, n), self.starts, self.columns, self.counts)
     }
 
     /// Rows and columns exchanged; rows stay sorted.
@@ -58,7 +58,7 @@ impl Counts {
         }
         let mut next = starts.clone();
         let mut columns = vec![0u32; self.columns.len()];
-        let mut counts = vec![0u32; self.columns.len()];
+        let mut counts = vec![0f32; self.columns.len()];
         for i in 0..n {
             let (own, hits) = self.row(i);
             for (&j, &h) in own.iter().zip(hits) {
@@ -72,37 +72,73 @@ impl Counts {
     }
 }
 
-/// Counts how many rays of each patch met which patch.
-pub(super) fn count(hits: &Hits) -> Counts {
-    struct Block {
-        lengths: Vec<usize>,
-        columns: Vec<u32>,
-        counts: Vec<u32>,
-        escaped: Vec<u32>,
+/// How densely the rays sample pairs of points, in relative areas.
+#[derive(Debug, Clone)]
+pub(crate) struct Densities {
+    /// R_i / A_i.
+    hemisphere: Vec<f64>,
+    /// N_i / A_i.
+    shadow: Vec<f64>,
+    /// p_i / A_i.
+    source: Vec<f64>,
+    /// Relative area of one unit-space area.
+    unit: f64,
+}
+
+impl Densities {
+    /// `areas` are relative, `unit` is how many of them make one unit-space area.
+    pub(crate) fn new(hits: &Hits, areas: &[f64], unit: f64) -> Densities {
+        let a_patch = |f: &dyn Fn(usize) -> f64| (0..areas.len()).map(|i| f(i) / areas[i]).collect();
+        Densities {
+            hemisphere: a_patch(&|i| f64::from(hits.rays_of(i))),
+            shadow: a_patch(&|i| f64::from(hits.shadow_rays_of(i))),
+            source: a_patch(&|i| hits.sources.probability(i)),
+            unit,
+        }
     }
+
+    /// What a hemisphere ray that connects two patches, neither a source, adds to their exchange area.
+    #[inline]
+    pub(crate) fn hit(&self, i: usize, j: usize) -> f64 {
+        1.0 / (self.hemisphere[i] + self.hemisphere[j])
+    }
+
+    /// What a link adds to the exchange area of its patches.
+    #[inline]
+    pub(crate) fn link(&self, link: &Link) -> f64 {
+        let (i, j) = (link.from as usize, link.to as usize);
+        let kernel = f64::from(link.kernel) / self.unit;
+        let hemisphere = self.hemisphere[i] + self.hemisphere[j];
+        let shadow = self.shadow[i] * self.source[j] + self.shadow[j] * self.source[i];
+        kernel / (hemisphere * kernel + shadow)
+    }
+}
+
+/// A run of equal targets in the rows being counted.
+struct Block {
+    lengths: Vec<usize>,
+    columns: Vec<u32>,
+    counts: Vec<f32>,
+    escaped: Vec<u32>,
+}
+
+/// Counts how many rays of each patch met which patch; for pairs with a source, sums up the links instead.
+pub(super) fn count(hits: &Hits, densities: &Densities) -> Counts {
     let n = hits.len();
     let blocks: Vec<Block> = (0..n.div_ceil(ROWS))
         .into_par_iter()
         .map(|block| {
             let mut out =
                 Block { lengths: Vec::new(), columns: Vec::new(), counts: Vec::new(), escaped: Vec::new() };
-            let mut targets = Vec::new();
+            let (mut targets, mut linked) = (Vec::new(), Vec::new());
             for i in block * ROWS..((block + 1) * ROWS).min(n) {
                 targets.clear();
                 targets.extend_from_slice(hits.of(i));
                 targets.sort_unstable();
-                let before = out.columns.len();
-                let mut escaped = 0;
-                for run in targets.chunk_by(|a, b| a == b) {
-                    if run[0] == ESCAPED {
-                        escaped = run.len() as u32;
-                    } else {
-                        out.columns.push(run[0]);
-                        out.counts.push(run.len() as u32);
-                    }
-                }
-                out.lengths.push(out.columns.len() - before);
-                out.escaped.push(escaped);
+                linked.clear();
+                linked.extend(hits.links_of(i).iter().map(|l| (l.to, densities.link(l) as f32)));
+                linked.sort_by_key(|&(to, _)| to);
+                count_row(&targets, &linked, &mut out);
             }
             out
         })
@@ -125,8 +161,34 @@ pub(super) fn count(hits: &Hits) -> Counts {
     all
 }
 
+/// Appends the row with these sorted targets and links, which have no patch in common.
+fn count_row(targets: &[u32], linked: &[(u32, f32)], out: &mut Block) {
+    let before = out.columns.len();
+    let mut escaped = 0;
+    let mut links = linked.chunk_by(|a, b| a.0 == b.0).peekable();
+    let mut push = |to: u32, value: f32| {
+        out.columns.push(to);
+        out.counts.push(value);
+    };
+    for run in targets.chunk_by(|a, b| a == b) {
+        while let Some(link) = links.next_if(|link| link[0].0 < run[0]) {
+            push(link[0].0, link.iter().map(|l| l.1).sum());
+        }
+        match run[0] {
+            ESCAPED => escaped = run.len() as u32,
+            LINKED => {}
+            to => push(to, run.len() as f32),
+        }
+    }
+    for link in links {
+        push(link[0].0, link.iter().map(|l| l.1).sum());
+    }
+    out.lengths.push(out.columns.len() - before);
+    out.escaped.push(escaped);
+}
+
 /// Calls `pair(j, h_ij, h_ji)` for every patch j that row `i` hits or is hit by, in the order of j.
-fn merge(own: (&[u32], &[u32]), back: (&[u32], &[u32]), mut pair: impl FnMut(u32, u32, u32)) {
+fn merge(own: (&[u32], &[f32]), back: (&[u32], &[f32]), mut pair: impl FnMut(u32, f32, f32)) {
     let (mut p, mut q) = (0, 0);
     loop {
         let j = own.0.get(p).copied().unwrap_or(u32::MAX);
@@ -134,7 +196,7 @@ fn merge(own: (&[u32], &[u32]), back: (&[u32], &[u32]), mut pair: impl FnMut(u32
         if j == u32::MAX && k == u32::MAX {
             return;
         }
-        let (mut there, mut here) = (0, 0);
+        let (mut there, mut here) = (0.0, 0.0);
         if j <= k {
             there = own.1[p];
             p += 1;
@@ -148,7 +210,7 @@ fn merge(own: (&[u32], &[u32]), back: (&[u32], &[u32]), mut pair: impl FnMut(u32
 }
 
 /// The pooled exchange areas S_ij: symmetric to the bit.
-pub(super) fn pool(own: Counts, hits: &Hits, areas: &[f64]) -> Matrix {
+pub(super) fn pool(own: Counts, hits: &Hits, densities: &Densities) -> Matrix {
     let n = own.len();
     let back = own.transposed();
     let lengths: Vec<usize> = (0..n)
@@ -166,8 +228,6 @@ pub(super) fn pool(own: Counts, hits: &Hits, areas: &[f64]) -> Matrix {
     }
     let mut columns = vec![0u32; starts[n]];
     let mut values = vec![0f32; starts[n]];
-    let density: Vec<f64> = (0..n).map(|i| f64::from(hits.rays_of(i)) / areas[i]).collect();
-
     let mut tasks = Vec::new();
     let (mut columns_left, mut values_left) = (&mut columns[..], &mut values[..]);
     for first in (0..n).step_by(ROWS) {
@@ -182,7 +242,9 @@ pub(super) fn pool(own: Counts, hits: &Hits, areas: &[f64]) -> Matrix {
         for i in range {
             merge(own.row(i), back.row(i), |j, there, here| {
                 columns[at] = j;
-                values[at] = (f64::from(there + here) / (density[i] + density[j as usize])) as f32;
+                let j = j as usize;
+                let weight = if hits.sources.concern(i, j) { 1.0 } else { densities.hit(i, j) };
+                values[at] = (f64::from(there + here) * weight) as f32;
                 at += 1;
             });
         }
@@ -190,12 +252,15 @@ pub(super) fn pool(own: Counts, hits: &Hits, areas: &[f64]) -> Matrix {
     Matrix::new((n, n), starts, columns, values)
 }
 
-/// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) of the one-way estimates F_ij = h_ij / R_i.
+/// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) of the one-way estimates F_ij = h_ij / R_i, over the pairs that only
+/// hemisphere rays measure.
 pub(super) fn one_way_deviation(own: &Counts, hits: &Hits, areas: &[f64]) -> f64 {
     let n = own.len();
-    let values = own.counts.iter().map(|&h| h as f32).collect();
-    let matrix = Matrix::new((n, n), own.starts.clone(), own.columns.clone(), values);
-    deviation(&matrix, areas, |i, h, _| areas[i] * f64::from(h) / f64::from(hits.rays_of(i)))
+    let matrix = Matrix::new((n, n), own.starts.clone(), own.columns.clone(), own.counts.clone());
+    deviation(&matrix, areas, |i, h, j| {
+        let measured = !hits.sources.concern(i, j);
+        if measured { areas[i] * f64::from(h) / f64::from(hits.rays_of(i)) } else { 0.0 }
+    })
 }
 
 /// Largest |S_ij - S_ji| / min(A_i, A_j), where `exchange(i, stored, j)` is S_ij.

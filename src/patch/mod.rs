@@ -145,6 +145,11 @@ impl Patches {
         self.triangle[i] as usize
     }
 
+    /// Area of every triangle in the file's unit squared.
+    pub fn triangle_areas(&self) -> &[f64] {
+        &self.triangle_areas
+    }
+
     /// Whether patch `i` is on the front of its triangle.
     pub fn is_front(&self, i: usize) -> bool {
         i < self.fronts

@@ -5,7 +5,7 @@
 //! - before (`text`, `scan`, `mtl`): text that is not UTF-8, line ends, `\` continuations, tabs after keywords,
 //!   several names or names with blanks after `mtllib`, Windows paths, `Kd` with one number, `Kd spectral`, `Kd xyz`,
 //!   statements out of order. Every line of numbers is checked here, because tobj does not tell lines.
-//! - after (`material`, and [`super::triangulate`]): reflectance and radiance in range, textures with their options,
+//! - after (`material`, and `triangulate`): reflectance and radiance in range, textures with their options,
 //!   polygons into triangles.
 //!
 //! What the formats leave open is decided so: a material without `Kd`, an undefined one and a face without one have

@@ -94,11 +94,8 @@ impl Materials {
             ));
         }
         let plain = if reflectance_map.is_some() { 1.0 } else { DEFAULT_REFLECTANCE };
-        if definition.diffuse.is_none()
-            && reflectance_map.is_none()
-            && origin.defined
-            && origin.notes.is_empty()
-        {
+        let told = map_of(definition, "map_Kd").is_some() || !origin.notes.is_empty() || !origin.defined;
+        if definition.diffuse.is_none() && !told {
             self.warnings.push(format!(
                 "{}: material `{name}` has no Kd; reflectance {DEFAULT_REFLECTANCE} is used",
                 origin.place("newmtl")

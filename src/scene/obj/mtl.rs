@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use super::scan::{Scan, UNNAMED};
-use super::text::{self, find_file, split_keyword, without_comment};
+use super::text::{self, find_as_named, find_file, split_keyword, without_comment};
 use crate::{Error, Result};
 
 /// Statements under the spelling that tobj knows; exporters vary the case.
@@ -222,7 +222,7 @@ fn library_names(folder: &Path, value: &str) -> Vec<String> {
     if value.is_empty() {
         return Vec::new();
     }
-    if find_file(folder, value).is_some() {
+    if find_as_named(folder, value).is_some() {
         return vec![value.into()];
     }
     let mut names = vec![String::new()];

@@ -55,13 +55,19 @@ pub(super) fn without_comment(rest: &str) -> &str {
     rest.split_once('#').map_or(rest, |(before, _)| before)
 }
 
-/// The file that `name` means for a file in `folder`: as it is, with `\ ` as a blank, with `\` as `/`, in another
-/// case, and at last beside the file, for paths of the exporter's machine.
+/// The file that `name` means for a file in `folder`: as [`find_as_named`], and at last beside the file, for paths
+/// of the exporter's machine.
 pub(super) fn find_file(folder: &Path, name: &str) -> Option<PathBuf> {
+    find_as_named(folder, name).or_else(|| {
+        let last = name.trim().trim_matches('"').rsplit(['/', '\\']).next()?;
+        existing(folder, last)
+    })
+}
+
+/// The file `name` in `folder`: as it is, with `\ ` as a blank, with `\` as `/`, in another case.
+pub(super) fn find_as_named(folder: &Path, name: &str) -> Option<PathBuf> {
     let bare = name.trim().trim_matches('"');
-    let slashes = bare.replace("\\ ", " ").replace('\\', "/");
-    let last = slashes.rsplit('/').next().unwrap_or_default();
-    [bare, &slashes, last].into_iter().filter(|n| !n.is_empty()).find_map(|n| existing(folder, n))
+    existing(folder, bare).or_else(|| existing(folder, &bare.replace("\\ ", " ").replace('\\', "/")))
 }
 
 fn existing(folder: &Path, name: &str) -> Option<PathBuf> {

@@ -1,0 +1,20 @@
+//! Exact form factors of unoccluded surfaces: the oracle the rest of the library is tested against.
+//!
+//! The form factor F12 is the share of the light leaving a Lambertian surface 1 that arrives at surface 2, between 0
+//! and 1. The *exchange area* A1 F12 = A2 F21 has the unit of an area and is the symmetric quantity; functions that
+//! take two general surfaces return it. All formulas depend on ratios of lengths only, so any unit of length will do.
+//!
+//! "Howell C-11" and the like are numbers of J. R. Howell's *A Catalog of Radiation Heat Transfer Configuration
+//! Factors*.
+
+mod catalogue;
+mod contour;
+mod cubature;
+mod polygon;
+mod rectangle;
+
+pub use catalogue::{
+    coaxial_disks, opposed_rectangles, opposed_squares_with_blocker, perpendicular_rectangles,
+};
+pub use polygon::{point_to_polygon, polygon_area, polygon_exchange_area, polygon_form_factor};
+pub use rectangle::{Axis, AxisRectangle, box_room_patches, rectangle_form_factors};
