@@ -1,6 +1,6 @@
 //! What a computation will need, before it starts.
 
-use radiosity::{Error, Result, form_factor::hemisphere::REPLICATES};
+use radiosity::{Error, Result};
 
 const GIB: f64 = (1u64 << 30) as f64;
 /// Patches are numbered with 31 bits.
@@ -15,12 +15,6 @@ pub fn bytes(patches: f64, rays: f64) -> f64 {
     let entries = patches * (-(-2.0 * rays / patches).exp_m1());
     // Values and columns, hits, and about 20 numbers a patch.
     patches * (8.0 * entries + 4.0 * rays + 160.0)
-}
-
-/// Rays that are cast when `rays` a patch are asked for: a whole number for each independent replicate.
-pub fn rays_cast(rays: u32) -> f64 {
-    let replicates = REPLICATES as f64;
-    (f64::from(rays) / replicates).round().max(1.0) * replicates
 }
 
 /// Refuses what cannot be held; returns a warning when it is much.
@@ -74,10 +68,5 @@ mod tests {
         let message = check(1e9, 1e6).unwrap_err().to_string();
         assert!(message.contains("GiB of memory"), "{message}");
         assert!(check(3e9, 64.0).is_err());
-    }
-
-    #[test]
-    fn rays_come_in_whole_replicates() {
-        assert_eq!([1, 16, 20, 24, 64].map(rays_cast), [16.0, 16.0, 16.0, 32.0, 64.0]);
     }
 }

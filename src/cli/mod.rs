@@ -119,7 +119,7 @@ mod tests {
         let mut cli = Cli::command();
         cli.clone().debug_assert();
         assert!(cli.render_help().to_string().contains("Example:\n  radiosity solve"));
-        for command in cli.get_subcommands_mut() {
+        for command in cli.get_subcommands_mut().filter(|c| c.get_name() != "help") {
             let help = command.render_help().to_string();
             assert!(help.contains(&format!("Example:\n  radiosity {} ", command.get_name())), "{help}");
         }

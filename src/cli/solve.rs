@@ -44,7 +44,7 @@ pub struct SolveArgs {
     /// About how many patches; at least one a triangle
     #[arg(long, value_name = "N", conflicts_with = "patch_size", value_parser = clap::value_parser!(u32).range(1..))]
     patches: Option<u32>,
-    /// Mean number of hemisphere rays a patch; rounded to a multiple of 16
+    /// Mean number of hemisphere rays a patch
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     rays: Option<u32>,
     /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel
@@ -243,7 +243,7 @@ fn compute(args: &SolveArgs, watch: &Watch, times: &mut Seconds) -> Result<Compu
             .with_hint("give a material an emitted radiance, a line like `Ke 10 10 10` in the .mtl file"));
     }
     let (subdivision, _) = args.subdivision();
-    let rays = forecast::rays_cast(args.rays());
+    let rays = f64::from(args.rays());
     if let Some(warning) = forecast::check(Patches::forecast(&scene, &subdivision), rays)? {
         watch.warn(&warning);
     }
@@ -251,7 +251,7 @@ fn compute(args: &SolveArgs, watch: &Watch, times: &mut Seconds) -> Result<Compu
     let (tracer, mut patches, form_factors, solved);
     (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
     (patches, times.subdivide) = watch.stage("patches", || Ok(Patches::subdivide(&scene, &subdivision)))?;
-    let cast = CastOptions { rays, estimator: args.estimator(), seed: args.seed };
+    let cast = CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
     (form_factors, times.form_factors) =
         watch.stage("rays", || FormFactors::cast(&scene, &tracer, &mut patches, &cast, watch.progress()))?;
     (solved, times.solve) = watch.stage("solving", || {

@@ -90,7 +90,7 @@ mod tests {
     #[test]
     fn srgb_encodes_the_published_values() {
         // Mid grey, and both sides of the join at 0.0031308.
-        assert_eq!((srgb(0.214_041_14) * 255.0).round(), 128.0);
+        assert!((srgb(0.214_041_14) - 0.5).abs() < 1e-7);
         assert!((srgb(0.003_130_8) - 0.040_449_936).abs() < 1e-9);
         assert!((srgb(0.003_130_9) - srgb(0.003_130_7)).abs() < 1e-5);
         assert_eq!((srgb(0.0), (srgb(1.0) * 1e12).round()), (0.0, 1e12));
@@ -115,7 +115,7 @@ mod tests {
         let mut radiosity = vec![1000.0, 0.0, 0.0, 0.0];
         radiosity.extend((1..=10).map(f64::from));
         let exposure = Exposure::automatic(&squares(14), &radiosity);
-        assert_eq!(exposure.scale, 0.6 / 9.0);
+        assert!((exposure.scale - 0.6 / 9.0).abs() < 1e-15);
         assert_eq!(exposure.encode([1000.0, 0.0, -1.0]), [255, 0, 0]);
         let twice = exposure.brighter(1.0);
         assert_eq!(twice.scale, 2.0 * exposure.scale);
@@ -125,7 +125,7 @@ mod tests {
     #[test]
     fn exposure_of_darkness_and_of_lamps_alone_is_finite() {
         assert_eq!(Exposure::automatic(&squares(3), &[0.0; 3]).encode([0.0; 3]), [0; 3]);
-        assert_eq!(Exposure::automatic(&squares(1), &[5.0]).scale, 0.6 / 5.0);
+        assert!((Exposure::automatic(&squares(1), &[5.0]).scale - 0.6 / 5.0).abs() < 1e-15);
         assert!(Exposure::automatic(&squares(2), &[0.0, 1e-310]).scale.is_finite());
     }
 }

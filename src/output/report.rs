@@ -73,7 +73,7 @@ pub struct FormFactorsReport {
     pub non_zeros: usize,
     /// Memory of the form factors and the hits.
     pub bytes: usize,
-    /// Share of the rays that left the scene.
+    /// Share of the hemisphere rays that left the scene.
     pub escaped_fraction: f64,
     /// Rays that hit the back of a surface.
     pub back_hits: u64,
@@ -234,19 +234,16 @@ impl SolveReport {
 
 impl FormFactorsReport {
     fn of(form_factors: &FormFactors) -> Self {
-        let escapes = |hits: &hemisphere::Hits| -> usize {
-            (0..hits.len())
-                .into_par_iter()
-                .map(|i| hits.of(i).iter().filter(|&&target| target == hemisphere::ESCAPED).count())
-                .sum()
-        };
         let hits = form_factors.hits();
-        let rays = hits.map_or(0, |h| h.rays());
+        let count = |what: fn(&[u32]) -> usize| -> usize {
+            hits.map_or(0, |h| (0..h.len()).into_par_iter().map(|i| what(h.of(i))).sum())
+        };
+        let escaped = count(|targets| targets.iter().filter(|&&t| t == hemisphere::ESCAPED).count());
         FormFactorsReport {
-            rays,
+            rays: hits.map_or(0, |h| h.rays()),
             non_zeros: form_factors.non_zeros(),
             bytes: form_factors.bytes(),
-            escaped_fraction: hits.map_or(0, escapes) as f64 / rays.max(1) as f64,
+            escaped_fraction: escaped as f64 / count(<[u32]>::len).max(1) as f64,
             back_hits: hits.map_or(0, |h| h.back_hits()),
             row_sum_deviation: form_factors.row_sum_deviation().into(),
             reciprocity_deviation: form_factors.reciprocity_deviation().into(),
