@@ -372,7 +372,8 @@ fn a_million_vertices_are_written_in_seconds() {
     let time = start.elapsed();
     let vertices = 6 * 513 * 513;
     println!("{vertices} vertices and {} faces in {time:?}", patches.len());
-    assert!(bytes.len() > 27 * vertices + 66 * patches.len());
+    let payload = 27 * vertices + 62 * patches.len();
+    assert!((payload..payload + 2000).contains(&bytes.len()));
     // A slow machine, other tests beside this one, debug assertions: this can only tell linear from quadratic.
     assert!(time.as_secs() < 30, "{time:?}");
 }
