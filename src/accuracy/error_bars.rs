@@ -55,11 +55,11 @@ impl ErrorBars {
         Some(ErrorBars { channels: solution.channels, standard_error })
     }
 
-    /// Area-weighted root mean square of the standard errors over the area-weighted mean irradiance, over the first
-    /// `patches` patches and all channels.
-    pub fn relative_rms(&self, areas: &[f64], irradiance: &[f64], patches: usize) -> f64 {
+    /// Area-weighted root mean square of the standard errors over the area-weighted mean irradiance, over all patches
+    /// and channels.
+    pub fn relative_rms(&self, areas: &[f64], irradiance: &[f64]) -> f64 {
         let (mut squares, mut mean, mut weight) = (0.0, 0.0, 0.0);
-        for i in 0..patches {
+        for i in 0..areas.len() {
             for c in i * self.channels..(i + 1) * self.channels {
                 squares += areas[i] * self.standard_error[c].powi(2);
                 mean += areas[i] * irradiance[c];
