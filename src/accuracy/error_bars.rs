@@ -34,6 +34,9 @@ pub struct ErrorBars {
     pub channels: usize,
     /// The standard error of each patch and channel.
     pub standard_error: Vec<f64>,
+    /// The standard error of the area-weighted mean irradiance of all patches, for each channel: less than patches
+    /// with independent errors would give, since what one patch receives too much another misses.
+    pub of_mean: Vec<f64>,
 }
 
 impl ErrorBars {
@@ -48,11 +51,36 @@ impl ErrorBars {
     ) -> Option<ErrorBars> {
         let reflectance = radiometry.into().reflectance;
         assert_eq!(reflectance.len(), solution.radiosity.len(), "sizes disagree");
-        let standard_error = match solution.channels {
-            1 => propagate::<1>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0)?,
-            _ => propagate::<3>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0)?,
-        };
-        Some(ErrorBars { channels: solution.channels, standard_error })
+        match solution.channels {
+            1 => Self::spread::<1>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0),
+            _ => Self::spread::<3>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0),
+        }
+    }
+
+    fn spread<const C: usize>(
+        form_factors: &FormFactors,
+        reflectance: &[[f64; C]],
+        radiosity: &[[f64; C]],
+    ) -> Option<ErrorBars> {
+        let deviations = propagate(form_factors, reflectance, radiosity)?;
+        let areas = form_factors.areas();
+        let total: f64 = areas.iter().sum();
+        let mut mean = [[0f64; REPLICATES]; C];
+        for (area, deviation) in areas.iter().zip(&deviations) {
+            for c in 0..C {
+                for k in 0..REPLICATES {
+                    mean[c][k] += area / total * f64::from(deviation[c][k]);
+                }
+            }
+        }
+        Some(ErrorBars {
+            channels: C,
+            standard_error: deviations
+                .iter()
+                .flat_map(|e| e.map(|c| standard_error(&c.map(f64::from))))
+                .collect(),
+            of_mean: mean.iter().map(standard_error).collect(),
+        })
     }
 
     /// Area-weighted root mean square of the standard errors over the area-weighted mean irradiance, over all patches
@@ -73,11 +101,12 @@ impl ErrorBars {
 /// One value a replicate and channel.
 type Spectrum<const C: usize> = [[f32; REPLICATES]; C];
 
+/// The deviations dE_k of all patches.
 fn propagate<const C: usize>(
     form_factors: &FormFactors,
     reflectance: &[[f64; C]],
     radiosity: &[[f64; C]],
-) -> Option<Vec<f64>> {
+) -> Option<Vec<Spectrum<C>>> {
     let mut local = form_factors.deviations(radiosity)?;
     close(form_factors, &mut local);
     let mut total: Vec<Spectrum<C>> = local.iter().map(|d| d.irradiance).collect();
@@ -103,13 +132,14 @@ fn propagate<const C: usize>(
             break;
         }
     }
+    Some(total)
+}
+
+/// Standard error of the mean of deviations, which sum to zero but for rounding.
+fn standard_error(deviations: &[f64; REPLICATES]) -> f64 {
     let many = REPLICATES as f64;
-    let spread = |values: &[f32; REPLICATES]| {
-        // The deviations sum to zero but for rounding.
-        let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
-        (squares / (many * (many - 1.0))).sqrt()
-    };
-    Some(total.iter().flat_map(|e| e.iter().map(spread)).collect())
+    let squares: f64 = deviations.iter().map(|d| d * d).sum();
+    (squares / (many * (many - 1.0))).sqrt()
 }
 
 /// Solves for the scales that close all rows of each replicate together, (I + F) d ln d = -excess, by damped Jacobi
