@@ -6,6 +6,7 @@
 pub mod energy;
 mod error;
 pub mod form_factor;
+pub mod monte_carlo;
 pub mod output;
 pub mod patch;
 mod progress;

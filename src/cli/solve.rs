@@ -11,7 +11,7 @@ use radiosity::{
         exposure::Exposure,
         file::{OutputFile, Pending},
         ply::{self, PlyOptions},
-        report::{OptionsReport, Seconds, SolveReport, peak_bytes, seconds},
+        report::{ErrorReport, OptionsReport, Seconds, SolveReport, peak_bytes, seconds},
     },
     patch::{Patches, Subdivision},
     solve::{self, Solution, SolveOptions, Solver},
@@ -175,6 +175,7 @@ struct Computed {
     form_factors: FormFactors,
     solution: Solution,
     energy: EnergyLedger,
+    standard_errors: Option<Vec<f64>>,
 }
 
 /// Runs the command.
@@ -189,7 +190,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     let watch = Watch::new(args.common.quiet);
     let mut times = Seconds::default();
     let computed = compute(args, &watch, &mut times)?;
-    let Computed { scene, patches, form_factors, solution, energy } = &computed;
+    let Computed { scene, patches, form_factors, solution, energy, standard_errors } = &computed;
 
     let exposure = Exposure::automatic(patches, &solution.radiosity).brighter(args.exposure);
     watch.begin_writing();
@@ -208,6 +209,9 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     };
     let file = args.scene.display().to_string();
     let mut report = SolveReport::new(&file, scene, patches, form_factors, solution, energy, options);
+    if let Some(errors) = standard_errors {
+        report.error = ErrorReport::sampled(patches, solution, errors);
+    }
     times.total = seconds(start.elapsed());
     report.seconds = times;
     report.peak_bytes = peak_bytes();
@@ -220,7 +224,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     if !args.common.quiet {
         let (_, chosen) = args.subdivision();
         let names = outputs::names(&[&args.output, &args.report]);
-        to_stdout(&summary::table(&report, patches, form_factors, &chosen, args.exposure, &names));
+        to_stdout(&summary::table(&report, patches, &chosen, args.exposure, &names));
     }
     Ok(verdict(args, &report))
 }
@@ -258,10 +262,11 @@ fn compute(args: &SolveArgs, watch: &Watch, times: &mut Seconds) -> Result<Compu
         let solution = solve::solve(&form_factors, &patches, &args.solve_options(), watch.progress())
             .map_err(|error| blame(args, error))?;
         let energy = EnergyLedger::of(&form_factors, &patches, &solution);
-        Ok((solution, energy))
+        let errors = form_factors.standard_errors(&solution.radiosity, solution.channels);
+        Ok((solution, energy, errors))
     })?;
-    let (solution, energy) = solved;
-    Ok(Computed { scene, patches, form_factors, solution, energy })
+    let (solution, energy, standard_errors) = solved;
+    Ok(Computed { scene, patches, form_factors, solution, energy, standard_errors })
 }
 
 /// Names the scene where the scene is to blame.
@@ -275,8 +280,12 @@ fn blame(args: &SolveArgs, error: Error) -> Error {
 }
 
 fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Result<Pending> {
-    let Computed { scene, patches, solution, .. } = computed;
-    let options = PlyOptions { exposure: Some(exposure), ..PlyOptions::default() };
+    let Computed { scene, patches, solution, standard_errors, .. } = computed;
+    let options = PlyOptions {
+        exposure: Some(exposure),
+        standard_errors: standard_errors.as_deref(),
+        ..PlyOptions::default()
+    };
     file.write(|out| ply::encode(out, scene, patches, solution, &options))
 }
 

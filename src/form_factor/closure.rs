@@ -4,7 +4,9 @@
 //! positive diagonal D with  d_i (Σ_j S_ij d_j + X_i) = A_i  restores them, where X_i = A_i e_i is the exchange area with
 //! the outside, one more column that closes with the rest. The scaling keeps symmetry, zeros and positivity.
 
-use super::{Matrix, gather};
+use rayon::prelude::*;
+
+use super::{Matrix, gather, row};
 
 /// The scaling and what it repaired.
 pub(super) struct Closed {
@@ -27,7 +29,7 @@ pub(super) fn close(matrix: &Matrix, areas: &[f64], escaped: &[f64]) -> Closed {
         let deviation =
             (0..areas.len()).map(|i| (scale[i] * arriving[i] / areas[i] - 1.0).abs()).fold(0.0, f64::max);
         deviation_before.get_or_insert(deviation);
-        // Rounding of the longest row sums, in units of the last place, is all that is left.
+        // What is left in the end is the rounding of the longest row sums.
         stalled = if deviation < 0.5 * best { 0 } else { stalled + 1 };
         best = best.min(deviation);
         if deviation < 1e-15 || (deviation < 1e-13 && stalled >= 3) {
@@ -40,7 +42,112 @@ pub(super) fn close(matrix: &Matrix, areas: &[f64], escaped: &[f64]) -> Closed {
     Closed { scale, deviation_before: deviation_before.unwrap_or(0.0) }
 }
 
+/// How far a link with a source yields where the other entries of a row yield by a factor: as the power of it.
+///
+/// Shadow rays make links far more precise than the rest of a row, and they should not pay for its noise. Measured on
+/// a Cornell box of 960 patches at 64 rays, RMS error of irradiance: 13.2 % when all entries yield alike (1), 9.6 % at
+/// 0.25, 9.2 % at 0.1, 9.1 % at 0.03. Not zero, so that a row which sees hardly anything but a lamp can close.
+const YIELD: f64 = 0.1;
+
+/// What brought the rows near their sums.
+#[derive(Debug, Clone)]
+pub(super) struct Spread {
+    /// Factor of row and column `i` in entries between patches that are no sources, and in what escapes.
+    pub(super) plain: Vec<f64>,
+    /// Factor of row and column `i` in links.
+    pub(super) link: Vec<f64>,
+}
+
+impl Spread {
+    /// Nothing is scaled.
+    pub(super) fn none(n: usize) -> Spread {
+        Spread { plain: vec![1.0; n], link: vec![1.0; n] }
+    }
+
+    fn new(plain: Vec<f64>, is_source: &[bool]) -> Spread {
+        let link = plain.iter().zip(is_source).map(|(&d, &s)| if s { d } else { d.powf(YIELD) }).collect();
+        Spread { plain, link }
+    }
+
+    /// The share of patch `i`'s factor that a small change of it passes on to its links.
+    pub(super) fn link_yield(is_source: bool) -> f64 {
+        if is_source { 1.0 } else { YIELD }
+    }
+}
+
+/// Brings the rows to within 10⁻⁴ of their sums, before [`close`] makes them exact, with corrections about in proportion
+/// to the variance of the entries: pairs without a source are multiplied by d_i d_j, the link of patch i with source l
+/// by d_i^YIELD d_l.
+pub(super) fn spread(matrix: &mut Matrix, areas: &[f64], escaped: &mut [f64], is_source: &[bool]) -> Spread {
+    let n = areas.len();
+    let mut spread = Spread::none(n);
+    for _ in 0..MOST_ROUNDS {
+        let rows: Vec<(f64, f64)> = (0..n)
+            .into_par_iter()
+            .with_min_len(128)
+            .map(|i| rescale_row(matrix, areas, escaped, is_source, &spread, i))
+            .collect();
+        if rows.iter().all(|(_, deviation)| deviation.abs() < 1e-4) {
+            break;
+        }
+        spread = Spread::new(rows.into_iter().map(|(d, _)| d).collect(), is_source);
+    }
+    for (escaped, d) in escaped.iter_mut().zip(&spread.plain) {
+        *escaped *= d;
+    }
+    let starts = matrix.indptr().raw_storage().to_vec();
+    let columns = matrix.indices().to_vec();
+    let values = matrix.data_mut();
+    for i in 0..n {
+        for k in starts[i]..starts[i + 1] {
+            let j = columns[k] as usize;
+            let factors = if is_source[i] || is_source[j] { &spread.link } else { &spread.plain };
+            values[k] = (f64::from(values[k]) * (factors[i] * factors[j])) as f32;
+        }
+    }
+    spread
+}
+
+/// The next scale of row `i`, and by how much its sum deviates with the present one.
+fn rescale_row(
+    matrix: &Matrix,
+    areas: &[f64],
+    escaped: &[f64],
+    is_source: &[bool],
+    spread: &Spread,
+    i: usize,
+) -> (f64, f64) {
+    let (columns, values) = row(matrix, i);
+    let (mut plain, mut links) = (areas[i] * escaped[i], 0.0);
+    for (&j, &s) in columns.iter().zip(values) {
+        let j = j as usize;
+        if is_source[i] || is_source[j] {
+            links += f64::from(s) * spread.link[j];
+        } else {
+            plain += f64::from(s) * spread.plain[j];
+        }
+    }
+    let power = Spread::link_yield(is_source[i]);
+    // The d with d plain + d^power links = A, by Newton's method in ln d.
+    let now = spread.plain[i].ln();
+    let mut x = now;
+    for _ in 0..8 {
+        let (p, l) = (x.exp() * plain, (power * x).exp() * links);
+        x -= (p + l - areas[i]) / (p + power * l);
+    }
+    let sum = now.exp() * plain + (power * now).exp() * links;
+    // Half the way, as in `close`: each pair is corrected from both its ends.
+    ((0.5 * (x + now)).exp(), sum / areas[i] - 1.0)
+}
+
 /// Largest |row sum + escaped share - 1|.
 pub(super) fn deviation(row_sums: &[f64], escaped: &[f64]) -> f64 {
     row_sums.iter().zip(escaped).map(|(sum, out)| (sum + out - 1.0).abs()).fold(0.0, f64::max)
+}
+
+/// Largest |row sum + escaped share - 1| of the exchange areas as they are.
+pub(super) fn row_sum_deviation(matrix: &Matrix, areas: &[f64], escaped: &[f64]) -> f64 {
+    let mut sums = vec![0.0; areas.len()];
+    gather(matrix, &vec![[1.0]; areas.len()], &mut sums, |i, [sum]| [sum / areas[i]]);
+    deviation(&sums, escaped)
 }

@@ -108,7 +108,7 @@ impl Hits {
     }
 }
 
-/// Casts rays from every patch, as many as `share` gives it. Backs that are hit become patches and cast rays too,
+/// Casts rays from every patch, as many as `share` says. Backs that are hit become patches and cast rays too,
 /// until no new ones are found. The result depends on the seed alone, not on the number of threads.
 ///
 /// # Errors
@@ -118,7 +118,7 @@ pub(super) fn cast(
     tracer: &Tracer,
     patches: &mut Patches,
     sources: Sources,
-    share: impl Fn(&Patches, usize) -> Share,
+    share: Share,
     seed: u64,
     progress: &Progress,
 ) -> Result<Hits> {
@@ -135,7 +135,7 @@ pub(super) fn cast(
         let last = patches.len();
         let done = hits.rays();
         for i in first..last {
-            hits.shares.push(share(patches, i));
+            hits.shares.push(share);
             hits.offsets.push(hits.offsets[i] + hits.rays_of(i) as usize);
         }
         hits.targets.resize(hits.offsets[last], 0);

@@ -8,14 +8,17 @@ pub mod closure;
 pub mod exact;
 pub mod hemisphere;
 pub mod reciprocity;
+mod replicates;
 mod shadow;
 
 use rayon::prelude::*;
 use sprs::CsMatI;
 
 use crate::{Progress, Result, patch::Patches, scene::Scene, trace::Tracer};
+use closure::Spread;
 use hemisphere::{Hits, REPLICATES, Share};
 use reciprocity::Densities;
+use replicates::Samples;
 use shadow::Sources;
 
 /// Sparse matrix with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns.
@@ -41,16 +44,14 @@ pub struct CastOptions {
     pub estimator: Estimator,
     /// The same seed gives the same bytes, whatever the number of threads.
     pub seed: u64,
-    /// Share of the rays that are shadow rays to emitters.
+    /// Share of the rays that are shadow rays to emitters; the rest are hemisphere rays. Only for the pooled estimator.
     pub shadow_share: f64,
-    /// Rays in proportion to area.
-    pub by_area: bool,
 }
 
 impl Default for CastOptions {
-    /// 64 rays a patch, pooled, seed 0.
+    /// 64 rays a patch, half of them shadow rays, pooled, seed 0.
     fn default() -> Self {
-        CastOptions { rays: 64.0, estimator: Estimator::Pooled, seed: 0, shadow_share: 0.5, by_area: true }
+        CastOptions { rays: 64.0, estimator: Estimator::Pooled, seed: 0, shadow_share: 0.5 }
     }
 }
 
@@ -73,7 +74,7 @@ pub struct FormFactors {
     escaped: Vec<f64>,
     areas: Vec<f64>,
     estimator: Estimator,
-    hits: Option<Hits>,
+    samples: Option<Samples>,
     row_sum_deviation: BeforeAfter,
     reciprocity_deviation: BeforeAfter,
 }
@@ -96,14 +97,10 @@ impl FormFactors {
             Estimator::Pooled => Sources::emitters(patches),
         };
         let shadow_share = if sources.is_empty() { 0.0 } else { options.shadow_share };
-        let mean = patches.triangle_areas().iter().sum::<f64>() / patches.fronts() as f64;
-        let share = |patches: &Patches, i: usize| {
-            let weight = if options.by_area { patches.area(i) / mean } else { 1.0 };
-            let per_replicate = |rays: f64| (rays * weight / REPLICATES as f64).round().max(1.0) as u32;
-            Share {
-                hemisphere: per_replicate(options.rays * (1.0 - shadow_share)),
-                shadow: if shadow_share > 0.0 { per_replicate(options.rays * shadow_share) } else { 0 },
-            }
+        let per_replicate = |rays: f64| (rays / REPLICATES as f64).round().max(1.0) as u32;
+        let share = Share {
+            hemisphere: per_replicate(options.rays * (1.0 - shadow_share)),
+            shadow: if shadow_share > 0.0 { per_replicate(options.rays * shadow_share) } else { 0 },
         };
         let hits = hemisphere::cast(scene, tracer, patches, sources, share, options.seed, progress)?;
         let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
@@ -118,7 +115,7 @@ impl FormFactors {
         let densities = Densities::new(&hits, &relative, scale * (scale / mean));
         let own = reciprocity::count(&hits, &densities);
         let one_way = reciprocity::one_way_deviation(&own, &hits, &areas);
-        let escaped: Vec<f64> = (0..n).map(|i| own.escaped(i) / f64::from(hits.rays_of(i))).collect();
+        let mut escaped: Vec<f64> = (0..n).map(|i| own.escaped(i) / f64::from(hits.rays_of(i))).collect();
         match estimator {
             Estimator::OneWay => FormFactors {
                 left: (0..n).map(|i| 1.0 / f64::from(hits.rays_of(i))).collect(),
@@ -127,15 +124,22 @@ impl FormFactors {
                 escaped,
                 areas,
                 estimator,
-                hits: Some(hits),
+                samples: Some(Samples { hits, densities, spread: Spread::none(n), areas: relative }),
                 row_sum_deviation: BeforeAfter::default(),
                 reciprocity_deviation: BeforeAfter { before: one_way, after: one_way },
             },
             Estimator::Pooled => {
-                let matrix = reciprocity::pool(own, &hits, &densities);
-                let mut form_factors = Self::from_exchange(matrix, relative, escaped);
+                let mut matrix = reciprocity::pool(own, &hits, &densities);
+                let before = closure::row_sum_deviation(&matrix, &relative, &escaped);
+                let mut spread = Spread::none(n);
+                if !hits.sources.is_empty() {
+                    let is_source: Vec<bool> = (0..n).map(|i| hits.sources.probability(i) > 0.0).collect();
+                    spread = closure::spread(&mut matrix, &relative, &mut escaped, &is_source);
+                }
+                let mut form_factors = Self::from_exchange(matrix, relative.clone(), escaped);
                 form_factors.areas = areas;
-                form_factors.hits = Some(hits);
+                form_factors.samples = Some(Samples { hits, densities, spread, areas: relative });
+                form_factors.row_sum_deviation.before = before;
                 form_factors.reciprocity_deviation.before = one_way;
                 form_factors
             }
@@ -158,7 +162,7 @@ impl FormFactors {
             matrix,
             areas,
             estimator: Estimator::Pooled,
-            hits: None,
+            samples: None,
             row_sum_deviation: BeforeAfter { before: closed.deviation_before, after: 0.0 },
             reciprocity_deviation: BeforeAfter::default(),
         };
@@ -210,7 +214,7 @@ impl FormFactors {
 
     /// What every ray met, unless the form factors came from elsewhere.
     pub fn hits(&self) -> Option<&Hits> {
-        self.hits.as_ref()
+        self.samples.as_ref().map(|samples| &samples.hits)
     }
 
     /// Non-zero form factors.
@@ -220,7 +224,7 @@ impl FormFactors {
 
     /// Bytes held by the matrix, its scaling and the hits.
     pub fn bytes(&self) -> usize {
-        8 * self.matrix.nnz() + 8 * 5 * self.len() + self.hits.as_ref().map_or(0, Hits::bytes)
+        8 * self.matrix.nnz() + 8 * 5 * self.len() + self.hits().map_or(0, Hits::bytes)
     }
 
     /// Largest |row sum + escaped share - 1|, before and after the closure.

@@ -74,7 +74,7 @@ impl Counts {
 
 /// How densely the rays sample pairs of points, in relative areas.
 #[derive(Debug, Clone)]
-pub(crate) struct Densities {
+pub(super) struct Densities {
     /// R_i / A_i.
     hemisphere: Vec<f64>,
     /// N_i / A_i.
@@ -87,7 +87,7 @@ pub(crate) struct Densities {
 
 impl Densities {
     /// `areas` are relative, `unit` is how many of them make one unit-space area.
-    pub(crate) fn new(hits: &Hits, areas: &[f64], unit: f64) -> Densities {
+    pub(super) fn new(hits: &Hits, areas: &[f64], unit: f64) -> Densities {
         let a_patch = |f: &dyn Fn(usize) -> f64| (0..areas.len()).map(|i| f(i) / areas[i]).collect();
         Densities {
             hemisphere: a_patch(&|i| f64::from(hits.rays_of(i))),
@@ -99,13 +99,13 @@ impl Densities {
 
     /// What a hemisphere ray that connects two patches, neither a source, adds to their exchange area.
     #[inline]
-    pub(crate) fn hit(&self, i: usize, j: usize) -> f64 {
+    pub(super) fn hit(&self, i: usize, j: usize) -> f64 {
         1.0 / (self.hemisphere[i] + self.hemisphere[j])
     }
 
     /// What a link adds to the exchange area of its patches.
     #[inline]
-    pub(crate) fn link(&self, link: &Link) -> f64 {
+    pub(super) fn link(&self, link: &Link) -> f64 {
         let (i, j) = (link.from as usize, link.to as usize);
         let kernel = f64::from(link.kernel) / self.unit;
         let hemisphere = self.hemisphere[i] + self.hemisphere[j];

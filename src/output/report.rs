@@ -137,6 +137,27 @@ pub struct ErrorReport {
     pub discretisation_relative: Option<f64>,
 }
 
+impl ErrorReport {
+    /// From the standard errors of all patches' irradiance, `channels` interleaved values each.
+    ///
+    /// # Panics
+    /// When the sizes disagree.
+    pub fn sampled(patches: &Patches, solution: &Solution, standard_errors: &[f64]) -> ErrorReport {
+        let channels = patches.channels();
+        let values = channels * patches.len();
+        assert_eq!((solution.irradiance.len(), standard_errors.len()), (values, values), "sizes disagree");
+        let mean = |value: &dyn Fn(usize) -> f64| -> f64 {
+            let sum: f64 = (0..values).map(|at| patches.area(at / channels) * value(at)).sum();
+            sum / (0..values).map(|at| patches.area(at / channels)).sum::<f64>()
+        };
+        let rms = mean(&|at| standard_errors[at].powi(2)).sqrt();
+        ErrorReport {
+            rms_relative: finite(rms / mean(&|at| solution.irradiance[at])),
+            ..ErrorReport::default()
+        }
+    }
+}
+
 impl Default for ErrorReport {
     /// Nothing estimated, confidence 0.95.
     fn default() -> Self {
@@ -160,7 +181,7 @@ pub struct Seconds {
     pub bvh: f64,
     /// Casting rays and making form factors of them.
     pub form_factors: f64,
-    /// Solving the system and adding up its energy.
+    /// Solving the system, adding up its energy and estimating its errors.
     pub solve: f64,
     /// Writing the mesh.
     pub output: f64,
@@ -285,4 +306,43 @@ pub fn peak_bytes() -> Option<u64> {
 /// A time in seconds, to the microsecond.
 pub fn seconds(time: Duration) -> f64 {
     (time.as_secs_f64() * 1e6).round() / 1e6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{patch::Subdivision, scene::Material, solve::Solver};
+    use glam::DVec3;
+
+    #[test]
+    fn the_relative_error_weighs_patches_by_area() {
+        // Two triangles, one of three times the area of the other.
+        let (o, x, y) = (DVec3::ZERO, DVec3::X, DVec3::Y);
+        let materials = vec![Material::new("grey", [0.5; 3], [0.0; 3])];
+        let scene = Scene::new(&[([o, x, y], 0), ([o, -3.0 * x, -y], 0)], materials);
+        let patches = Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY));
+        let solution = Solution {
+            channels: 1,
+            radiosity: vec![0.0; 2],
+            irradiance: vec![1.0, 5.0],
+            solver: Solver::Direct,
+            iterations: 1,
+            residual: 0.0,
+            error_bound: 0.0,
+        };
+        // sqrt((2^2 + 3 * 1^2) / 4) over (1 + 3 * 5) / 4.
+        let report = ErrorReport::sampled(&patches, &solution, &[2.0, 1.0]);
+        assert!((report.rms_relative.unwrap() - 1.75f64.sqrt() / 4.0).abs() < 1e-14);
+        assert_eq!(report.bias_relative, None);
+        let dark = Solution { irradiance: vec![0.0; 2], ..solution };
+        assert_eq!(ErrorReport::sampled(&patches, &dark, &[0.0; 2]).rms_relative, None);
+    }
+
+    #[test]
+    fn peak_memory_is_that_of_this_process() {
+        if cfg!(target_os = "linux") {
+            let held = vec![1u8; 64 << 20];
+            assert!(held.iter().all(|&b| b == 1) && peak_bytes().unwrap() > 64 << 20);
+        }
+    }
 }

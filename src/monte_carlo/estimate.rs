@@ -1,0 +1,159 @@
+//! Means with standard errors, from independent replicates.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::Samples;
+use crate::{Progress, Result, trace::sampling::mix};
+
+/// A Monte Carlo estimate, R G B.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Estimate {
+    /// The mean.
+    pub mean: [f64; 3],
+    /// Standard deviation of the mean.
+    pub standard_error: [f64; 3],
+}
+
+impl Estimate {
+    /// Mean and standard error of replicates of equal weight.
+    ///
+    /// # Panics
+    /// With fewer than two replicates, which tell nothing about their spread.
+    pub fn of(replicates: &[[f64; 3]]) -> Estimate {
+        let n = replicates.len() as f64;
+        assert!(n >= 2.0, "a standard error needs two replicates");
+        let mean: [f64; 3] = std::array::from_fn(|c| replicates.iter().map(|r| r[c]).sum::<f64>() / n);
+        let standard_error = std::array::from_fn(|c| {
+            let squares: f64 = replicates.iter().map(|r| (r[c] - mean[c]).powi(2)).sum();
+            (squares / (n * (n - 1.0))).sqrt()
+        });
+        Estimate { mean, standard_error }
+    }
+
+    /// The estimate of a quantity `factor` times as large.
+    pub fn scaled(self, factor: f64) -> Estimate {
+        Estimate {
+            mean: self.mean.map(|x| x * factor),
+            standard_error: self.standard_error.map(|x| x * factor.abs()),
+        }
+    }
+}
+
+/// Mean and spread of replicates that arrive one by one (Welford, Technometrics 4(3), 1962).
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Running {
+    mean: DVec3,
+    /// Sum of the squared deviations from the mean.
+    squares: DVec3,
+}
+
+impl Running {
+    /// Takes replicate number `n`, counted from 1.
+    pub(super) fn add(&mut self, n: u32, value: DVec3) {
+        let before = value - self.mean;
+        self.mean += before / f64::from(n);
+        self.squares += before * (value - self.mean);
+    }
+
+    /// What `n` replicates say.
+    pub(super) fn estimate(&self, n: u32) -> Estimate {
+        let n = f64::from(n);
+        let standard_error = (self.squares / (n * (n - 1.0))).to_array().map(f64::sqrt);
+        Estimate { mean: self.mean.to_array(), standard_error }
+    }
+}
+
+/// How many samples to spend on each estimate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Effort {
+    /// Samples for each estimate, rounded up to a multiple of `replicates`. Default 4096. Powers of two suit the
+    /// sequences best.
+    pub samples: u32,
+    /// Independent scrambles the samples are divided over; their spread gives the standard error, which itself is
+    /// uncertain by about 1/√(2·replicates). Default 16.
+    pub replicates: u32,
+    /// Everything is a function of it. Default 1.
+    pub seed: u64,
+}
+
+impl Default for Effort {
+    fn default() -> Self {
+        Effort { samples: 4096, replicates: 16, seed: 1 }
+    }
+}
+
+impl Effort {
+    /// Estimates `count` quantities, each the mean of `sample(i, numbers)`.
+    ///
+    /// Replicates are the unit of parallel work, so one quantity alone keeps several threads busy; each is summed in
+    /// order by one thread, so the result does not depend on how many there are.
+    pub(super) fn estimate(
+        &self,
+        count: usize,
+        progress: &Progress,
+        sample: impl Fn(usize, &mut Samples) -> [f64; 3] + Sync,
+    ) -> Result<Vec<Estimate>> {
+        assert!(self.replicates >= 2, "a standard error needs two replicates");
+        let replicates = self.replicates as usize;
+        let each = self.samples.div_ceil(self.replicates).max(1);
+        progress.begin(count as u64 * replicates as u64 * each as u64);
+        let one = |task: usize| {
+            progress.check()?;
+            let (i, replicate) = (task / replicates, task % replicates);
+            let seed = mix(&[self.seed, i as u64, replicate as u64]);
+            let mut sum = [0.0; 3];
+            for s in 0..each {
+                let value = sample(i, &mut Samples::new(s, seed));
+                (0..3).for_each(|c| sum[c] += value[c]);
+            }
+            progress.advance(each as u64);
+            Ok(sum.map(|x| x / each as f64))
+        };
+        let means: Vec<[f64; 3]> = (0..count * replicates).into_par_iter().map(one).collect::<Result<_>>()?;
+        Ok(means.chunks(replicates).map(Estimate::of).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn standard_error_covers_a_known_mean() {
+        // The integral of x² y over the square is 1/6. 400 estimates, about 5 % outside two standard errors.
+        let effort = Effort { samples: 256, ..Effort::default() };
+        let all = effort
+            .estimate(400, &Progress::new(), |_, s| {
+                let [x, y] = s.square().map(f64::from);
+                [x * x * y, 1.0, 0.0]
+            })
+            .unwrap();
+        let outside =
+            all.iter().filter(|e| (e.mean[0] - 1.0 / 6.0).abs() > 2.0 * e.standard_error[0]).count();
+        assert!((5..60).contains(&outside), "{outside} of 400 outside two standard errors");
+        assert!(all.iter().all(|e| e.mean[1] == 1.0 && e.standard_error[1] == 0.0));
+    }
+
+    #[test]
+    fn replicates_tell_the_same_one_by_one() {
+        let r = [[1.0, 2.0, 3.0], [2.0, 2.5, 7.0], [4.0, 1.0, 5.0]];
+        let a = Estimate::of(&r);
+        let mut running = Running::default();
+        r.iter().zip(1..).for_each(|(x, n)| running.add(n, (*x).into()));
+        let b = running.estimate(3);
+        for c in 0..3 {
+            assert!((a.mean[c] - b.mean[c]).abs() < 1e-12);
+            assert!((a.standard_error[c] - b.standard_error[c]).abs() < 1e-12);
+        }
+        assert!((a.standard_error[0] - (7.0f64 / 9.0).sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_stop_is_obeyed() {
+        let progress = Progress::new();
+        progress.stop();
+        let stopped = Effort::default().estimate(1, &progress, |_, _| [0.0; 3]);
+        assert!(matches!(stopped, Err(crate::Error::Stopped)));
+    }
+}

@@ -1,0 +1,129 @@
+//! Irradiance at places that the user names.
+
+use std::{io::Write, path::Path};
+
+use glam::DVec3;
+
+use super::Estimate;
+use crate::{Error, Result};
+
+/// A place and the direction it faces, in the file's coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Probe {
+    /// The point.
+    pub point: DVec3,
+    /// The direction it faces; not zero, of any length.
+    pub normal: DVec3,
+}
+
+/// Reads a file of probes: each line `x y z nx ny nz`; blank lines and what follows `#` do not count.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] with the line that cannot be understood.
+pub fn read_probes(path: &Path) -> Result<Vec<Probe>> {
+    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    let text = String::from_utf8_lossy(&bytes);
+    let mut probes = Vec::new();
+    for (i, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
+        let content = line.split('#').next().unwrap_or_default().trim();
+        if !content.is_empty() {
+            let probe = parse(content).map_err(|message| {
+                Error::input(path, Some(i + 1), message).with_hint("a line reads: x y z nx ny nz")
+            })?;
+            probes.push(probe);
+        }
+    }
+    if probes.is_empty() {
+        return Err(Error::input(path, None, "no points").with_hint("a line reads: x y z nx ny nz"));
+    }
+    Ok(probes)
+}
+
+fn parse(line: &str) -> std::result::Result<Probe, String> {
+    let mut numbers = Vec::with_capacity(6);
+    for word in line.split_whitespace() {
+        match word.parse::<f64>() {
+            Ok(x) if x.is_finite() => numbers.push(x),
+            Ok(_) => return Err(format!("{word} is not finite")),
+            Err(_) => return Err(format!("{word:?} is not a number")),
+        }
+    }
+    let [x, y, z, nx, ny, nz] = numbers[..] else {
+        return Err(format!("6 numbers expected, found {}", numbers.len()));
+    };
+    let normal = DVec3::new(nx, ny, nz);
+    if normal.try_normalize().is_none() {
+        return Err("the normal has no direction".into());
+    }
+    Ok(Probe { point: DVec3::new(x, y, z), normal })
+}
+
+/// Writes a line `x y z nx ny nz Er Eg Eb SEr SEg SEb` for each probe.
+///
+/// # Errors
+/// What the writer says.
+///
+/// # Panics
+/// When there are not as many estimates as probes.
+pub fn write_probes(out: &mut impl Write, probes: &[Probe], estimates: &[Estimate]) -> std::io::Result<()> {
+    assert_eq!(probes.len(), estimates.len(), "an estimate for each probe");
+    for (probe, estimate) in probes.iter().zip(estimates) {
+        let (p, n) = (probe.point, probe.normal);
+        write!(out, "{} {} {} {} {} {}", p.x, p.y, p.z, n.x, n.y, n.z)?;
+        for x in estimate.mean.iter().chain(&estimate.standard_error) {
+            write!(out, " {x:.9e}")?;
+        }
+        writeln!(out)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Vec<Probe>> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("points.txt");
+        std::fs::write(&path, text).unwrap();
+        read_probes(&path)
+    }
+
+    #[test]
+    fn comments_blanks_and_line_ends_do_not_matter() {
+        let probes = read("\u{feff}# a desk\r\n\r\n 1 2 3\t0 0 1 # top\r\n-1e3 0.5 +4 0 -2 0").unwrap();
+        assert_eq!(probes.len(), 2);
+        assert_eq!(probes[0], Probe { point: DVec3::new(1., 2., 3.), normal: DVec3::Z });
+        assert_eq!(probes[1], Probe { point: DVec3::new(-1e3, 0.5, 4.), normal: DVec3::new(0., -2., 0.) });
+    }
+
+    #[test]
+    fn errors_name_file_and_line() {
+        for (text, place, what) in [
+            ("1 2 3 0 0 1\n\n1 2 3 0 0\n", "points.txt:3:", "found 5"),
+            ("1 2 3 0 0 1 7\n", "points.txt:1:", "found 7"),
+            ("# one\n1 2 x 0 0 1\n", "points.txt:2:", "\"x\" is not a number"),
+            ("1 2 nan 0 0 1\n", "points.txt:1:", "not finite"),
+            ("1 2 3 0 0 0\n", "points.txt:1:", "no direction"),
+            ("# nothing\n", "points.txt:", "no points"),
+        ] {
+            let error = read(text).unwrap_err();
+            let shown = error.to_string();
+            assert!(shown.contains(place) && shown.contains(what), "{shown}");
+            assert!(error.hint().is_some());
+        }
+        assert!(matches!(read_probes(Path::new("/none/points")), Err(Error::Io { .. })));
+    }
+
+    #[test]
+    fn lines_come_out_in_the_order_of_the_contract() {
+        let probe = Probe { point: DVec3::new(0.1, 2., 3.), normal: DVec3::X };
+        let estimate = Estimate { mean: [1.5, 2.5, 0.0], standard_error: [0.25, 0.125, 0.0] };
+        let mut out = Vec::new();
+        write_probes(&mut out, &[probe], &[estimate]).unwrap();
+        let line = String::from_utf8(out).unwrap();
+        let numbers: Vec<f64> = line.split_whitespace().map(|w| w.parse().unwrap()).collect();
+        assert_eq!(numbers, [0.1, 2., 3., 1., 0., 0., 1.5, 2.5, 0., 0.25, 0.125, 0.]);
+        assert!(line.ends_with('\n'));
+    }
+}

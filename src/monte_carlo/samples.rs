@@ -1,0 +1,107 @@
+//! The random numbers of one path.
+
+use rand_pcg::{Pcg32, rand_core::Rng};
+
+use crate::trace::sampling::{mix, sobol_4d};
+
+/// Groups of four dimensions that come from Sobol sequences. A path's first decisions (pixel or place, first
+/// direction, point on a lamp, second direction) carry most of the variance; later ones gain nothing measurable.
+const SOBOL_GROUPS: u32 = 2;
+
+/// The random numbers of one path: scrambled Sobol points first, then a pseudo-random stream.
+///
+/// Each group of four dimensions is its own Owen-scrambled and shuffled sequence (the padding of Burley, JCGT 10(1),
+/// 2020, section 5).
+#[derive(Debug, Clone)]
+pub struct Samples {
+    index: u32,
+    seed: u64,
+    group: u32,
+    spare: Option<[f32; 2]>,
+    stream: Pcg32,
+}
+
+impl Samples {
+    /// Numbers of path `index` of the point set `seed`.
+    #[inline]
+    pub fn new(index: u32, seed: u64) -> Self {
+        let stream = Pcg32::new(mix(&[seed, index as u64]), seed);
+        Samples { index, seed, group: 0, spare: None, stream }
+    }
+
+    /// A uniform number in \[0, 1), 24 bits.
+    #[inline]
+    pub fn number(&mut self) -> f32 {
+        (self.stream.next_u32() >> 8) as f32 * 2f32.powi(-24)
+    }
+
+    /// A point of the unit square from the next pair of dimensions.
+    #[inline]
+    pub fn square(&mut self) -> [f32; 2] {
+        if let Some(pair) = self.spare.take() {
+            return pair;
+        }
+        if self.group == SOBOL_GROUPS {
+            return [self.number(), self.number()];
+        }
+        let [x, y, z, w] = sobol_4d(self.index, self.seed.wrapping_add(mix(&[self.group as u64])));
+        self.group += 1;
+        self.spare = Some([z, w]);
+        [x, y]
+    }
+
+    /// A point of the unit square whose first coordinate has 53 bits: enough to choose among millions of things and
+    /// still have a uniform number left.
+    #[inline]
+    pub fn fine_square(&mut self) -> (f64, f32) {
+        let [x, y] = self.square();
+        let x = f64::from(x) + f64::from(self.stream.next_u32()) * 2f64.powi(-56);
+        (x.min(1.0 - f64::EPSILON), y)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Counts 2¹² points of two coordinates in 16 × 16 cells: 16 are expected in each.
+    fn largest_deviation(pick: impl Fn(&mut Samples) -> [f64; 2]) -> f64 {
+        let mut cells = [[0.0f64; 16]; 16];
+        for i in 0..1 << 12 {
+            let [x, y] = pick(&mut Samples::new(i, 42));
+            cells[(x * 16.0) as usize][(y * 16.0) as usize] += 1.0;
+        }
+        cells.iter().flatten().map(|c| (c - 16.0).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn groups_are_padded_without_correlation() {
+        // Two scrambles of one sequence in step would leave most cells empty.
+        let across = largest_deviation(|s| {
+            let [x, _] = s.square();
+            s.square();
+            [x as f64, s.square()[0] as f64]
+        });
+        assert!(across < 5.0 * 4.0, "{across}");
+        let within = largest_deviation(|s| s.square().map(f64::from));
+        assert_eq!(within, 0.0, "a (0, 2) net puts 16 points in each cell");
+        let late = largest_deviation(|s| {
+            for _ in 0..4 {
+                s.square();
+            }
+            s.square().map(f64::from)
+        });
+        assert!(late > 0.0 && late < 5.0 * 4.0, "{late}");
+    }
+
+    #[test]
+    fn fine_numbers_fill_the_gaps_of_single_precision() {
+        let mut low_bits = 0;
+        for i in 0..1000 {
+            let (x, _) = Samples::new(i, 7).fine_square();
+            assert!((0.0..1.0).contains(&x));
+            low_bits += ((x * 2f64.powi(40)) as u64 & 1) as i32;
+        }
+        assert!((400..600).contains(&low_bits), "{low_bits}");
+    }
+}
