@@ -82,20 +82,20 @@ impl ErrorBars {
             of_mean: mean.iter().map(standard_error).collect(),
         })
     }
+}
 
-    /// Area-weighted root mean square of the standard errors over the area-weighted mean irradiance, over all patches
-    /// and channels.
-    pub fn relative_rms(&self, areas: &[f64], irradiance: &[f64]) -> f64 {
-        let (mut squares, mut mean, mut weight) = (0.0, 0.0, 0.0);
-        for i in 0..areas.len() {
-            for c in i * self.channels..(i + 1) * self.channels {
-                squares += areas[i] * self.standard_error[c].powi(2);
-                mean += areas[i] * irradiance[c];
-                weight += areas[i];
-            }
-        }
-        if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
+/// Area-weighted root mean square of `values`, interleaved channels a patch, relative to the area-weighted mean
+/// irradiance; zero in the dark.
+pub fn relative_rms(values: &[f64], irradiance: &[f64], areas: &[f64]) -> f64 {
+    let channels = values.len() / areas.len();
+    let (mut squares, mut mean, mut weight) = (0.0, 0.0, 0.0);
+    for q in 0..values.len() {
+        let area = areas[q / channels];
+        squares += area * values[q].powi(2);
+        mean += area * irradiance[q];
+        weight += area;
     }
+    if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
 }
 
 /// One value a replicate and channel.
@@ -181,4 +181,17 @@ fn sent<const C: usize>(
 fn root_mean_square<const C: usize>(values: &[Spectrum<C>]) -> f64 {
     let squares: f64 = values.iter().flatten().flatten().map(|&v| f64::from(v).powi(2)).sum();
     (squares / values.len() as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_root_mean_square_is_weighted_by_area() {
+        // sqrt((2^2 + 3 * 1^2) / 4) over (1 + 3 * 5) / 4.
+        let relative = relative_rms(&[2.0, 1.0], &[1.0, 5.0], &[1.0, 3.0]);
+        assert!((relative - 1.75f64.sqrt() / 4.0).abs() < 1e-14);
+        assert_eq!(relative_rms(&[0.0, 0.0], &[0.0, 0.0], &[1.0, 3.0]), 0.0);
+    }
 }

@@ -8,7 +8,7 @@ use crate::{
     Progress, Result,
     accuracy::{
         comparison::{Comparison, Estimates},
-        error_bars::ErrorBars,
+        error_bars::{ErrorBars, relative_rms},
     },
     energy::EnergyLedger,
     form_factor::{CastOptions, FormFactors},
@@ -95,7 +95,7 @@ fn halved(patches: &Patches) -> Subdivision {
 ///
 /// From `fine` on the error still left is between a third (if it falls with the square of the edge) and all (if it
 /// falls with the edge) of the change between the two. A patch's own estimate stays as it is, and its allowance is
-/// twice the change, so far as the change exceeds what sampling explains. The mean, where a small bias matters, is
+/// twice the change, its own or its neighbours', so far as it exceeds what sampling explains. The mean, where a small bias matters, is
 /// extrapolated by two thirds of the change, give or take a third.
 pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
     let channels = coarse.solution.channels;
@@ -103,12 +103,11 @@ pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
     let (mean_fine, error_fine) = aggregated(&coarse.patches, fine);
     let irradiance = coarse.solution.irradiance[..n * channels].to_vec();
     let standard_error = coarse.error_bars.standard_error[..n * channels].to_vec();
-    let allowance = (0..n * channels)
-        .map(|q| {
-            let noise = standard_error[q].powi(2) + error_fine[q].powi(2);
-            2.0 * ((irradiance[q] - mean_fine[q]).powi(2) - noise).max(0.0).sqrt()
-        })
+    let excess: Vec<f64> = (0..n * channels)
+        .map(|q| (irradiance[q] - mean_fine[q]).powi(2) - standard_error[q].powi(2) - error_fine[q].powi(2))
         .collect();
+    let allowance =
+        at_least_common(&coarse.patches, &excess).iter().map(|x| 2.0 * x.max(0.0).sqrt()).collect();
     let total: f64 = (0..n).map(|i| coarse.patches.area(i)).sum();
     let mean = (0..channels)
         .map(|c| {
@@ -122,6 +121,7 @@ pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
             (at_half + 2.0 / 3.0 * change, noise.hypot(change / 3.0))
         })
         .collect();
+    let standard_error = share_luck(&coarse.patches, &standard_error);
     Estimates { irradiance, standard_error, allowance, mean }
 }
 
@@ -184,6 +184,31 @@ pub fn light_traced(
     Ok(from_monte_carlo(&transport.bins, patches, |i| 1.0 / patches.area(i)))
 }
 
+/// Standard errors no lower than the common one of a patch's block. Where light comes by rare paths, a patch that missed
+/// them has both too low a mean and too low an error; its neighbours know better.
+fn share_luck(patches: &Patches, standard_error: &[f64]) -> Vec<f64> {
+    let variance: Vec<f64> = standard_error.iter().map(|e| e * e).collect();
+    at_least_common(patches, &variance).into_iter().map(f64::sqrt).collect()
+}
+
+/// Values no lower than their mean over the block of up to 16 patches, two levels up the quadtree, that a patch lies in.
+fn at_least_common(patches: &Patches, values: &[f64]) -> Vec<f64> {
+    let channels = patches.channels();
+    let block = |i: usize| (patches.triangle(i), patches.child(i) >> 4);
+    let fronts: Vec<usize> = (0..patches.fronts()).collect();
+    let mut raised = values.to_vec();
+    for members in fronts.chunk_by(|&i, &j| block(i) == block(j)) {
+        for c in 0..channels {
+            let mean = members.iter().map(|i| values[i * channels + c]).sum::<f64>() / members.len() as f64;
+            for i in members {
+                let value = &mut raised[i * channels + c];
+                *value = value.max(mean);
+            }
+        }
+    }
+    raised
+}
+
 fn from_monte_carlo(found: &[Estimate], patches: &Patches, factor: impl Fn(usize) -> f64) -> Estimates {
     let channels = patches.channels();
     let values = |of: &dyn Fn(&Estimate) -> [f64; 3]| -> Vec<f64> {
@@ -194,7 +219,9 @@ fn from_monte_carlo(found: &[Estimate], patches: &Patches, factor: impl Fn(usize
             .collect()
     };
     let areas: Vec<f64> = (0..found.len()).map(|i| patches.area(i)).collect();
-    Estimates::independent(values(&|e| e.mean), values(&|e| e.standard_error), &areas)
+    let mut estimates = Estimates::independent(values(&|e| e.mean), values(&|e| e.standard_error), &areas);
+    estimates.standard_error = share_luck(patches, &estimates.standard_error);
+    estimates
 }
 
 /// Everything that was looked at.
@@ -266,16 +293,4 @@ impl Validation {
             ("path tracing against light tracing", &self.referees),
         ]
     }
-}
-
-fn relative_rms(values: &[f64], irradiance: &[f64], areas: &[f64]) -> f64 {
-    let channels = values.len() / areas.len();
-    let (mut squares, mut mean, mut weight) = (0.0, 0.0, 0.0);
-    for q in 0..values.len() {
-        let area = areas[q / channels];
-        squares += area * values[q].powi(2);
-        mean += area * irradiance[q];
-        weight += area;
-    }
-    if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
 }
