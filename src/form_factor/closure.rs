@@ -52,7 +52,7 @@ const YIELD: f64 = 0.1;
 /// What brought the rows near their sums.
 #[derive(Debug, Clone)]
 pub(super) struct Spread {
-    /// Factor of row and column `i` in entries between patches that are no sources, and in what escapes.
+    /// Factor of row and column `i` in entries between patches that are no sources.
     pub(super) plain: Vec<f64>,
     /// Factor of row and column `i` in links.
     pub(super) link: Vec<f64>,
@@ -78,7 +78,11 @@ impl Spread {
 /// Brings the rows to within 10⁻⁴ of their sums, before [`close`] makes them exact, with corrections about in proportion
 /// to the variance of the entries: pairs without a source are multiplied by d_i d_j, the link of patch i with source l
 /// by d_i^YIELD d_l.
-pub(super) fn spread(matrix: &mut Matrix, areas: &[f64], escaped: &mut [f64], is_source: &[bool]) -> Spread {
+///
+/// What escapes stays as it is: only a patch's own rays measure it, so that it would yield to its own noise twice as much
+/// as pooled entries do, and too little light would leave the scene (measured: 1 % more light in a Cornell box of 16,000
+/// patches at 64 rays).
+pub(super) fn spread(matrix: &mut Matrix, areas: &[f64], escaped: &[f64], is_source: &[bool]) -> Spread {
     let n = areas.len();
     let mut spread = Spread::none(n);
     for _ in 0..MOST_ROUNDS {
@@ -91,9 +95,6 @@ pub(super) fn spread(matrix: &mut Matrix, areas: &[f64], escaped: &mut [f64], is
             break;
         }
         spread = Spread::new(rows.into_iter().map(|(d, _)| d).collect(), is_source);
-    }
-    for (escaped, d) in escaped.iter_mut().zip(&spread.plain) {
-        *escaped *= d;
     }
     let starts = matrix.indptr().raw_storage().to_vec();
     let columns = matrix.indices().to_vec();
@@ -118,7 +119,7 @@ fn rescale_row(
     i: usize,
 ) -> (f64, f64) {
     let (columns, values) = row(matrix, i);
-    let (mut plain, mut links) = (areas[i] * escaped[i], 0.0);
+    let (mut plain, mut links) = (0.0, 0.0);
     for (&j, &s) in columns.iter().zip(values) {
         let j = j as usize;
         if is_source[i] || is_source[j] {
@@ -128,16 +129,17 @@ fn rescale_row(
         }
     }
     let power = Spread::link_yield(is_source[i]);
-    // The d with d plain + d^power links = A, by Newton's method in ln d.
+    let target = areas[i] * (1.0 - escaped[i]);
+    // The d with d plain + d^power links = target, by Newton's method in ln d.
     let now = spread.plain[i].ln();
     let mut x = now;
     for _ in 0..8 {
         let (p, l) = (x.exp() * plain, (power * x).exp() * links);
-        x -= (p + l - areas[i]) / (p + power * l);
+        x -= (p + l - target) / (p + power * l);
     }
     let sum = now.exp() * plain + (power * now).exp() * links;
     // Half the way, as in `close`: each pair is corrected from both its ends.
-    ((0.5 * (x + now)).exp(), sum / areas[i] - 1.0)
+    ((0.5 * (x + now)).exp(), (sum - target) / areas[i])
 }
 
 /// Largest |row sum + escaped share - 1|.

@@ -118,7 +118,7 @@ pub(super) fn cast(
     tracer: &Tracer,
     patches: &mut Patches,
     sources: Sources,
-    share: Share,
+    share: impl Fn(usize) -> Share,
     seed: u64,
     progress: &Progress,
 ) -> Result<Hits> {
@@ -135,7 +135,7 @@ pub(super) fn cast(
         let last = patches.len();
         let done = hits.rays();
         for i in first..last {
-            hits.shares.push(share);
+            hits.shares.push(share(i));
             hits.offsets.push(hits.offsets[i] + hits.rays_of(i) as usize);
         }
         hits.targets.resize(hits.offsets[last], 0);
@@ -223,7 +223,7 @@ fn cast_patch(
         if sources.concern(i, if *target & BACK == 0 { j } else { usize::MAX }) {
             let cos = tracer.triangles()[hit.triangle as usize].normal.dot(direction).abs();
             let kernel = lifted.z * cos / (std::f32::consts::PI * hit.t * hit.t);
-            links.push(Link { from: i as u32, to: *target, kernel, replicate });
+            links.push(Link { from: i as u32, to: *target, kernel, replicate, shadow: false });
             *target = LINKED;
         }
     }

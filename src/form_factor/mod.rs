@@ -35,6 +35,10 @@ pub enum Estimator {
     Pooled,
 }
 
+/// Share of the hemisphere rays that leave the sources, by power. They alone tell how much of the emitted light goes
+/// straight out of the scene.
+const POWER_SHARE: f64 = 0.2;
+
 /// What to cast.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CastOptions {
@@ -96,11 +100,18 @@ impl FormFactors {
             Estimator::OneWay => Sources::default(),
             Estimator::Pooled => Sources::emitters(patches),
         };
-        let shadow_share = if sources.is_empty() { 0.0 } else { options.shadow_share };
+        let shadow_rays = if sources.is_empty() { 0.0 } else { options.rays * options.shadow_share };
+        let hemisphere_rays = options.rays - shadow_rays;
+        let (power, even) = if sources.is_empty() { (0.0, 1.0) } else { (POWER_SHARE, 1.0 - POWER_SHARE) };
+        let fronts = patches.fronts() as f64;
+        let probability: Vec<f64> = (0..patches.fronts()).map(|i| sources.probability(i)).collect();
         let per_replicate = |rays: f64| (rays / REPLICATES as f64).round().max(1.0) as u32;
-        let share = Share {
-            hemisphere: per_replicate(options.rays * (1.0 - shadow_share)),
-            shadow: if shadow_share > 0.0 { per_replicate(options.rays * shadow_share) } else { 0 },
+        let share = |i: usize| {
+            let by_power = power * fronts * probability.get(i).unwrap_or(&0.0);
+            Share {
+                hemisphere: per_replicate(hemisphere_rays * (even + by_power)),
+                shadow: if shadow_rays > 0.0 { per_replicate(shadow_rays) } else { 0 },
+            }
         };
         let hits = hemisphere::cast(scene, tracer, patches, sources, share, options.seed, progress)?;
         let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
@@ -115,7 +126,7 @@ impl FormFactors {
         let densities = Densities::new(&hits, &relative, scale * (scale / mean));
         let own = reciprocity::count(&hits, &densities);
         let one_way = reciprocity::one_way_deviation(&own, &hits, &areas);
-        let mut escaped: Vec<f64> = (0..n).map(|i| own.escaped(i) / f64::from(hits.rays_of(i))).collect();
+        let escaped: Vec<f64> = (0..n).map(|i| own.escaped(i) / f64::from(hits.rays_of(i))).collect();
         match estimator {
             Estimator::OneWay => FormFactors {
                 left: (0..n).map(|i| 1.0 / f64::from(hits.rays_of(i))).collect(),
@@ -131,11 +142,11 @@ impl FormFactors {
             Estimator::Pooled => {
                 let mut matrix = reciprocity::pool(own, &hits, &densities);
                 let before = closure::row_sum_deviation(&matrix, &relative, &escaped);
-                let mut spread = Spread::none(n);
-                if !hits.sources.is_empty() {
-                    let is_source: Vec<bool> = (0..n).map(|i| hits.sources.probability(i) > 0.0).collect();
-                    spread = closure::spread(&mut matrix, &relative, &mut escaped, &is_source);
-                }
+                let is_source: Vec<bool> = (0..n).map(|i| hits.sources.probability(i) > 0.0).collect();
+                // A patch none of whose rays landed may be hit by others all the same: it keeps half a ray for them.
+                let most = |i: usize| 1.0 - 0.5 / f64::from(hits.rays_of(i));
+                let escaped: Vec<f64> = escaped.iter().enumerate().map(|(i, e)| e.min(most(i))).collect();
+                let spread = closure::spread(&mut matrix, &relative, &escaped, &is_source);
                 let mut form_factors = Self::from_exchange(matrix, relative.clone(), escaped);
                 form_factors.areas = areas;
                 form_factors.samples = Some(Samples { hits, densities, spread, areas: relative });

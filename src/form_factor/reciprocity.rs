@@ -72,6 +72,12 @@ impl Counts {
     }
 }
 
+/// Weight of a hemisphere ray's density against a shadow ray's in the balance heuristic. Any gives the same mean. As many
+/// shadow rays as wanted go to a pair, while hemisphere rays find it by chance: their number varies as well as what they
+/// say. RMS errors of irradiance at 64 rays a patch on four rooms, 0.1 against 1: 9.3 against 11.5 %, 8.4 against 9.8 %,
+/// 3.0 against 5.2 %, 7.9 against 10.9 %; 0.01 loses where shadow rays are few.
+const TRUST: f64 = 0.1;
+
 /// How densely the rays sample pairs of points, in relative areas.
 #[derive(Debug, Clone)]
 pub(super) struct Densities {
@@ -108,9 +114,10 @@ impl Densities {
     pub(super) fn link(&self, link: &Link) -> f64 {
         let (i, j) = (link.from as usize, link.to as usize);
         let kernel = f64::from(link.kernel) / self.unit;
-        let hemisphere = self.hemisphere[i] + self.hemisphere[j];
+        let hemisphere = TRUST * (self.hemisphere[i] + self.hemisphere[j]);
         let shadow = self.shadow[i] * self.source[j] + self.shadow[j] * self.source[i];
-        kernel / (hemisphere * kernel + shadow)
+        let weight = if link.shadow { 1.0 } else { TRUST };
+        weight * kernel / (hemisphere * kernel + shadow)
     }
 }
 

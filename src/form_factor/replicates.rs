@@ -24,12 +24,14 @@ pub(super) struct Samples {
 struct Sums<const C: usize> {
     plain: f32,
     links: f32,
+    escaped: f32,
     plain_power: [f32; C],
     link_power: [f32; C],
 }
 
 impl<const C: usize> Sums<C> {
-    const ZERO: Self = Sums { plain: 0.0, links: 0.0, plain_power: [0.0; C], link_power: [0.0; C] };
+    const ZERO: Self =
+        Sums { plain: 0.0, links: 0.0, escaped: 0.0, plain_power: [0.0; C], link_power: [0.0; C] };
 
     #[inline]
     fn add_plain(&mut self, exchange: f64, radiosity: &[f64; C]) {
@@ -107,7 +109,7 @@ impl Samples {
             for &j in targets {
                 match j {
                     LINKED => {}
-                    ESCAPED => all[i].plain += (areas[i] / targets.len() as f64 * spread.plain[i]) as f32,
+                    ESCAPED => all[i].escaped += (areas[i] / targets.len() as f64) as f32,
                     j => {
                         let j = j as usize;
                         let exchange = many * densities.hit(i, j) * spread.plain[i] * spread.plain[j];
@@ -140,11 +142,11 @@ impl Samples {
         let power = Spread::link_yield(self.hits.sources.probability(i) > 0.0);
         // A replicate whose row sums to more than the mean is scaled down by the closure.
         let stiffness = plain + power * links;
+        let sum = |s: &Sums<C>| s.plain + s.links + s.escaped;
+        let whole = mean(&sum);
         let scale: [f64; REPLICATES] = std::array::from_fn(|k| match estimator {
-            Estimator::Pooled => {
-                (plain + links - f64::from(replicates[k].plain + replicates[k].links)) / stiffness
-            }
-            Estimator::OneWay => 0.0,
+            Estimator::Pooled if stiffness > 0.0 => (whole - f64::from(sum(&replicates[k]))) / stiffness,
+            _ => 0.0,
         });
         let power_mean = |c: usize| (mean(&|s| s.plain_power[c]), mean(&|s| s.link_power[c]));
         Deviation {

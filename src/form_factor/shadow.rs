@@ -35,6 +35,8 @@ pub(super) struct Link {
     pub(super) kernel: f32,
     /// The replicate it belongs to.
     pub(super) replicate: u32,
+    /// Whether a shadow ray found it.
+    pub(super) shadow: bool,
 }
 
 /// The patches that shadow rays go to.
@@ -138,7 +140,7 @@ pub(super) fn cast_patch(
         }
         let kernel = cos_p * cos_q / (std::f32::consts::PI * squared * squared);
         if kernel > 0.0 && tracer.visible(Tracer::leave(p, from.normal), Tracer::leave(q, to.normal)) {
-            links.push(Link { from: i as u32, to: j as u32, kernel, replicate });
+            links.push(Link { from: i as u32, to: j as u32, kernel, replicate, shadow: true });
         }
     }
 }

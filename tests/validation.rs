@@ -1,0 +1,146 @@
+//! The verdict passes right answers and fails wrong ones.
+
+use radiosity::{
+    Progress, Scene,
+    accuracy::{
+        comparison::{Comparison, Estimates},
+        validation::{Solved, Validation, ValidationOptions, light_traced, path_traced, radiosity_estimates},
+    },
+    form_factor::{CastOptions, FormFactors, Matrix},
+    patch::{Patches, Subdivision},
+    scene::Material,
+    solve::{SolveOptions, solve},
+    trace::Tracer,
+};
+
+fn options(seed: u64) -> ValidationOptions {
+    ValidationOptions {
+        subdivision: Subdivision::Count(400),
+        paths: 512,
+        particles: 1 << 20,
+        seed,
+        ..ValidationOptions::default()
+    }
+}
+
+fn cornell_box() -> Scene {
+    Scene::load("meshes/cornell-box.obj").unwrap()
+}
+
+/// The same scene with other materials and only its first triangles.
+fn altered(scene: &Scene, triangles: usize, change: impl Fn(&mut Material)) -> Scene {
+    let corners: Vec<_> = (0..triangles).map(|t| (scene.corners(t), scene.triangles[t].material)).collect();
+    let mut materials = scene.materials.clone();
+    materials.iter_mut().for_each(change);
+    Scene::new(&corners, materials)
+}
+
+fn solved_twice(scene: &Scene, options: &ValidationOptions) -> (Solved, Solved) {
+    let tracer = Tracer::new(scene);
+    let cast = CastOptions { rays: options.rays, seed: options.seed, ..CastOptions::default() };
+    let at = |subdivision: &Subdivision, cast: &CastOptions| {
+        Solved::new(scene, &tracer, subdivision, cast, &options.solve, &Progress::new()).unwrap()
+    };
+    let coarse = at(&options.subdivision, &cast);
+    let half = Subdivision::Edge(0.5 * coarse.patches.edge());
+    let fine = at(&half, &CastOptions { rays: 0.25 * options.rays, seed: options.seed + 1, ..cast });
+    (coarse, fine)
+}
+
+fn areas(patches: &Patches) -> Vec<f64> {
+    (0..patches.fronts()).map(|i| patches.area(i)).collect()
+}
+
+/// Radiosity against both referees, which see `referee`.
+fn against(
+    referee: &Scene,
+    patches: &Patches,
+    radiosity: &Estimates,
+    options: &ValidationOptions,
+) -> [Comparison; 2] {
+    let tracer = Tracer::new(referee);
+    let path = path_traced(referee, &tracer, patches, options, &Progress::new()).unwrap();
+    let light = light_traced(referee, &tracer, patches, options, &Progress::new()).unwrap();
+    [path, light].map(|seen| Comparison::of(radiosity, &seen, &areas(patches)))
+}
+
+/// The limits are set so that about one right answer in a hundred objects: of 16 seeds, two objections would be a
+/// one-in-a-hundred chance.
+#[test]
+fn right_answers_pass() {
+    let mut objecting = Vec::new();
+    for scene in ["meshes/cornell-box.obj", "meshes/textured.obj"] {
+        let scene = Scene::load(scene).unwrap();
+        for seed in 0..8 {
+            let objections = Validation::of(&scene, &options(seed), &Progress::new()).unwrap().objections();
+            if !objections.is_empty() {
+                objecting.push(objections);
+            }
+        }
+    }
+    assert!(objecting.len() <= 1, "{objecting:#?}");
+}
+
+#[test]
+fn two_percent_of_reflectance_are_noticed() {
+    let scene = cornell_box();
+    for factor in [0.98, 1.02] {
+        let wrong =
+            altered(&scene, scene.triangles.len(), |m| m.reflectance = m.reflectance.map(|r| r * factor));
+        for seed in 0..2 {
+            let (coarse, fine) = solved_twice(&wrong, &options(seed));
+            let radiosity = radiosity_estimates(&coarse, &fine);
+            for comparison in against(&scene, &coarse.patches, &radiosity, &options(seed)) {
+                assert!(!comparison.objections().is_empty(), "{factor}, seed {seed}: {comparison:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_missing_blocker_is_noticed() {
+    let scene = cornell_box();
+    // The blocks come last in the file, ten triangles each.
+    let wrong = altered(&scene, scene.triangles.len() - 10, |_| ());
+    let (coarse, fine) = solved_twice(&wrong, &options(0));
+    let radiosity = radiosity_estimates(&coarse, &fine);
+    for comparison in against(&scene, &coarse.patches, &radiosity, &options(0)) {
+        assert!(!comparison.objections().is_empty(), "{comparison:?}");
+    }
+}
+
+/// Form factors between each pair of triangles off by up to a fifth, symmetrically, at both patch sizes, as a mistake in
+/// the program would have it: reciprocal, closed, in perfect energy balance, and wrong.
+#[test]
+fn a_wrong_symmetric_matrix_is_noticed() {
+    let scene = cornell_box();
+    let (coarse, fine) = solved_twice(&scene, &options(0));
+    let [coarse, fine] = [coarse, fine].map(perturbed);
+    assert!(coarse.form_factors.reciprocity_deviation().after < 1e-12);
+    assert!(coarse.form_factors.row_sum_deviation().after < 1e-12);
+    let radiosity = radiosity_estimates(&coarse, &fine);
+    for comparison in against(&scene, &coarse.patches, &radiosity, &options(0)) {
+        assert!(!comparison.objections().is_empty(), "{comparison:?}");
+    }
+}
+
+fn perturbed(solved: Solved) -> Solved {
+    let Solved { patches, form_factors, error_bars, .. } = solved;
+    let n = patches.len();
+    let mean = form_factors.areas().iter().sum::<f64>() / n as f64;
+    let relative: Vec<f64> = form_factors.areas().iter().map(|a| a / mean).collect();
+    let (mut starts, mut columns, mut values) = (vec![0], Vec::new(), Vec::new());
+    for i in 0..n {
+        for (j, form_factor) in form_factors.row(i) {
+            let (s, t) = (patches.triangle(i), patches.triangle(j));
+            let factor = 1.0 + 0.2 * ((s.min(t) * 12 + s.max(t) * 7) as f64).sin();
+            columns.push(j as u32);
+            values.push((relative[i] * form_factor * factor) as f32);
+        }
+        starts.push(columns.len());
+    }
+    let matrix = Matrix::new((n, n), starts, columns, values);
+    let form_factors = FormFactors::from_exchange(matrix, relative, form_factors.escaped().to_vec());
+    let solution = solve(&form_factors, &patches, &SolveOptions::default(), &Progress::new()).unwrap();
+    Solved { patches, form_factors, solution, error_bars }
+}
