@@ -122,10 +122,10 @@ fn ten_million_rays_stay_in_closed_scenes() {
     leak_test(10_000_000, 2_000_000);
 }
 
-/// A minute or so:
-/// `cargo test --release --test rays -- --ignored`
+/// Half a minute:
+/// `cargo test --test rays -- --ignored`
 #[test]
-#[ignore = "takes long: cargo test --release --test rays -- --ignored"]
+#[ignore = "takes long: cargo test --test rays -- --ignored"]
 fn a_hundred_million_rays_stay_in_closed_scenes() {
     leak_test(100_000_000, 20_000_000);
 }
