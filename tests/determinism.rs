@@ -5,6 +5,7 @@ mod common;
 use common::*;
 use radiosity::{
     Progress, Scene,
+    accuracy::error_bars::ErrorBars,
     form_factor::{CastOptions, Estimator},
     patch::Subdivision,
     solve::{SolveOptions, Solver, solve},
@@ -44,7 +45,7 @@ fn run(scene: &Scene, estimator: Estimator, seed: u64, threads: usize) -> Bytes 
                 solve(f, &room.patches, &options, &Progress::new()).unwrap()
             })
             .collect();
-        let errors = f.standard_errors(&solutions[0].radiosity, room.patches.channels()).unwrap();
+        let errors = ErrorBars::of(f, &room.patches, &solutions[0]).unwrap().standard_error;
         Bytes {
             hits: (0..n).flat_map(|i| f.hits().unwrap().of(i)).copied().collect(),
             columns: rows.iter().map(|r| r.0).collect(),

@@ -30,7 +30,7 @@ fn calibrate(name: &str, scene: &radiosity::Scene, edge: f64, radiosity: &[f64],
             let options = CastOptions { rays: 256.0, estimator, seed, ..CastOptions::default() };
             let f = FormFactors::cast(scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
             let irradiance = f.irradiance(radiosity, 1);
-            let errors = f.standard_errors(radiosity, 1).unwrap();
+            let errors = standard_errors(&f, radiosity);
             let z: Vec<f64> = (0..f.len())
                 .map(|i| (irradiance[i] - truth[i]) / errors[i])
                 .filter(|z| !z.is_nan())

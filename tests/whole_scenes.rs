@@ -8,6 +8,7 @@ use common::*;
 use glam::{DVec2, DVec3, dvec2};
 use radiosity::{
     Progress, Scene,
+    accuracy::error_bars::ErrorBars,
     energy::EnergyLedger,
     form_factor::{
         CastOptions, Estimator, FormFactors,
@@ -24,6 +25,10 @@ fn solved<'a>(f: &FormFactors, light: impl Into<Radiometry<'a>>) -> Solution {
 
 fn grey<'a>(emission: &'a [f64], reflectance: &'a [f64]) -> Radiometry<'a> {
     Radiometry { channels: 1, emission, reflectance }
+}
+
+fn bars(cast: &Cast, solution: &Solution) -> Vec<f64> {
+    ErrorBars::of(&cast.form_factors, &cast.patches, solution).unwrap().standard_error
 }
 
 /// B = 1 up to the solver's certified bound and to what rows that do not sum to 1 add with every bounce; the rounding
@@ -159,7 +164,7 @@ fn the_inside_of_a_sphere() {
             (0..sphere.len()).map(|i| part(vec![sphere[i]], reflectance[i], emission[i])).collect();
         let cast = cast_whole(&parts, 512.0, Estimator::Pooled, 1);
         let solution = solved(&cast.form_factors, &cast.patches);
-        let errors = cast.form_factors.standard_errors(&solution.radiosity, 1).unwrap();
+        let errors = bars(&cast, &solution);
         let z = |i: usize| (solution.irradiance[i] - exact.irradiance[i]) / errors[i];
         let rms = ((0..sphere.len()).map(|i| z(i).powi(2)).sum::<f64>() / sphere.len() as f64).sqrt();
         println!("level {level}: RMS of z {rms}");
@@ -189,7 +194,7 @@ fn a_tessellated_sphere_converges_to_the_true_one() {
             let sphere = cast_whole(&bands, 1024.0, Estimator::Pooled, 2);
             assert_eq!(sphere.patches.len(), sphere.patches.fronts());
             let solution = solved(&sphere.form_factors, &sphere.patches);
-            let errors = sphere.form_factors.standard_errors(&solution.radiosity, 1).unwrap();
+            let errors = bars(&sphere, &solution);
             let all: Vec<usize> = (0..sphere.patches.len()).collect();
             sphere.mean(&all, &solution.irradiance, &errors)
         })
@@ -219,7 +224,7 @@ fn concentric_spheres() {
             [part(icosphere(0.5, level), rho[0], 1.0), part(flipped(icosphere(1.0, level)), rho[1], 0.0)];
         let spheres = cast_whole(&parts, 512.0, Estimator::Pooled, 4);
         let solution = solved(&spheres.form_factors, &spheres.patches);
-        let errors = spheres.form_factors.standard_errors(&solution.radiosity, 1).unwrap();
+        let errors = bars(&spheres, &solution);
         let squares: Vec<f64> = errors.iter().map(|e| e * e).collect();
         let square = spheres.mean(&spheres.of_part(1), &squares, &squares).value;
         let gain = 2.0 * rho[1] * square / (truth[0] - truth[1]) / 0.25;

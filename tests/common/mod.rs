@@ -7,9 +7,11 @@ use std::{collections::HashMap, f64::consts::PI};
 use glam::{DVec3, dvec3};
 use radiosity::{
     Progress, Scene,
+    accuracy::error_bars::ErrorBars,
     form_factor::{CastOptions, Estimator, FormFactors, Matrix},
     patch::{Patches, Subdivision},
     scene::Material,
+    solve::{Radiometry, SolveOptions, solve},
     trace::{Tracer, sampling::mix},
 };
 
@@ -204,6 +206,15 @@ pub fn cast_whole(parts: &[Part], rays: f64, estimator: Estimator, seed: u64) ->
     cast(scene(parts), Subdivision::Edge(f64::INFINITY), options)
 }
 
+/// Standard errors of the irradiance that one channel of known radiosity gives: nothing is inherited where nothing is
+/// reflected.
+pub fn standard_errors(f: &FormFactors, radiosity: &[f64]) -> Vec<f64> {
+    let zero = vec![0.0; radiosity.len()];
+    let dark = Radiometry { channels: 1, emission: radiosity, reflectance: &zero };
+    let known = solve(f, dark, &SolveOptions::default(), &Progress::new()).unwrap();
+    ErrorBars::of(f, dark, &known).unwrap().standard_error
+}
+
 /// A measured value and its standard error.
 #[derive(Clone, Copy, Debug)]
 pub struct Measured {
@@ -241,7 +252,7 @@ impl Cast {
             indicator[j] = 1.0;
         }
         let irradiance = self.form_factors.irradiance(&indicator, 1);
-        let errors = self.form_factors.standard_errors(&indicator, 1).unwrap();
+        let errors = standard_errors(&self.form_factors, &indicator);
         self.mean(&self.of_part(from), &irradiance, &errors)
     }
 
