@@ -20,7 +20,10 @@ pub(super) fn solve<const C: usize>(system: &System<C>) -> Result<Iterate<C>> {
     let mut radiosity = vec![[0.0; C]; n];
     for c in 0..C {
         let mut matrix = DMatrix::<f64>::identity(n, n);
-        for i in 0..n {
+        let drained = system.drained(c);
+        // Where light would be caught none enters, or there were no equilibrium: those rows, singular together, say
+        // B = 0 instead.
+        for i in (0..n).filter(|&i| drained[i]) {
             for (j, form_factor) in system.form_factors.row(i) {
                 matrix[(i, j)] -= system.reflectance[i][c] * form_factor;
             }
@@ -31,7 +34,6 @@ pub(super) fn solve<const C: usize>(system: &System<C>) -> Result<Iterate<C>> {
             b += lu.solve(&(&emission - &matrix * &b))?;
             Some(b)
         });
-        // Singular only when light is caught, and then nothing emits there: darkness.
         for (b, value) in radiosity.iter_mut().zip(solved.ok_or(Error::NoEquilibrium)?.iter()) {
             b[c] = value.max(0.0);
         }

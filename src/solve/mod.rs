@@ -272,31 +272,33 @@ impl<'a, const C: usize> System<'a, C> {
     /// Refuses a scene in which light is caught: an emitter from which no path of light leads to anything that absorbs
     /// or to the outside.
     fn check_equilibrium(&self) -> Result<()> {
-        let n = self.form_factors.len();
         for c in 0..C {
-            let loses = |i: usize| self.reflectance[i][c] < 1.0 || self.form_factors.escaped()[i] > 0.0;
-            if (0..n).all(loses) {
-                continue;
-            }
-            // From the losing patches backwards along the light. Hits need not be mutual in one-way form factors, so
-            // sweep until nothing changes instead of walking a transposed graph.
-            let mut drained: Vec<bool> = (0..n).map(loses).collect();
-            let mut changed = true;
-            while changed {
-                changed = false;
-                for i in (0..n).chain((0..n).rev()) {
-                    if !drained[i]
-                        && row(self.form_factors.scaling().0, i).0.iter().any(|&j| drained[j as usize])
-                    {
-                        drained[i] = true;
-                        changed = true;
-                    }
-                }
-            }
-            if (0..n).any(|i| !drained[i] && self.emission[i][c] > 0.0) {
+            let drained = self.drained(c);
+            if drained.iter().zip(self.emission).any(|(drained, emission)| !drained && emission[c] > 0.0) {
                 return Err(Error::NoEquilibrium);
             }
         }
         Ok(())
+    }
+
+    /// Whether a path of light leads from each patch to anything that absorbs or to the outside.
+    pub(crate) fn drained(&self, c: usize) -> Vec<bool> {
+        let n = self.form_factors.len();
+        let loses = |i: usize| self.reflectance[i][c] < 1.0 || self.form_factors.escaped()[i] > 0.0;
+        let mut drained: Vec<bool> = (0..n).map(loses).collect();
+        // From the losing patches backwards along the light. Hits need not be mutual in one-way form factors, so
+        // sweep until nothing changes instead of walking a transposed graph.
+        let mut changed = !drained.iter().all(|&d| d);
+        while changed {
+            changed = false;
+            for i in (0..n).chain((0..n).rev()) {
+                if !drained[i] && row(self.form_factors.scaling().0, i).0.iter().any(|&j| drained[j as usize])
+                {
+                    drained[i] = true;
+                    changed = true;
+                }
+            }
+        }
+        drained
     }
 }

@@ -16,7 +16,7 @@ use obvhs::{
 };
 
 use crate::scene::Scene;
-use watertight::ShearedRay;
+use watertight::{Facet, Met, ShearedRay};
 
 /// obvhs's presets lower the search distance near the leaves, which collapses on tessellated planar walls (their
 /// Morton codes tie); a search distance of 6 all the way down does not. Up to three triangles a leaf beat one.
@@ -91,8 +91,8 @@ impl UnitTriangle {
 /// The scene's triangles, ready for rays.
 pub struct Tracer {
     bvh: Bvh2,
-    /// Corners in the order of the leaves, so that a leaf reads one stretch of memory.
-    leaves: Vec<[Vec3A; 3]>,
+    /// Triangles in the order of the leaves, so that a leaf reads one stretch of memory.
+    leaves: Vec<Facet>,
     triangles: Vec<UnitTriangle>,
     centre: DVec3,
     /// File lengths per unit-space length.
@@ -126,7 +126,11 @@ impl Tracer {
             })
             .collect();
         let bvh = build_bvh2(&boxes, BUILD, &mut Default::default());
-        let leaves = bvh.primitive_indices.iter().map(|&i| triangles[i as usize].corners).collect();
+        let facet = |&i: &u32| {
+            let UnitTriangle { corners, normal, .. } = triangles[i as usize];
+            Facet { corners, normal }
+        };
+        let leaves = bvh.primitive_indices.iter().map(facet).collect();
         Tracer { bvh, leaves, triangles, centre, scale }
     }
 
@@ -183,22 +187,21 @@ impl Tracer {
     #[inline]
     pub fn closest(&self, origin: Vec3A, direction: Vec3A) -> Option<Hit> {
         let sheared = ShearedRay::new(origin, direction);
-        let mut nearest = f32::INFINITY;
-        let mut found = None;
+        let mut found: Option<(usize, Met)> = None;
         let mut hit = RayHit::none();
         self.bvh.ray_traverse(Ray::new_inf(origin, direction), &mut hit, |_, i| {
             match sheared.intersect(&self.leaves[i]) {
-                Some(met) if met.t < nearest => {
-                    nearest = met.t;
+                Some(met) if found.as_ref().is_none_or(|(_, nearest)| met.is_before(nearest)) => {
+                    let t = met.t;
                     found = Some((i, met));
-                    met.t
+                    t
                 }
                 _ => f32::INFINITY,
             }
         });
         found.map(|(i, met)| Hit {
             triangle: self.bvh.primitive_indices[i],
-            front: met.front,
+            front: met.front(),
             t: met.t,
             barycentric: met.barycentric(),
         })

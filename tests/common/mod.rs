@@ -1,0 +1,316 @@
+//! Scenes made by hand, and form factors between their parts with error bars.
+
+#![allow(dead_code, reason = "every test file uses a part of it")]
+
+use std::{collections::HashMap, f64::consts::PI};
+
+use glam::{DVec3, dvec3};
+use radiosity::{
+    Progress, Scene,
+    accuracy::error_bars::ErrorBars,
+    form_factor::{CastOptions, Estimator, FormFactors, Matrix},
+    patch::{Patches, Subdivision},
+    scene::Material,
+    solve::{Radiometry, SolveOptions, solve},
+    trace::{Tracer, sampling::mix},
+};
+
+pub type Corners = [DVec3; 3];
+
+pub const BOTH: [Estimator; 2] = [Estimator::OneWay, Estimator::Pooled];
+
+/// Two-sided quantile of Student's t with 15 degrees of freedom, which an error bar of 16 replicates has, for a
+/// probability of 10⁻⁴ to be farther away by chance.
+pub const T15: f64 = 5.24;
+
+/// Half a unit in the last place of single precision, relative: the rounding of a stored exchange area.
+pub const F32: f64 = 6e-8;
+
+/// A surface of one material.
+pub struct Part {
+    pub triangles: Vec<Corners>,
+    pub reflectance: [f64; 3],
+    /// Emitted radiosity Be.
+    pub exitance: [f64; 3],
+}
+
+pub fn part(triangles: Vec<Corners>, reflectance: f64, exitance: f64) -> Part {
+    Part { triangles, reflectance: [reflectance; 3], exitance: [exitance; 3] }
+}
+
+/// A part that neither reflects nor emits.
+pub fn black(triangles: Vec<Corners>) -> Part {
+    part(triangles, 0.0, 0.0)
+}
+
+/// Part `k` has material `k`.
+pub fn scene(parts: &[Part]) -> Scene {
+    let triangles: Vec<(Corners, u32)> =
+        parts.iter().zip(0..).flat_map(|(p, k)| p.triangles.iter().map(move |&t| (t, k))).collect();
+    let materials = parts.iter().map(|p| Material::new("part", p.reflectance, p.exitance.map(|e| e / PI)));
+    Scene::new(&triangles, materials.collect())
+}
+
+pub fn load(name: &str) -> Scene {
+    Scene::load(format!("{}/meshes/{name}.obj", env!("CARGO_MANIFEST_DIR"))).unwrap()
+}
+
+/// The parallelogram from `corner` along `u` and `v`; its front looks along u × v.
+pub fn rectangle(corner: DVec3, u: DVec3, v: DVec3) -> Vec<Corners> {
+    vec![[corner, corner + u, corner + u + v], [corner, corner + u + v, corner + v]]
+}
+
+/// The horizontal square of `side` centred above the origin at height `z`.
+pub fn level_square(side: f64, z: f64, up: bool) -> Vec<Corners> {
+    let square = rectangle(dvec3(-0.5 * side, -0.5 * side, z), DVec3::X * side, DVec3::Y * side);
+    if up { square } else { flipped(square) }
+}
+
+pub fn flipped(triangles: Vec<Corners>) -> Vec<Corners> {
+    triangles.into_iter().map(|[a, b, c]| [a, c, b]).collect()
+}
+
+/// The six faces of a box in the order -x, +x, -y, +y, -z, +z, seen from inside.
+pub fn room_faces(low: DVec3, high: DVec3) -> [Vec<Corners>; 6] {
+    let size = high - low;
+    let (x, y, z) = (DVec3::X * size.x, DVec3::Y * size.y, DVec3::Z * size.z);
+    [(y, z, x), (z, x, y), (x, y, z)]
+        .map(|(u, v, w)| [rectangle(low, u, v), rectangle(low + w, v, u)])
+        .into_iter()
+        .flatten()
+        .collect::<Vec<_>>()
+        .try_into()
+        .unwrap()
+}
+
+pub fn room(low: DVec3, high: DVec3) -> Vec<Corners> {
+    room_faces(low, high).concat()
+}
+
+/// A sphere's icosahedron, each level cutting every triangle in four; fronts outside.
+pub fn icosphere(radius: f64, level: u32) -> Vec<Corners> {
+    let g = 0.5 * (1.0 + 5f64.sqrt());
+    let v = [
+        (-1., g, 0.),
+        (1., g, 0.),
+        (-1., -g, 0.),
+        (1., -g, 0.),
+        (0., -1., g),
+        (0., 1., g),
+        (0., -1., -g),
+        (0., 1., -g),
+        (g, 0., -1.),
+        (g, 0., 1.),
+        (-g, 0., -1.),
+        (-g, 0., 1.),
+    ]
+    .map(|(x, y, z)| dvec3(x, y, z).normalize());
+    let faces = [
+        [0, 11, 5],
+        [0, 5, 1],
+        [0, 1, 7],
+        [0, 7, 10],
+        [0, 10, 11],
+        [1, 5, 9],
+        [5, 11, 4],
+        [11, 10, 2],
+        [10, 7, 6],
+        [7, 1, 8],
+        [3, 9, 4],
+        [3, 4, 2],
+        [3, 2, 6],
+        [3, 6, 8],
+        [3, 8, 9],
+        [4, 9, 5],
+        [2, 4, 11],
+        [6, 2, 10],
+        [8, 6, 7],
+        [9, 8, 1],
+    ];
+    let mut sphere: Vec<Corners> = faces.iter().map(|f| f.map(|k| v[k])).collect();
+    for _ in 0..level {
+        sphere = sphere
+            .into_iter()
+            .flat_map(|[a, b, c]| {
+                let (ab, bc, ca) = ((a + b).normalize(), (b + c).normalize(), (c + a).normalize());
+                [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+            })
+            .collect();
+    }
+    sphere.into_iter().map(|t| t.map(|p| p * radius)).collect()
+}
+
+/// The zone of the unit sphere between two polar angles, in `rings` by `sectors`; fronts inside.
+pub fn zone(from: f64, to: f64, rings: usize, sectors: usize) -> Vec<Corners> {
+    let at = |ring: usize, sector: usize| {
+        let theta = from + (to - from) * ring as f64 / rings as f64;
+        let phi = 2.0 * PI * (sector % sectors) as f64 / sectors as f64;
+        // The poles are one point each, whatever sin π rounds to.
+        let r = if theta < PI { theta.sin() } else { 0.0 };
+        dvec3(r * phi.cos(), r * phi.sin(), theta.cos())
+    };
+    let mut triangles = Vec::new();
+    for ring in 0..rings {
+        for sector in 0..sectors {
+            let (a, b) = (at(ring, sector), at(ring, sector + 1));
+            let (c, d) = (at(ring + 1, sector), at(ring + 1, sector + 1));
+            triangles.extend([[a, d, c], [a, b, d]].iter().filter(|t| t[0] != t[1] && t[1] != t[2]));
+        }
+    }
+    triangles
+}
+
+/// A regular polygon of `n` corners inscribed in the circle of radius `r` at height `z`, as a fan.
+pub fn disk(n: usize, r: f64, z: f64, up: bool) -> Vec<Corners> {
+    let rim = |k: usize| {
+        let phi = 2.0 * PI * (k % n) as f64 / n as f64;
+        dvec3(r * phi.cos(), r * phi.sin(), z)
+    };
+    let fan = (0..n).map(|k| [DVec3::Z * z, rim(k), rim(k + 1)]).collect();
+    if up { fan } else { flipped(fan) }
+}
+
+pub fn area(triangles: &[Corners]) -> f64 {
+    triangles.iter().map(|[a, b, c]| 0.5 * (*b - *a).cross(*c - *a).length()).sum()
+}
+
+/// Whether every edge is run through once each way: then no ray finds a way out.
+pub fn is_closed(scene: &Scene) -> bool {
+    let mut halves: HashMap<(u32, u32), u32> = HashMap::new();
+    for [a, b, c] in scene.triangles.iter().map(|t| t.vertices) {
+        for edge in [(a, b), (b, c), (c, a)] {
+            *halves.entry(edge).or_default() += 1;
+        }
+    }
+    halves.iter().all(|(&(p, q), &n)| n == 1 && halves.get(&(q, p)) == Some(&1))
+}
+
+/// A scene cut into patches, and what its rays found.
+pub struct Cast {
+    pub scene: Scene,
+    pub tracer: Tracer,
+    pub patches: Patches,
+    pub form_factors: FormFactors,
+}
+
+pub fn cast(scene: Scene, subdivision: Subdivision, options: CastOptions) -> Cast {
+    let tracer = Tracer::new(&scene);
+    let mut patches = Patches::subdivide(&scene, &subdivision);
+    let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
+    Cast { scene, tracer, patches, form_factors }
+}
+
+/// Casts from whole triangles.
+pub fn cast_whole(parts: &[Part], rays: f64, estimator: Estimator, seed: u64) -> Cast {
+    let options = CastOptions { rays, estimator, seed, ..CastOptions::default() };
+    cast(scene(parts), Subdivision::Edge(f64::INFINITY), options)
+}
+
+/// Standard errors of the irradiance that one channel of known radiosity gives: nothing is inherited where nothing is
+/// reflected.
+pub fn standard_errors(f: &FormFactors, radiosity: &[f64]) -> Vec<f64> {
+    let zero = vec![0.0; radiosity.len()];
+    let dark = Radiometry { channels: 1, emission: radiosity, reflectance: &zero };
+    let known = solve(f, dark, &SolveOptions::default(), &Progress::new()).unwrap();
+    ErrorBars::of(f, dark, &known).unwrap().standard_error
+}
+
+/// A measured value and its standard error.
+#[derive(Clone, Copy, Debug)]
+pub struct Measured {
+    pub value: f64,
+    pub error: f64,
+}
+
+impl Measured {
+    /// Within [`T15`] standard errors, and `slack` that is known.
+    #[track_caller]
+    pub fn assert_is(self, truth: f64, slack: f64) {
+        let Measured { value, error } = self;
+        assert!(
+            (value - truth).abs() <= T15 * error + slack,
+            "{value} instead of {truth}: off by {:.2} standard errors of {error:.1e}",
+            (value - truth).abs() / error
+        );
+    }
+}
+
+impl Cast {
+    /// Front patches of a part.
+    pub fn of_part(&self, part: u32) -> Vec<usize> {
+        let of = |i: &usize| self.scene.triangles[self.patches.triangle(*i)].material == part;
+        (0..self.patches.fronts()).filter(of).collect()
+    }
+
+    /// The form factor between the fronts of two parts.
+    ///
+    /// Its error takes the patches of the first for independent: they cast their own rays, and what a ray from the
+    /// second adds to one of them it takes from the others, so that variances add at most.
+    pub fn form_factor(&self, from: u32, to: u32) -> Measured {
+        let mut indicator = vec![0.0; self.patches.len()];
+        for j in self.of_part(to) {
+            indicator[j] = 1.0;
+        }
+        let irradiance = self.form_factors.irradiance(&indicator, 1);
+        let errors = standard_errors(&self.form_factors, &indicator);
+        self.mean(&self.of_part(from), &irradiance, &errors)
+    }
+
+    /// The mean over some patches, by area.
+    pub fn mean(&self, patches: &[usize], values: &[f64], errors: &[f64]) -> Measured {
+        let areas = self.form_factors.areas();
+        let total: f64 = patches.iter().map(|&i| areas[i]).sum();
+        let sum: f64 = patches.iter().map(|&i| areas[i] * values[i]).sum();
+        let squares: f64 = patches.iter().map(|&i| (areas[i] * errors[i]).powi(2)).sum();
+        Measured { value: sum / total, error: squares.sqrt() / total }
+    }
+}
+
+/// Numbers in \[0, 1) from a seed.
+pub struct Random(u64);
+
+impl Random {
+    pub fn new(seed: u64) -> Random {
+        Random(mix(&[seed]))
+    }
+
+    pub fn next(&mut self) -> f64 {
+        self.0 = mix(&[self.0]);
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.next()
+    }
+}
+
+/// Stores the exchange areas of `n` patches.
+pub fn store(n: usize, exchange: impl Fn(usize, usize) -> f64) -> Matrix {
+    let (mut starts, mut columns, mut values) = (vec![0], Vec::new(), Vec::new());
+    for i in 0..n {
+        for j in 0..n {
+            let s = exchange(i, j);
+            if s != 0.0 {
+                columns.push(j as u32);
+                values.push(s as f32);
+            }
+        }
+        starts.push(columns.len());
+    }
+    Matrix::new((n, n), starts, columns, values)
+}
+
+/// Largest |row sum + escaped - 1| and largest |A_i F_ij - A_j F_ji| / min(A_i, A_j), entry by entry.
+pub fn deviations(f: &FormFactors) -> (f64, f64) {
+    let a = f.areas();
+    let (mut closure, mut reciprocity) = (0f64, 0f64);
+    for i in 0..f.len() {
+        let sum: f64 = f.row(i).map(|(_, x)| x).sum();
+        closure = closure.max((sum + f.escaped()[i] - 1.0).abs());
+        for (j, there) in f.row(i) {
+            let defect = (a[i] * there - a[j] * f.get(j, i)).abs();
+            reciprocity = reciprocity.max(defect / a[i].min(a[j]));
+        }
+    }
+    (closure, reciprocity)
+}

@@ -1,0 +1,97 @@
+//! The same seed gives the same bytes, whatever the number of threads.
+
+mod common;
+
+use common::*;
+use radiosity::{
+    Progress, Scene,
+    accuracy::error_bars::ErrorBars,
+    form_factor::{CastOptions, Estimator},
+    patch::Subdivision,
+    solve::{SolveOptions, Solver, solve},
+};
+
+/// Everything a run computes, bit by bit.
+#[derive(PartialEq)]
+struct Bytes {
+    hits: Vec<u32>,
+    columns: Vec<usize>,
+    values: Vec<u64>,
+    solutions: Vec<Vec<u64>>,
+    errors: Vec<u64>,
+}
+
+fn bits(values: &[f64]) -> Vec<u64> {
+    values.iter().map(|x| x.to_bits()).collect()
+}
+
+fn run(scene: &Scene, estimator: Estimator, seed: u64, threads: usize) -> Bytes {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| {
+        let options = CastOptions { estimator, seed, ..CastOptions::default() };
+        let room = cast(scene.clone(), Subdivision::Count(700), options);
+        let (f, n) = (&room.form_factors, room.patches.len());
+        let rows: Vec<(usize, f64)> = (0..n).flat_map(|i| f.row(i)).collect();
+        let mut values: Vec<f64> = rows.iter().map(|r| r.1).collect();
+        values.extend(f.escaped());
+        let before_after = [f.row_sum_deviation(), f.reciprocity_deviation()];
+        values.extend(before_after.iter().flat_map(|d| [d.before, d.after]));
+        // All that suit the estimator, and the one that would be chosen.
+        let solvers = [Solver::Auto, Solver::Jacobi, Solver::Southwell];
+        let solutions: Vec<_> = solvers
+            .iter()
+            .map(|&solver| {
+                let options = SolveOptions { solver, tolerance: 1e-8, ..SolveOptions::default() };
+                solve(f, &room.patches, &options, &Progress::new()).unwrap()
+            })
+            .collect();
+        let errors = ErrorBars::of(f, &room.patches, &solutions[0]).unwrap().standard_error;
+        Bytes {
+            hits: (0..n).flat_map(|i| f.hits().unwrap().of(i)).copied().collect(),
+            columns: rows.iter().map(|r| r.0).collect(),
+            values: bits(&values),
+            solutions: solutions.iter().map(|s| bits(&s.radiosity)).collect(),
+            errors: bits(&errors),
+        }
+    })
+}
+
+#[test]
+fn threads_change_nothing_and_seeds_everything() {
+    // With backs that become patches while casting, and with colours and shadow rays.
+    let plate = black(level_square(0.6, 0.1, true));
+    let cell = part(room(glam::DVec3::splat(-0.5), glam::DVec3::splat(0.5)), 0.6, 0.0);
+    let lamp = part(level_square(0.2, 0.4, false), 0.0, 1.0);
+    for scene in [load("door-ajar"), scene(&[plate, cell, lamp])] {
+        for estimator in BOTH {
+            let one = run(&scene, estimator, 17, 1);
+            for threads in [2, 5] {
+                let many = run(&scene, estimator, 17, threads);
+                assert!(one.hits == many.hits, "{estimator:?}, {threads} threads: other hits");
+                assert!(one.columns == many.columns && one.values == many.values, "other form factors");
+                assert!(one.solutions == many.solutions, "other solutions");
+                assert!(one.errors == many.errors, "other error bars");
+            }
+            let other = run(&scene, estimator, 18, 1);
+            assert!(one.hits != other.hits && one.values != other.values);
+            assert!(one.solutions != other.solutions && one.errors != other.errors);
+        }
+    }
+}
+
+/// As one patch is not cast like the next, nor one replicate like another.
+#[test]
+fn patches_and_replicates_have_rays_of_their_own() {
+    let cell = cast_whole(&[black(room(glam::DVec3::ZERO, glam::DVec3::ONE))], 256.0, Estimator::OneWay, 1);
+    let hits = cell.form_factors.hits().unwrap();
+    for k in 1..16 {
+        assert_ne!(hits.of_replicate(0, 0), hits.of_replicate(0, k));
+    }
+    // Opposite triangles of faces see the room alike but for a symmetry of the cube; their counts differ by chance.
+    let sorted = |i: usize| {
+        let mut counts: Vec<u64> = cell.form_factors.row(i).map(|(_, x)| x.to_bits()).collect();
+        counts.sort_unstable();
+        counts
+    };
+    assert_ne!(sorted(0), sorted(1));
+}

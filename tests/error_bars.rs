@@ -1,0 +1,90 @@
+//! Whether error bars are as long as errors.
+
+mod common;
+
+use common::*;
+use glam::DVec3;
+use radiosity::{
+    Progress,
+    form_factor::{CastOptions, FormFactors, exact::polygon_exchange_area},
+    patch::{Patches, Subdivision},
+    trace::Tracer,
+};
+
+const SEEDS: u64 = 12;
+/// 95 % of a Student distribution with 15 degrees of freedom lie within.
+const T95: f64 = 2.131;
+/// Two-sided quantile for 11 degrees of freedom and a probability of 10⁻³ to be outside by chance.
+const T11: f64 = 4.437;
+
+/// The share of patches within [`T95`] error bars of the truth, seed by seed. The patches of one seed share rays, so
+/// that the share varies more than a binomial one: what it may be off by is taken from its spread between seeds. That
+/// the bars are an approximation (replicates are neither normal, nor is the closure linear) is allowed for by 2 %.
+fn calibrate(name: &str, scene: &radiosity::Scene, edge: f64, radiosity: &[f64], truth: &[f64]) {
+    let tracer = Tracer::new(scene);
+    for estimator in BOTH {
+        let mut shares = Vec::new();
+        let mut squares = 0.0;
+        for seed in 0..SEEDS {
+            let mut patches = Patches::subdivide(scene, &Subdivision::Edge(edge));
+            let options = CastOptions { rays: 256.0, estimator, seed, ..CastOptions::default() };
+            let f = FormFactors::cast(scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
+            let irradiance = f.irradiance(radiosity, 1);
+            let errors = standard_errors(&f, radiosity);
+            let z: Vec<f64> = (0..f.len())
+                .map(|i| (irradiance[i] - truth[i]) / errors[i])
+                .filter(|z| !z.is_nan())
+                .collect();
+            assert!(z.len() >= f.len() * 9 / 10, "{name}: bars without length");
+            shares.push(z.iter().filter(|z| z.abs() <= T95).count() as f64 / z.len() as f64);
+            squares += z.iter().map(|z| z * z).sum::<f64>() / z.len() as f64;
+        }
+        let n = SEEDS as f64;
+        let mean = shares.iter().sum::<f64>() / n;
+        let variance = shares.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        let band = T11 * (variance / n).sqrt();
+        println!("{name} {estimator:?}: {mean:.4} ± {band:.4}, RMS of z {:.3}", (squares / n).sqrt());
+        assert!((mean - 0.95).abs() <= band + 0.02, "{name} {estimator:?}: {mean} within, band {band}");
+    }
+}
+
+/// A lamp in one wall of a cube of 192 triangles, against exact form factors.
+#[test]
+fn bars_in_a_room() {
+    let [x0, x1, y0, y1, floor, ceiling] = room_faces(DVec3::ZERO, DVec3::ONE);
+    let room = scene(&[part([x0, x1, y0, y1, floor].concat(), 0.5, 0.0), part(ceiling, 0.5, 1.0)]);
+    let patches = Patches::subdivide(&room, &Subdivision::Edge(0.4));
+    let n = patches.len();
+    let corners: Vec<Corners> = (0..n)
+        .map(|i| {
+            let t = room.corners(patches.triangle(i));
+            patches.corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2])
+        })
+        .collect();
+    let mut random = Random::new(1);
+    let radiosity: Vec<f64> = (0..n).map(|i| patches.emission()[i] + random.between(0.2, 0.6)).collect();
+    let truth: Vec<f64> = (0..n)
+        .map(|i| {
+            let exchange = |j: usize| polygon_exchange_area(&corners[i], &corners[j]) * radiosity[j];
+            (0..n).map(exchange).sum::<f64>() / patches.area(i)
+        })
+        .collect();
+    calibrate("room", &room, 0.4, &radiosity, &truth);
+}
+
+/// Occluded and open, no lamp: against 64 times the rays, which add less than 1 % to the variance.
+#[test]
+fn bars_with_an_occluder() {
+    let parts = [
+        black(level_square(1.0, 0.0, true)),
+        black(level_square(1.0, 1.0, false)),
+        black(level_square(0.5, 0.5, true)),
+    ];
+    let open = scene(&parts);
+    let options = CastOptions { rays: 16384.0, seed: 1000, ..CastOptions::default() };
+    let reference = cast(open, Subdivision::Edge(0.2), options);
+    let mut random = Random::new(2);
+    let radiosity: Vec<f64> = (0..reference.patches.len()).map(|_| random.next()).collect();
+    let truth = reference.form_factors.irradiance(&radiosity, 1);
+    calibrate("occluder", &reference.scene, 0.2, &radiosity, &truth);
+}

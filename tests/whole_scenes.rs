@@ -1,0 +1,344 @@
+//! Whole solutions against scenes whose light is known.
+
+mod common;
+
+use std::f64::consts::PI;
+
+use common::*;
+use glam::{DVec2, DVec3, dvec2};
+use radiosity::{
+    Progress, Scene,
+    accuracy::error_bars::ErrorBars,
+    energy::EnergyLedger,
+    form_factor::{
+        CastOptions, Estimator, FormFactors,
+        exact::{Axis, AxisRectangle, polygon_exchange_area},
+    },
+    patch::Subdivision,
+    scene::{Material, Texture, TextureMap},
+    solve::{Radiometry, Solution, SolveOptions, Solver, solve},
+};
+
+fn solved<'a>(f: &FormFactors, light: impl Into<Radiometry<'a>>) -> Solution {
+    solve(f, light, &SolveOptions::default(), &Progress::new()).unwrap()
+}
+
+fn grey<'a>(emission: &'a [f64], reflectance: &'a [f64]) -> Radiometry<'a> {
+    Radiometry { channels: 1, emission, reflectance }
+}
+
+fn bars(cast: &Cast, solution: &Solution) -> Vec<f64> {
+    ErrorBars::of(&cast.form_factors, &cast.patches, solution).unwrap().standard_error
+}
+
+/// B = 1 up to the solver's certified bound and to what rows that do not sum to 1 add with every bounce; the rounding
+/// of the sums is 1e-15 of some hundred terms.
+#[track_caller]
+fn assert_furnace(f: &FormFactors, solution: &Solution, most: f64, slack: f64) {
+    let closure = deviations(f).0 * most / (1.0 - most);
+    let tolerance = solution.error_bound + closure + slack + 1e-13;
+    for (i, b) in solution.radiosity.iter().enumerate() {
+        assert!((b - 1.0).abs() <= tolerance, "B[{i}] = {b}, tolerance {tolerance:e}");
+    }
+}
+
+#[test]
+fn the_furnace_is_evenly_bright() {
+    let room = cast(load("furnace"), Subdivision::Count(500), CastOptions::default());
+    let solution = solved(&room.form_factors, &room.patches);
+    // Be is 0.5 to the last digit but one.
+    assert_furnace(&room.form_factors, &solution, 0.5, 1e-15);
+}
+
+/// In any closed scene, with any reflectances, occluders and textures, where each patch emits what it absorbs. One-way
+/// rows sum to one as well.
+#[test]
+fn what_emits_as_it_absorbs_is_white() {
+    for name in ["furnace", "door-ajar", "textured"] {
+        for estimator in BOTH {
+            let options = CastOptions { estimator, ..CastOptions::default() };
+            let room = cast(load(name), Subdivision::Count(500), options);
+            let (n, mut random) = (room.patches.len(), Random::new(12));
+            let patterns = [
+                (0..n).map(|_| random.between(0.0, 0.97)).collect::<Vec<_>>(),
+                // As the file says it; textures averaged over each patch.
+                room.patches.reflectance().iter().step_by(room.patches.channels()).copied().collect(),
+            ];
+            for reflectance in patterns {
+                let emission: Vec<f64> = reflectance.iter().map(|rho| 1.0 - rho).collect();
+                let solution = solved(&room.form_factors, grey(&emission, &reflectance));
+                assert_furnace(&room.form_factors, &solution, 0.97, 0.0);
+            }
+        }
+    }
+}
+
+fn linear(texel: u8) -> f64 {
+    let c = f64::from(texel) / 255.0;
+    if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+}
+
+/// A cube papered with 8 by 8 random greys and, as emission, with the texels nearest to what those absorb: 1 - ρ is
+/// missed by at most half a step of 8 bits, and B by that over 1 - ρ.
+#[test]
+fn a_textured_furnace() {
+    let mut random = Random::new(3);
+    let dark: Vec<u8> = (0..64).map(|_| random.between(0.0, 230.0) as u8).collect();
+    let nearest = |value: f64| {
+        let off = |t: &u8| (linear(*t) - value).abs();
+        (0..=255).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap()
+    };
+    let bright: Vec<u8> = dark.iter().map(|&t| nearest(1.0 - linear(t))).collect();
+    let missed = dark.iter().zip(&bright).map(|(&a, &b)| (linear(a) + linear(b) - 1.0).abs());
+    let missed = missed.fold(0.0, f64::max);
+    // Steps are steepest at white: 2.4 / 1.055 / 255.
+    assert!(missed > 0.0 && missed <= 0.5 * 2.4 / 1.055 / 255.0, "{missed}");
+
+    let paper = |texels: &[u8]| Texture::new(8, 8, texels.iter().flat_map(|&t| [t; 3]).collect());
+    let mut material = Material::new("paper", [1.0; 3], [1.0 / PI; 3]);
+    material.reflectance_map = Some(TextureMap::new(0));
+    material.emission_map = Some(TextureMap::new(1));
+    let corners: Vec<(Corners, u32)> = room(DVec3::ZERO, DVec3::ONE).into_iter().map(|t| (t, 0)).collect();
+    let mut papered = Scene::new(&corners, vec![material]);
+    papered.textures = vec![paper(&dark), paper(&bright)];
+    // Not aligned with the texels, and several times over.
+    let square = [dvec2(0.1, 0.0), dvec2(1.3, 0.2), dvec2(1.1, 1.7), dvec2(-0.1, 1.5)];
+    papered.texcoords = (0..12)
+        .map(|t| {
+            if t % 2 == 0 { [0, 1, 2] } else { [0, 2, 3] }.map(|k: usize| square[k] + DVec2::X * t as f64)
+        })
+        .collect();
+
+    let room = cast(papered, Subdivision::Edge(0.3), CastOptions::default());
+    assert_eq!(room.patches.channels(), 1);
+    let most = room.patches.reflectance().iter().copied().fold(0.0, f64::max);
+    let least = room.patches.reflectance().iter().copied().fold(1.0, f64::min);
+    assert!(most - least > 0.1, "the pattern shows in the patches");
+    let solution = solved(&room.form_factors, &room.patches);
+    assert_furnace(&room.form_factors, &solution, most, missed / (1.0 - most));
+}
+
+/// Be and ρ of the sphere's patches: emission within 30 degrees of the pole, a bright and a dark half.
+fn sphere_pattern(triangles: &[Corners]) -> (Vec<f64>, Vec<f64>) {
+    let height = |[a, b, c]: &Corners| (*a + *b + *c).normalize().z;
+    let emission = triangles.iter().map(|t| if height(t) > (PI / 6.0).cos() { 1.0 } else { 0.0 });
+    let reflectance = triangles.iter().map(|t| if height(t) > 0.0 { 0.8 } else { 0.2 });
+    (emission.collect(), reflectance.collect())
+}
+
+/// Exact exchange areas of a convex polyhedron seen from inside: nothing is in the way.
+fn convex_form_factors(triangles: &[Corners]) -> FormFactors {
+    let n = triangles.len();
+    let areas: Vec<f64> = triangles.iter().map(|t| area(&[*t])).collect();
+    let mut exchange = vec![0.0; n * n];
+    for i in 0..n {
+        for j in 0..i {
+            let s = polygon_exchange_area(&triangles[i], &triangles[j]);
+            (exchange[i * n + j], exchange[j * n + i]) = (s, s);
+        }
+    }
+    FormFactors::from_exchange(store(n, |i, j| exchange[i * n + j]), areas, vec![0.0; n])
+}
+
+/// E = Φ / (A - ∫ρ dA) at every point of a sphere, for any pattern. In a polyhedron of ever smaller facets the RMS
+/// deviation falls with the square of their size in the end; it is measured on exact form factors, for it is soon
+/// smaller than what rays can tell. Rays are then compared with these, patch by patch, in standard errors: the
+/// RMS of 80 or 320 z-values with 15 degrees of freedom is sqrt(15/13) = 1.07, give or take 10 and 5 %.
+#[test]
+fn the_inside_of_a_sphere() {
+    let mut deviations = Vec::new();
+    for level in 0..3 {
+        let sphere = flipped(icosphere(1.0, level));
+        let (emission, reflectance) = sphere_pattern(&sphere);
+        let f = convex_form_factors(&sphere);
+        let exact = solved(&f, grey(&emission, &reflectance));
+        let sum = |x: &dyn Fn(usize) -> f64| (0..sphere.len()).map(|i| f.areas()[i] * x(i)).sum::<f64>();
+        let even = sum(&|i| emission[i]) / sum(&|i| 1.0 - reflectance[i]);
+        let squares = sum(&|i| (exact.irradiance[i] / even - 1.0).powi(2));
+        deviations.push((squares / sum(&|_| 1.0)).sqrt());
+        if level == 0 {
+            continue;
+        }
+
+        let parts: Vec<Part> =
+            (0..sphere.len()).map(|i| part(vec![sphere[i]], reflectance[i], emission[i])).collect();
+        let cast = cast_whole(&parts, 512.0, Estimator::Pooled, 1);
+        let solution = solved(&cast.form_factors, &cast.patches);
+        let errors = bars(&cast, &solution);
+        let z = |i: usize| (solution.irradiance[i] - exact.irradiance[i]) / errors[i];
+        let rms = ((0..sphere.len()).map(|i| z(i).powi(2)).sum::<f64>() / sphere.len() as f64).sqrt();
+        println!("level {level}: RMS of z {rms}");
+        assert!(rms > 0.6 && rms < 1.5, "level {level}: RMS of z {rms}");
+    }
+    println!("{deviations:?}");
+    // The order rises to 2 with the level, and is nearer to 2 than to 1 between the last two.
+    let [coarse, fine] = [0, 1].map(|k| (deviations[k] / deviations[k + 1]).log2());
+    assert!(fine > 1.5 && fine > coarse, "orders {coarse}, {fine} of {deviations:?}");
+}
+
+/// The true numbers, by rays, on zones that follow the pattern. The mean irradiance misses the sphere's by what the
+/// areas of emitter and sphere lack, O(h²): halving h takes the deviation to a quarter. Conservation leaves little
+/// for chance in it.
+#[test]
+fn a_tessellated_sphere_converges_to_the_true_one() {
+    let truth = 0.1339745962;
+    let measured: Vec<Measured> = [6, 12, 24]
+        .into_iter()
+        .map(|rings| {
+            let sectors = 2 * rings;
+            let bands = [
+                part(zone(0.0, PI / 6.0, rings / 6, sectors), 0.8, 1.0),
+                part(zone(PI / 6.0, PI / 2.0, rings / 3, sectors), 0.8, 0.0),
+                part(zone(PI / 2.0, PI, rings / 2, sectors), 0.2, 0.0),
+            ];
+            let sphere = cast_whole(&bands, 1024.0, Estimator::Pooled, 2);
+            assert_eq!(sphere.patches.len(), sphere.patches.fronts());
+            let solution = solved(&sphere.form_factors, &sphere.patches);
+            let errors = bars(&sphere, &solution);
+            let all: Vec<usize> = (0..sphere.patches.len()).collect();
+            sphere.mean(&all, &solution.irradiance, &errors)
+        })
+        .collect();
+    println!("{measured:?}");
+    let off: Vec<f64> = measured.iter().map(|m| (m.value - truth).abs()).collect();
+    for k in 0..2 {
+        // A quarter, and the h⁴ term that is left out: a quarter of that again, at most, at 30 degrees.
+        let wanted = off[k] / 4.0 * 1.25 + T15 * (measured[k].error / 4.0 + measured[k + 1].error);
+        assert!(off[k + 1] <= wanted, "{off:?}");
+    }
+    // Extrapolated, the leading term is gone.
+    let extrapolated = (4.0 * measured[2].value - measured[1].value) / 3.0;
+    let error = (4.0 * measured[2].error + measured[1].error) / 3.0;
+    assert!((extrapolated - truth).abs() <= T15 * error + off[2] / 4.0, "{extrapolated} instead of {truth}");
+}
+
+/// Two similar polyhedra have the form factors of the spheres, whatever their facets: means over both are the truth
+/// but for chance, which error bars tell to first order. To second order a patch of the outer sphere that by chance sees
+/// more of the inner one is brighter, and is seen more by it in turn. With dE = (B1 - B2) dF21, which has the patch's
+/// standard error, light on the inner sphere gains ρ2 mean(dE dF21) / F21 on average; twice that is allowed.
+#[test]
+fn concentric_spheres() {
+    let (truth, rho) = ([1.08910891, 0.29702970], [0.3, 0.6]);
+    for level in [1, 2, 3] {
+        let parts =
+            [part(icosphere(0.5, level), rho[0], 1.0), part(flipped(icosphere(1.0, level)), rho[1], 0.0)];
+        let spheres = cast_whole(&parts, 512.0, Estimator::Pooled, 4);
+        let solution = solved(&spheres.form_factors, &spheres.patches);
+        let errors = bars(&spheres, &solution);
+        let squares: Vec<f64> = errors.iter().map(|e| e * e).collect();
+        let square = spheres.mean(&spheres.of_part(1), &squares, &squares).value;
+        let gain = 2.0 * rho[1] * square / (truth[0] - truth[1]) / 0.25;
+        // Conservation: what one sphere absorbs too much the other, of four times the area, lacks.
+        let gains = [gain, gain * (1.0 - rho[0]) / (4.0 * (1.0 - rho[1]))];
+        for k in 0..2 {
+            let b = spheres.mean(&spheres.of_part(k as u32), &solution.radiosity, &errors);
+            println!("level {level}: {b:?} for {}", truth[k]);
+            // Eight digits are given.
+            let measured = Measured { value: b.value, error: rho[k] * b.error };
+            measured.assert_is(truth[k], rho[k] * gains[k] + 1e-8);
+        }
+    }
+}
+
+/// Plates of 16, 32 and 64 distances: the middle lacks the light from beyond the edges, of the order of L⁻². Without
+/// that term the last two agree with endless plates to the next order, L⁻⁴, of which the change between
+/// extrapolations is 15 times what is left.
+#[test]
+fn endless_parallel_plates() {
+    let (be, rho) = ([1.0, 0.25], [0.5, 0.8]);
+    let truth = [0, 1].map(|k| (be[k] + rho[k] * be[1 - k]) / (1.0 - rho[0] * rho[1]));
+    let middle = |length: f64| {
+        const N: usize = 15;
+        let cell = |k: usize, positive| {
+            let at = |m: usize| (m as f64 / N as f64 - 0.5) * length;
+            let (u, v) = (k / N, k % N);
+            let (min, max) = ([at(u), at(v)], [at(u + 1), at(v + 1)]);
+            AxisRectangle { axis: Axis::Z, positive, offset: if positive { 0.0 } else { 1.0 }, min, max }
+        };
+        let one = N * N;
+        let plates: Vec<AxisRectangle> =
+            (0..one).map(|k| cell(k, true)).chain((0..one).map(|k| cell(k, false))).collect();
+        let area = plates[0].area();
+        let matrix = store(2 * one, |i, j| plates[i].exchange_area(&plates[j]) / area);
+        let seen: Vec<f64> = (0..2 * one)
+            .map(|i| plates.iter().map(|p| plates[i].exchange_area(p)).sum::<f64>() / area)
+            .collect();
+        let f =
+            FormFactors::from_exchange(matrix, vec![1.0; 2 * one], seen.iter().map(|s| 1.0 - s).collect());
+        let both = |x: [f64; 2]| (0..2 * one).map(|i| x[i / one]).collect::<Vec<_>>();
+        let b = solved(&f, grey(&both(be), &both(rho))).radiosity;
+        [b[one / 2], b[one + one / 2]]
+    };
+    let [a, b, c] = [16.0, 32.0, 64.0].map(middle);
+    for k in 0..2 {
+        let (first, second) = ((4.0 * b[k] - a[k]) / 3.0, (4.0 * c[k] - b[k]) / 3.0);
+        println!("{} {} {} -> {first} {second} for {}", a[k], b[k], c[k], truth[k]);
+        assert!(a[k] < b[k] && b[k] < c[k] && c[k] < truth[k]);
+        assert!((second - truth[k]).abs() <= (second - first).abs(), "{second} instead of {}", truth[k]);
+        assert!((second - truth[k]).abs() <= 0.25 * (truth[k] - c[k]));
+    }
+}
+
+/// emitted - absorbed - escaped = solver_part + reciprocity_part, for whatever matrix and however poor a solution: sums
+/// of some thousand terms round at 1e-13 of the largest.
+#[test]
+fn the_ledger_splits_exactly() {
+    for (name, estimator, tolerance) in ["cornell-box", "furnace", "door-ajar"]
+        .into_iter()
+        .flat_map(|name| BOTH.map(|e| (name, e)))
+        .flat_map(|(name, e)| [1e-10, 1e-1].map(|t| (name, e, t)))
+    {
+        let room =
+            cast(load(name), Subdivision::Count(500), CastOptions { estimator, ..CastOptions::default() });
+        let options = SolveOptions { solver: Solver::GaussSeidel, tolerance, ..SolveOptions::default() };
+        let solution = solve(&room.form_factors, &room.patches, &options, &Progress::new()).unwrap();
+        let ledger = EnergyLedger::of(&room.form_factors, &room.patches, &solution);
+        assert_eq!(ledger.emitted.len(), room.patches.channels());
+        for c in 0..room.patches.channels() {
+            let left = ledger.emitted[c] - ledger.absorbed[c] - ledger.escaped[c];
+            let parts = ledger.solver_part[c] + ledger.reciprocity_part[c];
+            assert!(
+                (left - parts).abs() <= 1e-12 * ledger.emitted[c],
+                "{name} {estimator:?}: {left} {parts}"
+            );
+            assert!(ledger.absorbed[c] > 0.0);
+            assert_eq!(ledger.escaped[c] > 0.0, name == "cornell-box", "{name}");
+        }
+        assert!(ledger.relative_solver_part().abs() <= tolerance);
+        let reciprocity = ledger.relative_reciprocity_part().abs();
+        match estimator {
+            // Closed to 1e-13, times the radiosity of each bounce: ten at most here.
+            Estimator::Pooled => assert!(reciprocity <= 1e-11, "{name}: {reciprocity:e}"),
+            // Sums to one, yet loses or makes light: the furnace's even light cannot tell.
+            Estimator::OneWay => assert!(name == "furnace" || reciprocity > 1e-5, "{name}: {reciprocity:e}"),
+        }
+    }
+}
+
+#[test]
+fn by_default_energy_balances() {
+    for name in ["cornell-box", "furnace", "door-ajar", "textured"] {
+        let room = cast(load(name), Subdivision::Count(500), CastOptions::default());
+        let solution = solved(&room.form_factors, &room.patches);
+        let ledger = EnergyLedger::of(&room.form_factors, &room.patches, &solution);
+        assert!(ledger.imbalance().abs() <= 1e-9, "{name}: {:e}", ledger.imbalance());
+        // Solver's tolerance and closure, the two parts.
+        assert!(ledger.relative_solver_part().abs() <= 1e-10);
+    }
+}
+
+#[test]
+fn grey_scenes_have_one_channel() {
+    let room = cast(load("furnace"), Subdivision::Edge(1.0), CastOptions::default());
+    let solution = solved(&room.form_factors, &room.patches);
+    assert_eq!((room.patches.channels(), solution.channels), (1, 1));
+    assert_eq!(solution.radiosity.len(), room.patches.len());
+    let ledger = EnergyLedger::of(&room.form_factors, &room.patches, &solution);
+    assert_eq!(ledger.emitted.len(), 1);
+    // Be = 1/2 on every square metre.
+    let total: f64 = room.form_factors.areas().iter().sum();
+    assert!((ledger.emitted[0] / total - 0.5).abs() < 1e-14);
+    let coloured = cast(load("cornell-box"), Subdivision::Count(100), CastOptions::default());
+    assert_eq!(coloured.patches.channels(), 3);
+    assert_eq!(coloured.patches.emission().len(), 3 * coloured.patches.len());
+}
