@@ -1,0 +1,127 @@
+//! Commands, and what they tell the shell.
+//!
+//! Results go to files, a short summary to stdout, progress, warnings and errors to stderr. Exit status: 0 done; 1
+//! computed, but a demanded check failed; 2 bad usage or input; 130 stopped by a signal.
+
+mod forecast;
+mod outputs;
+mod solve;
+mod summary;
+mod watch;
+
+use std::{
+    fmt::Display,
+    io::{self, Write},
+    num::NonZeroUsize,
+    process::ExitCode,
+};
+
+use clap::{Args, Parser, Subcommand};
+use radiosity::{Error, Result};
+
+/// Computes how light spreads between diffuse surfaces, and how right its answer is.
+#[derive(Parser)]
+#[command(
+    name = "radiosity",
+    version,
+    after_help = "Example:\n  radiosity solve room.obj -o room.ply --report room.json\n\n\
+        Exit status: 0 done; 1 computed, but a check failed; 2 bad usage or input; 130 stopped."
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Solve(solve::SolveArgs),
+}
+
+/// Options of every command.
+#[derive(Args)]
+struct Common {
+    /// Print no summary and no progress; warnings and errors remain
+    #[arg(long)]
+    quiet: bool,
+    /// Use so many threads; all processors unless told. The result is the same for any number
+    #[arg(long, value_name = "N")]
+    threads: Option<NonZeroUsize>,
+}
+
+impl Common {
+    fn start_threads(&self) -> Result<()> {
+        let Some(threads) = self.threads else { return Ok(()) };
+        rayon::ThreadPoolBuilder::new().num_threads(threads.get()).build_global().map_err(|e| Error::Usage {
+            message: format!("cannot start {threads} threads: {e}"),
+            hint: Some("leave --threads out to use every processor once".into()),
+        })
+    }
+}
+
+/// How a computation that ended with a result went.
+enum Outcome {
+    Done,
+    /// A demanded check failed: this one.
+    CheckFailed(String),
+}
+
+const CHECK_FAILED: u8 = 1;
+const BAD_INPUT: u8 = 2;
+const STOPPED: u8 = 130;
+
+/// Runs the command that the arguments name.
+pub fn run() -> ExitCode {
+    // clap prints help, the version and usage errors itself, and exits with 2 for the last.
+    let result = match Cli::parse().command {
+        Command::Solve(args) => solve::run(&args),
+    };
+    match result {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::CheckFailed(check)) => {
+            say_error(&check);
+            ExitCode::from(CHECK_FAILED)
+        }
+        Err(Error::Stopped) => {
+            to_stderr("stopped");
+            ExitCode::from(STOPPED)
+        }
+        Err(error) => {
+            say_error(&error);
+            if let Some(hint) = error.hint() {
+                to_stderr(format_args!("hint: {hint}"));
+            }
+            ExitCode::from(if matches!(error, Error::NotConverged { .. }) { CHECK_FAILED } else { BAD_INPUT })
+        }
+    }
+}
+
+fn say_error(what: &dyn Display) {
+    to_stderr(format_args!("error: {what}"));
+}
+
+/// Prints a line. Nobody reading is no reason to panic, which `eprintln!` would.
+fn to_stderr(line: impl Display) {
+    let _ = writeln!(io::stderr().lock(), "{line}");
+}
+
+/// Prints text that ends its own lines, to whoever reads it.
+fn to_stdout(text: &str) {
+    let _ = io::stdout().lock().write_all(text.as_bytes());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_commands_are_consistent_and_each_help_has_an_example() {
+        let mut cli = Cli::command();
+        cli.clone().debug_assert();
+        assert!(cli.render_help().to_string().contains("Example:\n  radiosity solve"));
+        for command in cli.get_subcommands_mut().filter(|c| c.get_name() != "help") {
+            let help = command.render_help().to_string();
+            assert!(help.contains(&format!("Example:\n  radiosity {} ", command.get_name())), "{help}");
+        }
+    }
+}

@@ -1,0 +1,296 @@
+//! `radiosity solve`: radiosity of every patch.
+
+use std::{path::PathBuf, time::Instant};
+
+use clap::{Args, ValueEnum};
+use radiosity::{
+    Error, Quality, Result, Scene,
+    energy::EnergyLedger,
+    form_factor::{CastOptions, Estimator, FormFactors},
+    output::{
+        exposure::Exposure,
+        file::{OutputFile, Pending},
+        ply::{self, PlyOptions},
+        report::{OptionsReport, Seconds, SolveReport, peak_bytes, seconds},
+    },
+    patch::{Patches, Subdivision},
+    solve::{self, Solution, SolveOptions, Solver},
+    trace::Tracer,
+};
+
+use super::{Common, Outcome, forecast, outputs, summary, to_stdout, watch::Watch};
+
+/// Share of the emitted power that rounding may lose in the sums of the energy ledger.
+const ROUNDING: f64 = 1e-9;
+
+/// Compute the radiosity of every patch of a scene
+#[derive(Args)]
+#[command(after_help = "Example:\n  radiosity solve room.obj -o room.ply --report room.json --quality high")]
+pub struct SolveArgs {
+    /// The scene: Wavefront .obj, its .mtl beside it
+    scene: PathBuf,
+    /// Write a coloured mesh, binary PLY
+    #[arg(short, long, value_name = "OUT.ply")]
+    output: Option<PathBuf>,
+    /// Write all figures as JSON
+    #[arg(long, value_name = "R.json")]
+    report: Option<PathBuf>,
+    /// A preset of patches and rays
+    #[arg(long, value_enum, default_value_t = QualityName::Medium)]
+    quality: QualityName,
+    /// Largest edge of a patch in the scene's unit; `inf` leaves the triangles whole
+    #[arg(long, value_name = "LENGTH", value_parser = positive)]
+    patch_size: Option<f64>,
+    /// About how many patches; at least one a triangle
+    #[arg(long, value_name = "N", conflicts_with = "patch_size", value_parser = clap::value_parser!(u32).range(1..))]
+    patches: Option<u32>,
+    /// Mean number of hemisphere rays a patch
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    rays: Option<u32>,
+    /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel
+    #[arg(long, value_enum, default_value_t = SolverName::Auto)]
+    solver: SolverName,
+    /// Relative residual to reach
+    #[arg(long, value_name = "T", default_value_t = SolveOptions::default().tolerance, value_parser = below_one)]
+    tolerance: f64,
+    /// Form factors from the rays of both patches, reciprocal and closed, or from the rays of one: the baseline
+    #[arg(long, value_enum, default_value_t = EstimatorName::Pooled)]
+    estimator: EstimatorName,
+    /// Make vertex colours brighter than automatic exposure does, by stops; negative is darker
+    #[arg(long, value_name = "STOPS", default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops)]
+    exposure: f64,
+    /// Another seed casts other rays; the same gives the same bytes
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum QualityName {
+    /// 1,000 patches, 64 rays
+    Draft,
+    /// 8,000 patches, 64 rays
+    Medium,
+    /// 32,000 patches, 256 rays
+    High,
+    /// 100,000 patches, 1,024 rays
+    Reference,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SolverName {
+    Auto,
+    Jacobi,
+    GaussSeidel,
+    Southwell,
+    Cg,
+    Direct,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum EstimatorName {
+    Pooled,
+    OneWay,
+}
+
+fn positive(text: &str) -> std::result::Result<f64, String> {
+    parse(text, |x| x > 0.0, "a length above 0, or inf, is wanted")
+}
+
+fn below_one(text: &str) -> std::result::Result<f64, String> {
+    parse(text, |x| x > 0.0 && x < 1.0, "a number between 0 and 1 is wanted")
+}
+
+fn stops(text: &str) -> std::result::Result<f64, String> {
+    parse(text, |x| x.abs() <= 100.0, "a number between -100 and 100 is wanted")
+}
+
+fn parse(text: &str, good: impl Fn(f64) -> bool, wanted: &str) -> std::result::Result<f64, String> {
+    text.parse().ok().filter(|&x| good(x)).ok_or_else(|| wanted.into())
+}
+
+impl SolveArgs {
+    fn quality(&self) -> Quality {
+        match self.quality {
+            QualityName::Draft => Quality::DRAFT,
+            QualityName::Medium => Quality::MEDIUM,
+            QualityName::High => Quality::HIGH,
+            QualityName::Reference => Quality::REFERENCE,
+        }
+    }
+
+    /// How to cut the scene, and a word on who chose that.
+    fn subdivision(&self) -> (Subdivision, String) {
+        if let Some(edge) = self.patch_size {
+            return (Subdivision::Edge(edge), format!("--patch-size {edge}"));
+        }
+        if let Some(patches) = self.patches {
+            return (Subdivision::Count(patches as usize), format!("--patches {patches}"));
+        }
+        let name = self.quality.to_possible_value().map_or(String::new(), |v| v.get_name().to_owned());
+        let patches = self.quality().patches;
+        (Subdivision::Count(patches), format!("about {patches} for quality {name}"))
+    }
+
+    fn rays(&self) -> u32 {
+        self.rays.unwrap_or(self.quality().rays)
+    }
+
+    fn estimator(&self) -> Estimator {
+        match self.estimator {
+            EstimatorName::Pooled => Estimator::Pooled,
+            EstimatorName::OneWay => Estimator::OneWay,
+        }
+    }
+
+    fn solve_options(&self) -> SolveOptions {
+        let solver = match self.solver {
+            SolverName::Auto => Solver::Auto,
+            SolverName::Jacobi => Solver::Jacobi,
+            SolverName::GaussSeidel => Solver::GaussSeidel,
+            SolverName::Southwell => Solver::Southwell,
+            SolverName::Cg => Solver::ConjugateGradient,
+            SolverName::Direct => Solver::Direct,
+        };
+        SolveOptions { solver, tolerance: self.tolerance, ..SolveOptions::default() }
+    }
+
+    /// Refuses combinations that would only fail after hours.
+    fn check(&self) -> Result<()> {
+        if matches!((self.solver, self.estimator), (SolverName::Cg, EstimatorName::OneWay)) {
+            return Err(Error::Usage {
+                message: "--solver cg needs reciprocal form factors".into(),
+                hint: Some("use --estimator pooled or --solver gauss-seidel".into()),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// What was computed.
+struct Computed {
+    scene: Scene,
+    patches: Patches,
+    form_factors: FormFactors,
+    solution: Solution,
+    energy: EnergyLedger,
+}
+
+/// Runs the command.
+pub fn run(args: &SolveArgs) -> Result<Outcome> {
+    let start = Instant::now();
+    args.check()?;
+    let mesh = args.output.as_ref().map(|path| outputs::mesh(path, &args.scene)).transpose()?;
+    let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene)).transpose()?;
+    outputs::check_distinct(&[&mesh, &report_file].into_iter().flatten().collect::<Vec<_>>())?;
+    args.common.start_threads()?;
+
+    let watch = Watch::new(args.common.quiet);
+    let mut times = Seconds::default();
+    let computed = compute(args, &watch, &mut times)?;
+    let Computed { scene, patches, form_factors, solution, energy } = &computed;
+
+    let exposure = Exposure::automatic(patches, &solution.radiosity).brighter(args.exposure);
+    watch.begin_writing();
+    let mut pending = Vec::new();
+    let written;
+    (written, times.output) =
+        watch.stage("writing", || mesh.map(|file| write_mesh(file, &computed, exposure)).transpose())?;
+    pending.extend(written);
+
+    let options = OptionsReport {
+        rays_per_patch: args.rays().into(),
+        estimator: if form_factors.estimator() == Estimator::Pooled { "pooled" } else { "one-way" },
+        tolerance: args.tolerance,
+        seed: args.seed,
+        white: 1.0 / exposure.scale,
+    };
+    let file = args.scene.display().to_string();
+    let mut report = SolveReport::new(&file, scene, patches, form_factors, solution, energy, options);
+    times.total = seconds(start.elapsed());
+    report.seconds = times;
+    report.peak_bytes = peak_bytes();
+    pending.extend(report_file.map(|file| file.write(|out| report.write(out))).transpose()?);
+
+    watch.progress().check()?;
+    // All is on the disk already: from here only names change.
+    pending.into_iter().try_for_each(Pending::commit)?;
+    drop(watch);
+    if !args.common.quiet {
+        let (_, chosen) = args.subdivision();
+        let names = outputs::names(&[&args.output, &args.report]);
+        to_stdout(&summary::table(&report, patches, form_factors, &chosen, args.exposure, &names));
+    }
+    Ok(verdict(args, &report))
+}
+
+fn compute(args: &SolveArgs, watch: &Watch, times: &mut Seconds) -> Result<Computed> {
+    let scene;
+    (scene, times.load) = watch.stage("reading", || Scene::load(&args.scene))?;
+    for warning in &scene.warnings {
+        watch.warn(warning);
+    }
+    if scene.degenerate > 0 {
+        watch.warn(&format!(
+            "{}: left out {} triangles without area",
+            args.scene.display(),
+            scene.degenerate
+        ));
+    }
+    if !scene.has_emitter() {
+        return Err(Error::input(&args.scene, None, "nothing emits light: there is nothing to compute")
+            .with_hint("give a material an emitted radiance, a line like `Ke 10 10 10` in the .mtl file"));
+    }
+    let (subdivision, _) = args.subdivision();
+    let rays = f64::from(args.rays());
+    if let Some(warning) = forecast::check(Patches::forecast(&scene, &subdivision), rays)? {
+        watch.warn(&warning);
+    }
+
+    let (tracer, mut patches, form_factors, solved);
+    (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
+    (patches, times.subdivide) = watch.stage("patches", || Ok(Patches::subdivide(&scene, &subdivision)))?;
+    let cast = CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
+    (form_factors, times.form_factors) =
+        watch.stage("rays", || FormFactors::cast(&scene, &tracer, &mut patches, &cast, watch.progress()))?;
+    (solved, times.solve) = watch.stage("solving", || {
+        let solution = solve::solve(&form_factors, &patches, &args.solve_options(), watch.progress())
+            .map_err(|error| blame(args, error))?;
+        let energy = EnergyLedger::of(&form_factors, &patches, &solution);
+        Ok((solution, energy))
+    })?;
+    let (solution, energy) = solved;
+    Ok(Computed { scene, patches, form_factors, solution, energy })
+}
+
+/// Names the scene where the scene is to blame.
+fn blame(args: &SolveArgs, error: Error) -> Error {
+    match (&error, error.hint()) {
+        (Error::NoEquilibrium, Some(hint)) => {
+            Error::input(&args.scene, None, error.to_string()).with_hint(hint)
+        }
+        _ => error,
+    }
+}
+
+fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Result<Pending> {
+    let Computed { scene, patches, solution, .. } = computed;
+    let options = PlyOptions { exposure: Some(exposure), ..PlyOptions::default() };
+    file.write(|out| ply::encode(out, scene, patches, solution, &options))
+}
+
+/// Whether the energy balances. Form factors from one side never do: that is what they are there to show.
+fn verdict(args: &SolveArgs, report: &SolveReport) -> Outcome {
+    let (imbalance, allowed) = (report.energy.imbalance, ROUNDING + args.tolerance);
+    match args.estimator {
+        // Also true of NaN.
+        EstimatorName::Pooled if imbalance.abs().partial_cmp(&allowed).is_none_or(|o| o.is_gt()) => {
+            Outcome::CheckFailed(format!(
+                "{}: the energy does not balance: {imbalance:.3e} of what is emitted is missing, {allowed:.1e} is allowed",
+                report.scene.file
+            ))
+        }
+        _ => Outcome::Done,
+    }
+}

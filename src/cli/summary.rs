@@ -1,0 +1,107 @@
+//! The short table on stdout.
+
+use std::fmt::Write;
+
+use radiosity::{form_factor::FormFactors, output::report::SolveReport, patch::Patches};
+
+/// The figures of a solution that people want to see.
+pub fn table(
+    report: &SolveReport,
+    patches: &Patches,
+    form_factors: &FormFactors,
+    chosen: &str,
+    stops: f64,
+    written: &str,
+) -> String {
+    let SolveReport { scene, form_factors: factors, solve, energy, seconds, .. } = report;
+    let mut text = String::new();
+    let mut row = |name: &str, value: String| {
+        let _ = writeln!(text, "{name:<13} {value}");
+    };
+    row("scene", format!("{}: {} triangles", scene.file, scene.triangles));
+    let edge = scene.patch_edge.map_or("of any size".into(), |edge| format!("edges up to {edge:.4}"));
+    row(
+        "patches",
+        format!(
+            "{} ({} front + {} back), {edge}; {chosen}",
+            scene.patches,
+            patches.fronts(),
+            scene.back_patches
+        ),
+    );
+    let mean = factors.rays as f64 / scene.patches as f64;
+    let escaped = 100.0 * factors.escaped_fraction;
+    row("rays", format!("{} ({mean:.0} a patch), {escaped:.2} % escaped", factors.rays));
+    let (bytes, rate) = (memory(factors.bytes as f64), factors.rays as f64 / seconds.form_factors.max(1e-6));
+    row(
+        "form factors",
+        format!(
+            "{} non-zeros, {bytes}, {:?}, {:.2e} rays/s",
+            factors.non_zeros,
+            form_factors.estimator(),
+            rate
+        ),
+    );
+    let bound = solve.error_bound.map_or("without a bound".into(), |b| format!("within {b:.1e} W/m2"));
+    row(
+        "solver",
+        format!(
+            "{}, {} iterations, residual {:.1e}, {bound}",
+            solve.solver, solve.iterations, solve.residual
+        ),
+    );
+    let channels =
+        if scene.channels == 1 { vec![("", 0)] } else { vec![(" red", 0), (" green", 1), (" blue", 2)] };
+    for (name, c) in channels {
+        let (emitted, absorbed, escaped) = (energy.emitted[c], energy.absorbed[c], energy.escaped[c]);
+        row(
+            &format!("power{name}"),
+            format!("emitted {emitted:.6e} W, absorbed {absorbed:.6e} W, escaped {escaped:.6e} W"),
+        );
+    }
+    row(
+        "imbalance",
+        format!(
+            "{:.1e} of what is emitted: solver {:.1e}, reciprocity {:.1e}",
+            energy.imbalance, energy.solver_part, energy.reciprocity_part
+        ),
+    );
+    row("exposure", format!("white is {:.4e} W/m2 (automatic {stops:+} stops)", report.options.white));
+    row(
+        "seconds",
+        format!(
+            "load {:.2}, subdivide {:.2}, bvh {:.2}, form factors {:.2}, solve {:.2}, output {:.2}; total {:.2}",
+            seconds.load,
+            seconds.subdivide,
+            seconds.bvh,
+            seconds.form_factors,
+            seconds.solve,
+            seconds.output,
+            seconds.total
+        ),
+    );
+    row("wrote", written.into());
+    text
+}
+
+/// A number of bytes for people.
+fn memory(bytes: f64) -> String {
+    let units = ["bytes", "KiB", "MiB", "GiB", "TiB"];
+    let mut unit = 0;
+    let mut value = bytes;
+    while value >= 1024.0 && unit + 1 < units.len() {
+        value /= 1024.0;
+        unit += 1;
+    }
+    if unit == 0 { format!("{value} {}", units[0]) } else { format!("{value:.1} {}", units[unit]) }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn memory_is_told_in_the_unit_that_fits() {
+        assert_eq!(super::memory(1000.0), "1000 bytes");
+        assert_eq!(super::memory(1536.0), "1.5 KiB");
+        assert_eq!(super::memory(3.0 * 1024f64.powi(3)), "3.0 GiB");
+    }
+}

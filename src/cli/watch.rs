@@ -1,0 +1,128 @@
+//! The progress bar, and the wish to stop.
+
+use std::{
+    io::{self, IsTerminal},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+
+use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+use radiosity::{Progress, Result};
+
+const REFRESH: Duration = Duration::from_millis(100);
+
+/// Watches a computation until it is dropped.
+pub struct Watch {
+    shared: Arc<Shared>,
+    bar: Option<(ProgressBar, JoinHandle<()>)>,
+}
+
+#[derive(Default)]
+struct Shared {
+    progress: Progress,
+    stage: Mutex<&'static str>,
+    finished: AtomicBool,
+    writing: AtomicBool,
+}
+
+impl Watch {
+    /// Listens for Ctrl-C; draws a bar where stderr is a terminal, unless told to be quiet.
+    pub fn new(quiet: bool) -> Watch {
+        let shared = Arc::new(Shared::default());
+        let handled = Arc::clone(&shared);
+        // Only a second handler or an exhausted system can fail here: then Ctrl-C kills, which is no worse.
+        let _ = ctrlc::set_handler(move || {
+            // Not every stage looks for the wish to stop. Who insists gets out at once, except that temporary files
+            // must not stay behind; writing takes seconds at most.
+            if handled.progress.is_stopped() && !handled.writing.load(Ordering::Relaxed) {
+                std::process::exit(super::STOPPED.into());
+            }
+            handled.progress.stop();
+        });
+        let bar = (!quiet && io::stderr().is_terminal()).then(|| {
+            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+            let (drawn, drawing) = (bar.clone(), Arc::clone(&shared));
+            (bar, std::thread::spawn(move || draw(&drawn, &drawing)))
+        });
+        Watch { shared, bar }
+    }
+
+    /// What the computation counts in.
+    pub fn progress(&self) -> &Progress {
+        &self.shared.progress
+    }
+
+    /// Does a stage of the work and tells how many seconds it took.
+    pub fn stage<T>(&self, name: &'static str, work: impl FnOnce() -> Result<T>) -> Result<(T, f64)> {
+        self.progress().check()?;
+        self.progress().begin(0);
+        *self.shared.stage.lock().expect("no thread panics holding it") = name;
+        let start = Instant::now();
+        let result = work()?;
+        self.progress().check()?;
+        Ok((result, radiosity::output::report::seconds(start.elapsed())))
+    }
+
+    /// From here on temporary files exist.
+    pub fn begin_writing(&self) {
+        self.shared.writing.store(true, Ordering::Relaxed);
+    }
+
+    /// Prints a warning above the bar.
+    pub fn warn(&self, warning: &str) {
+        let print = || super::to_stderr(format_args!("warning: {warning}"));
+        match &self.bar {
+            Some((bar, _)) => bar.suspend(print),
+            None => print(),
+        }
+    }
+}
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.shared.finished.store(true, Ordering::Relaxed);
+        if let Some((_, thread)) = self.bar.take() {
+            thread.thread().unpark();
+            let _ = thread.join();
+        }
+    }
+}
+
+fn draw(bar: &ProgressBar, shared: &Shared) {
+    let mut shown = ("", u64::MAX);
+    while !shared.finished.load(Ordering::Relaxed) {
+        let stage = *shared.stage.lock().expect("no thread panics holding it");
+        let total = shared.progress.total();
+        if (stage, total) != shown {
+            // Rate and time left are of one stage; backs that rays find make it longer as it goes.
+            if stage != shown.0 {
+                bar.reset();
+            }
+            shown = (stage, total);
+            bar.set_message(stage);
+            bar.set_style(style(total > 0));
+            bar.set_length(total);
+        }
+        bar.set_position(shared.progress.done());
+        bar.tick();
+        std::thread::park_timeout(REFRESH);
+    }
+    bar.finish_and_clear();
+}
+
+fn style(counted: bool) -> ProgressStyle {
+    let template = match counted {
+        true => "{msg:14} [{bar:30}] {percent:>3} % {rate}, {eta} left",
+        false => "{msg:14} {spinner} {elapsed}",
+    };
+    ProgressStyle::with_template(template).expect("the template is valid").progress_chars("=> ").with_key(
+        "rate",
+        |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+            let _ = write!(out, "{}/s", HumanCount(state.per_sec() as u64));
+        },
+    )
+}

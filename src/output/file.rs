@@ -1,0 +1,256 @@
+//! Files that are written whole or not at all.
+//!
+//! What is written goes to a temporary file in the same directory, which then takes the name of the real one: rename
+//! within a file system is atomic. Whoever reads the output, and whoever pulls the plug, finds the old file or the new.
+
+use std::{
+    ffi::OsString,
+    fs,
+    io::{self, BufWriter, Write},
+    path::{Path, PathBuf},
+};
+
+use tempfile::NamedTempFile;
+
+use crate::{Error, Result};
+
+/// A place that can be written to; made by [`OutputFile::new`], before the work whose result it shall hold.
+#[derive(Debug)]
+pub struct OutputFile {
+    /// As the user named it, for messages.
+    path: PathBuf,
+    /// The regular file to replace, with links followed; `None` for devices and pipes.
+    target: Option<PathBuf>,
+}
+
+/// Written, but not yet there under its name. Dropping it leaves no trace.
+#[derive(Debug)]
+pub struct Pending {
+    output: OutputFile,
+    contents: Contents,
+}
+
+#[derive(Debug)]
+enum Contents {
+    File(NamedTempFile),
+    /// Devices and pipes take everything at once, and only when there is everything.
+    Memory(Vec<u8>),
+}
+
+impl OutputFile {
+    /// Checks that `path` can be written and is none of `inputs`. Leaves what is there untouched.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when it is an input, [`Error::Io`] when it cannot be written.
+    pub fn new(path: &Path, inputs: &[&Path]) -> Result<OutputFile> {
+        let failed = |e| Error::io(path, e);
+        let target = match fs::metadata(path) {
+            Ok(there) if there.is_dir() => return Err(failed(io::ErrorKind::IsADirectory.into())),
+            Ok(there) if !there.is_file() => None,
+            Ok(there) if there.permissions().readonly() => {
+                return Err(failed(io::ErrorKind::PermissionDenied.into()));
+            }
+            Ok(_) => Some(fs::canonicalize(path).map_err(failed)?),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => Some(path.to_owned()),
+            Err(e) => return Err(failed(e)),
+        };
+        let is_input = |input: &&Path| fs::canonicalize(input).is_ok_and(|input| Some(input) == target);
+        if inputs.iter().any(is_input) {
+            return Err(Error::Usage {
+                message: format!("{}: the output would replace the input", path.display()),
+                hint: Some("give the output another name".into()),
+            });
+        }
+        let output = OutputFile { path: path.to_owned(), target };
+        if output.target.is_some() {
+            output.temporary()?;
+        }
+        Ok(output)
+    }
+
+    /// The path as it was given.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether both are the same file.
+    pub fn is_same(&self, other: &OutputFile) -> bool {
+        let place = |output: &OutputFile| {
+            let target = output.target.as_ref()?;
+            Some((fs::canonicalize(directory(target)).ok()?, target.file_name()?.to_owned()))
+        };
+        place(self).is_some_and(|p| Some(p) == place(other))
+    }
+
+    /// Writes what `contents` writes, without yet giving it its name.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; nothing is left behind then.
+    pub fn write(self, contents: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<Pending> {
+        let failed = |e| Error::io(&self.path, e);
+        if self.target.is_none() {
+            let mut bytes = Vec::new();
+            contents(&mut bytes).map_err(failed)?;
+            return Ok(Pending { output: self, contents: Contents::Memory(bytes) });
+        }
+        let file = self.temporary()?;
+        let mut out = BufWriter::with_capacity(1 << 20, file);
+        contents(&mut out).map_err(failed)?;
+        let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
+        file.as_file().sync_all().map_err(failed)?;
+        Ok(Pending { output: self, contents: Contents::File(file) })
+    }
+
+    /// A new file beside the target, with the permissions that the target has or would get.
+    fn temporary(&self) -> Result<NamedTempFile> {
+        let target = self.target.as_deref().expect("only regular files are replaced");
+        let failed = |e| Error::io(&self.path, e);
+        let Some(name) = target.file_name() else {
+            return Err(failed(io::ErrorKind::InvalidInput.into()));
+        };
+        let mut prefix = OsString::from(".");
+        prefix.push(name);
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(&prefix).suffix(".part");
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        // The operating system's own error: tempfile's would name the temporary file.
+        let bare =
+            |e: io::Error| e.raw_os_error().map_or_else(|| e.kind().into(), io::Error::from_raw_os_error);
+        let file = builder.tempfile_in(directory(target)).map_err(|e| failed(bare(e)))?;
+        if let Ok(there) = fs::metadata(target) {
+            file.as_file().set_permissions(there.permissions()).map_err(failed)?;
+        }
+        Ok(file)
+    }
+}
+
+impl Pending {
+    /// Gives the file its name, replacing what was there.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; what was there stays then.
+    pub fn commit(self) -> Result<()> {
+        let Pending { output, contents } = self;
+        let failed = |e| Error::io(&output.path, e);
+        match contents {
+            Contents::File(file) => {
+                let target = output.target.as_deref().expect("only regular files are replaced");
+                file.persist(target).map(drop).map_err(|e| failed(e.error))
+            }
+            Contents::Memory(bytes) => fs::OpenOptions::new()
+                .write(true)
+                .open(&output.path)
+                .and_then(|mut out| out.write_all(&bytes))
+                .map_err(failed),
+        }
+    }
+}
+
+/// The directory that holds `path`.
+fn directory(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(directory: &Path) -> Vec<OsString> {
+        let mut names: Vec<_> = fs::read_dir(directory).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_file_appears_whole_at_commit_and_not_before() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("out.ply");
+        fs::write(&path, "old").unwrap();
+        let pending = OutputFile::new(&path, &[]).unwrap().write(|out| out.write_all(b"new")).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        pending.commit().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(names(dir.path()), ["out.ply"]);
+    }
+
+    #[test]
+    fn a_failed_or_abandoned_write_leaves_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("out.ply");
+        let half = |out: &mut dyn Write| {
+            out.write_all(&[0; 100])?;
+            Err(io::Error::other("the disk is full"))
+        };
+        let error = OutputFile::new(&path, &[]).unwrap().write(half).unwrap_err();
+        assert_eq!(error.to_string(), format!("{}: the disk is full", path.display()));
+        drop(OutputFile::new(&path, &[]).unwrap().write(|out| out.write_all(b"x")).unwrap());
+        assert!(names(dir.path()).is_empty());
+    }
+
+    #[test]
+    fn inputs_are_never_replaced_whatever_they_are_called() {
+        let dir = tempfile::tempdir().unwrap();
+        let input = dir.path().join("in.obj");
+        fs::write(&input, "precious").unwrap();
+        fs::create_dir(dir.path().join("sub")).unwrap();
+        let detour = dir.path().join("sub").join("..").join("in.obj");
+        assert!(matches!(OutputFile::new(&detour, &[&input]), Err(Error::Usage { .. })));
+        #[cfg(unix)]
+        {
+            let link = dir.path().join("link.ply");
+            std::os::unix::fs::symlink(&input, &link).unwrap();
+            assert!(matches!(OutputFile::new(&link, &[&input]), Err(Error::Usage { .. })));
+        }
+        assert_eq!(fs::read(&input).unwrap(), b"precious");
+    }
+
+    #[test]
+    fn places_that_cannot_be_written_are_told_at_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let missing = dir.path().join("missing").join("out.ply");
+        for path in [dir.path(), &missing] {
+            let error = OutputFile::new(path, &[]).unwrap_err();
+            assert!(error.to_string().starts_with(&path.display().to_string()), "{error}");
+            assert!(!error.to_string().contains(".part"), "{error}");
+        }
+        let locked = dir.path().join("locked.ply");
+        fs::write(&locked, "old").unwrap();
+        let mut permissions = fs::metadata(&locked).unwrap().permissions();
+        permissions.set_readonly(true);
+        fs::set_permissions(&locked, permissions).unwrap();
+        assert!(matches!(OutputFile::new(&locked, &[]), Err(Error::Io { .. })));
+    }
+
+    #[test]
+    fn two_names_of_one_output_are_told_apart_from_two_outputs() {
+        let dir = tempfile::tempdir().unwrap();
+        fs::create_dir(dir.path().join("sub")).unwrap();
+        let at = |name: &str| OutputFile::new(&dir.path().join(name), &[]).unwrap();
+        assert!(at("a").is_same(&at("sub/../a")));
+        assert!(!at("a").is_same(&at("b")));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn devices_are_written_to_and_stay_devices() {
+        let null = Path::new("/dev/null");
+        OutputFile::new(null, &[]).unwrap().write(|out| out.write_all(b"x")).unwrap().commit().unwrap();
+        assert!(!fs::metadata(null).unwrap().is_file());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_stays_a_link_and_permissions_stay_as_they_were() {
+        use std::os::unix::fs::PermissionsExt;
+        let dir = tempfile::tempdir().unwrap();
+        let (real, link) = (dir.path().join("real"), dir.path().join("link"));
+        fs::write(&real, "old").unwrap();
+        fs::set_permissions(&real, fs::Permissions::from_mode(0o640)).unwrap();
+        std::os::unix::fs::symlink(&real, &link).unwrap();
+        OutputFile::new(&link, &[]).unwrap().write(|out| out.write_all(b"new")).unwrap().commit().unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(fs::read(&real).unwrap(), b"new");
+        assert_eq!(fs::metadata(&real).unwrap().permissions().mode() & 0o777, 0o640);
+    }
+}

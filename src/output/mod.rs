@@ -1,0 +1,12 @@
+//! What people take home: coloured meshes and reports.
+//!
+//! Everything written here is written whole or not at all ([`file`]), and holds finite numbers only, except where a
+//! figure is not known: NaN in a PLY, `null` in a report.
+
+pub mod exposure;
+pub mod file;
+pub mod ply;
+pub mod report;
+mod surfaces;
+pub mod vertex_colors;
+pub mod vertices;

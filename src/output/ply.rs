@@ -1,0 +1,276 @@
+//! Coloured meshes as binary PLY, which MeshLab, Blender, CloudCompare, three.js and Python's `plyfile` read.
+//!
+//! - `vertex`: `x y z` float in the scene's unit; `red green blue` uchar, exposed and sRGB-encoded; `radiosity_r
+//!   radiosity_g radiosity_b` float, linear, W/m².
+//! - `face`, one a patch side: `vertex_indices`; `triangle` int, the triangle of the file; `side` uchar, 0 front and 1
+//!   back; `area` double; `irradiance_*`, `radiosity_*` and `error_*` float, the last the standard error of the
+//!   irradiance, NaN where it is not known.
+
+use std::{
+    io::{self, Write},
+    path::Path,
+};
+
+use ply_rs::{
+    ply::{Addable, ElementDef, Encoding, Header, PropertyAccess, PropertyDef, PropertyType, ScalarType},
+    writer::Writer,
+};
+
+use super::{
+    exposure::{Exposure, rgb},
+    file::OutputFile,
+    vertex_colors,
+    vertices::{CREASE, PatchMesh},
+};
+use crate::{Result, patch::Patches, scene::Scene, solve::Solution};
+
+/// What may be chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlyOptions<'a> {
+    /// Standard error of each patch's irradiance, `channels` interleaved values; written as NaN where `None`.
+    pub standard_errors: Option<&'a [f64]>,
+    /// Surfaces that bend by so many degrees at an edge are not shaded as one.
+    pub crease: f64,
+    /// How bright the vertex colours are; by [`Exposure::automatic`] where `None`.
+    pub exposure: Option<Exposure>,
+}
+
+impl Default for PlyOptions<'_> {
+    /// No standard errors, a crease angle of [`CREASE`] degrees, automatic exposure.
+    fn default() -> Self {
+        PlyOptions { standard_errors: None, crease: CREASE, exposure: None }
+    }
+}
+
+/// Writes the solution to a file, whole or not at all.
+///
+/// # Errors
+/// [`Error::Io`](crate::Error::Io).
+///
+/// # Panics
+/// When the sizes disagree.
+pub fn write(
+    path: &Path,
+    scene: &Scene,
+    patches: &Patches,
+    solution: &Solution,
+    options: &PlyOptions<'_>,
+) -> Result<()> {
+    OutputFile::new(path, &[])?.write(|out| encode(out, scene, patches, solution, options))?.commit()
+}
+
+/// Writes the solution to `out`, which should be buffered.
+///
+/// # Errors
+/// What `out` says; [`io::ErrorKind::InvalidData`] when a value exceeds single precision.
+///
+/// # Panics
+/// When the sizes disagree.
+pub fn encode(
+    mut out: &mut dyn Write,
+    scene: &Scene,
+    patches: &Patches,
+    solution: &Solution,
+    options: &PlyOptions<'_>,
+) -> io::Result<()> {
+    let values = patches.channels() * patches.len();
+    assert_eq!((solution.radiosity.len(), solution.irradiance.len()), (values, values), "sizes disagree");
+    assert!(options.standard_errors.is_none_or(|e| e.len() == values), "sizes disagree");
+
+    let mesh = PatchMesh::new(scene, patches, options.crease);
+    let exposure = options.exposure.unwrap_or_else(|| Exposure::automatic(patches, &solution.radiosity));
+    let radiosity = vertex_colors::at_vertices(scene, patches, &mesh, &solution.radiosity);
+    let header = header(exposure, mesh.positions().len(), patches.len());
+
+    Writer::<Vertex>::new().write_header(&mut out, &header)?;
+    let channels = patches.channels();
+    write_elements(&mut out, &header, "vertex", mesh.positions().len(), |v| {
+        let radiosity = rgb(&radiosity[v * channels..][..channels]);
+        Vertex {
+            position: single(mesh.positions()[v].to_array()),
+            colour: exposure.encode(radiosity),
+            radiosity: single(positive(radiosity)),
+        }
+    })?;
+    write_elements(&mut out, &header, "face", patches.len(), |i| {
+        let of = |values: &[f64]| rgb(&values[i * channels..][..channels]);
+        Face {
+            vertices: mesh.face(i).map(|v| v as i32),
+            triangle: scene.triangles[patches.triangle(i)].source as i32,
+            back: u8::from(!patches.is_front(i)),
+            area: patches.area(i),
+            irradiance: single(positive(of(&solution.irradiance))),
+            radiosity: single(positive(of(&solution.radiosity))),
+            error: options.standard_errors.map_or([f32::NAN; 3], |e| single(of(e))),
+        }
+    })
+}
+
+/// Iterative solvers leave a dark patch a little below zero, within their error bound. The exact solution has no
+/// negative value, so zero is closer to it.
+fn positive(rgb: [f64; 3]) -> [f64; 3] {
+    // Not `max`, which would turn NaN into darkness.
+    rgb.map(|x| if x < 0.0 { 0.0 } else { x })
+}
+
+fn single(values: [f64; 3]) -> [f32; 3] {
+    values.map(|x| x as f32)
+}
+
+/// Writes `count` elements, a block of them in memory at a time.
+fn write_elements<E: PropertyAccess + Checked>(
+    mut out: &mut dyn Write,
+    header: &Header,
+    name: &str,
+    count: usize,
+    element: impl Fn(usize) -> E + Sync,
+) -> io::Result<()> {
+    use rayon::prelude::*;
+    const BLOCK: usize = 1 << 16;
+    for start in (0..count).step_by(BLOCK) {
+        let block: Vec<E> = (start..(start + BLOCK).min(count)).into_par_iter().map(&element).collect();
+        if let Some(bad) = block.iter().position(|e| !e.fits()) {
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidData,
+                format!("{name} {}: a value is beyond the range of single precision", start + bad),
+            ));
+        }
+        Writer::new().write_payload_of_element(&mut out, &block, &header.elements[name], header)?;
+    }
+    Ok(())
+}
+
+const RGB: [&str; 3] = ["r", "g", "b"];
+
+fn header(exposure: Exposure, vertices: usize, faces: usize) -> Header {
+    let mut header = Header::new();
+    header.encoding = Encoding::BinaryLittleEndian;
+    header.comments = vec![
+        format!("radiosity {}", env!("CARGO_PKG_VERSION")),
+        "units: lengths as in the scene; radiosity, irradiance and its standard error in W/m2, linear Rec. 709".into(),
+        format!("exposure: colours are sRGB, white is a radiosity of {:.6e} W/m2", 1.0 / exposure.scale),
+    ];
+    let named = |quantity: &'static str| RGB.map(|c| (format!("{quantity}_{c}"), ScalarType::Float));
+    let mut vertex = element("vertex", vertices);
+    for name in ["x", "y", "z"] {
+        vertex.properties.add(scalar(name, ScalarType::Float));
+    }
+    for name in ["red", "green", "blue"] {
+        vertex.properties.add(scalar(name, ScalarType::UChar));
+    }
+    for (name, kind) in named("radiosity") {
+        vertex.properties.add(scalar(&name, kind));
+    }
+    header.elements.add(vertex);
+
+    let mut face = element("face", faces);
+    let indices = PropertyType::List(ScalarType::UChar, ScalarType::Int);
+    face.properties.add(PropertyDef::new("vertex_indices".into(), indices));
+    face.properties.add(scalar("triangle", ScalarType::Int));
+    face.properties.add(scalar("side", ScalarType::UChar));
+    face.properties.add(scalar("area", ScalarType::Double));
+    for (name, kind) in ["irradiance", "radiosity", "error"].into_iter().flat_map(named) {
+        face.properties.add(scalar(&name, kind));
+    }
+    header.elements.add(face);
+    header
+}
+
+fn element(name: &str, count: usize) -> ElementDef {
+    let mut element = ElementDef::new(name.into());
+    element.count = count;
+    element
+}
+
+fn scalar(name: &str, kind: ScalarType) -> PropertyDef {
+    PropertyDef::new(name.into(), PropertyType::Scalar(kind))
+}
+
+/// Whether every value survived the way to single precision.
+trait Checked: Send {
+    fn fits(&self) -> bool;
+}
+
+#[derive(Default)]
+struct Vertex {
+    position: [f32; 3],
+    colour: [u8; 3],
+    radiosity: [f32; 3],
+}
+
+impl Checked for Vertex {
+    fn fits(&self) -> bool {
+        self.position.iter().chain(&self.radiosity).all(|x| x.is_finite())
+    }
+}
+
+impl PropertyAccess for Vertex {
+    fn new() -> Self {
+        Self::default()
+    }
+
+    fn get_float(&self, name: &str) -> Option<f32> {
+        match name {
+            "x" => Some(self.position[0]),
+            "y" => Some(self.position[1]),
+            "z" => Some(self.position[2]),
+            _ => channel(name, "radiosity_", self.radiosity),
+        }
+    }
+
+    fn get_uchar(&self, name: &str) -> Option<u8> {
+        ["red", "green", "blue"].iter().position(|&n| n == name).map(|c| self.colour[c])
+    }
+}
+
+#[derive(Default)]
+struct Face {
+    vertices: [i32; 3],
+    triangle: i32,
+    back: u8,
+    area: f64,
+    irradiance: [f32; 3],
+    radiosity: [f32; 3],
+    error: [f32; 3],
+}
+
+impl Checked for Face {
+    fn fits(&self) -> bool {
+        self.irradiance.iter().chain(&self.radiosity).all(|x| x.is_finite())
+            && !self.error.iter().any(|x| x.is_infinite())
+    }
+}
+
+impl PropertyAccess for Face {
+    fn new() -> Self {
+        Self::default()
+    }
+
+    fn get_list_int(&self, name: &str) -> Option<&[i32]> {
+        (name == "vertex_indices").then_some(&self.vertices)
+    }
+
+    fn get_int(&self, name: &str) -> Option<i32> {
+        (name == "triangle").then_some(self.triangle)
+    }
+
+    fn get_uchar(&self, name: &str) -> Option<u8> {
+        (name == "side").then_some(self.back)
+    }
+
+    fn get_double(&self, name: &str) -> Option<f64> {
+        (name == "area").then_some(self.area)
+    }
+
+    fn get_float(&self, name: &str) -> Option<f32> {
+        channel(name, "irradiance_", self.irradiance)
+            .or_else(|| channel(name, "radiosity_", self.radiosity))
+            .or_else(|| channel(name, "error_", self.error))
+    }
+}
+
+/// The channel that `name` asks for, if it is one of this quantity.
+fn channel(name: &str, quantity: &str, values: [f32; 3]) -> Option<f32> {
+    let channel = name.strip_prefix(quantity)?;
+    RGB.iter().position(|&c| c == channel).map(|c| values[c])
+}

@@ -1,0 +1,288 @@
+//! The figures of a run as JSON.
+//!
+//! Arrays of three are red, green and blue. A figure that is not known or not finite is `null`. Lengths, and what
+//! derives from them, are in the scene's own unit; powers are watts where that is the metre.
+
+use std::{
+    io::{self, Write},
+    time::Duration,
+};
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::exposure::rgb;
+use crate::{
+    energy::EnergyLedger,
+    form_factor::{self, FormFactors, hemisphere},
+    patch::Patches,
+    scene::Scene,
+    solve::Solution,
+};
+
+/// What `radiosity solve --report` writes.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SolveReport {
+    /// Version of the program.
+    pub version: &'static str,
+    /// What was computed on.
+    pub scene: SceneReport,
+    /// The rays and what became of them.
+    pub form_factors: FormFactorsReport,
+    /// The linear system.
+    pub solve: SolverReport,
+    /// Where the light went.
+    pub energy: EnergyReport,
+    /// How wrong the answer is.
+    pub error: ErrorReport,
+    /// Time of each stage.
+    pub seconds: Seconds,
+    /// Most memory held at any time; `null` where the operating system does not tell.
+    pub peak_bytes: Option<u64>,
+    /// What was asked for, enough to run it again.
+    pub options: OptionsReport,
+}
+
+/// The scene and its patches.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SceneReport {
+    /// The file, as it was named.
+    pub file: String,
+    /// Triangles that have an area.
+    pub triangles: usize,
+    /// Unknowns: patches of fronts and of those backs that rays have hit.
+    pub patches: usize,
+    /// Area of all triangles, one side each.
+    pub area: f64,
+    /// 1 when everything in the scene is grey, else 3.
+    pub channels: usize,
+    /// Those of the patches that are on backs.
+    pub back_patches: usize,
+    /// No patch has an edge longer than this; `null` where triangles were left whole.
+    pub patch_edge: Option<f64>,
+    /// What the reader left out or assumed.
+    pub warnings: Vec<String>,
+}
+
+/// The form factors.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FormFactorsReport {
+    /// Rays cast.
+    pub rays: u64,
+    /// Form factors that are not zero.
+    pub non_zeros: usize,
+    /// Memory of the form factors and the hits.
+    pub bytes: usize,
+    /// Share of the hemisphere rays that left the scene.
+    pub escaped_fraction: f64,
+    /// Rays that hit the back of a surface.
+    pub back_hits: u64,
+    /// Largest |sum of a row + its escaped share - 1|.
+    pub row_sum_deviation: BeforeAfter,
+    /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j).
+    pub reciprocity_deviation: BeforeAfter,
+}
+
+/// A figure of the rays as cast, and of the form factors in use.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct BeforeAfter {
+    /// As cast.
+    pub before: f64,
+    /// In use.
+    pub after: f64,
+}
+
+/// The solver and how far it went.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SolverReport {
+    /// Its name.
+    pub solver: &'static str,
+    /// Its iterations.
+    pub iterations: usize,
+    /// Σ A |Be + ρ E - B| / Σ A Be of the worst channel.
+    pub residual: f64,
+    /// No patch's radiosity is farther from the exact solution of the system; `null` where nothing bounds it.
+    pub error_bound: Option<f64>,
+    /// Whether the tolerance was reached.
+    pub converged: bool,
+}
+
+/// The energy ledger.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EnergyReport {
+    /// Power emitted.
+    pub emitted: [f64; 3],
+    /// Power absorbed.
+    pub absorbed: [f64; 3],
+    /// Power that left the scene.
+    pub escaped: [f64; 3],
+    /// (emitted - absorbed - escaped) / emitted of the worst channel.
+    pub imbalance: f64,
+    /// The part of the imbalance that the solver's residual makes.
+    pub solver_part: f64,
+    /// The part that form factors make which are not reciprocal.
+    pub reciprocity_part: f64,
+}
+
+/// Estimated errors; `null` where they were not estimated.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ErrorReport {
+    /// Root mean square of the irradiance's standard error, by area, relative to the mean irradiance.
+    pub rms_relative: Option<f64>,
+    /// Confidence of the intervals that derive from it.
+    pub confidence: f64,
+    /// Estimated bias, relative to the mean irradiance.
+    pub bias_relative: Option<f64>,
+    /// Error of taking radiosity as constant over each patch, relative.
+    pub discretisation_relative: Option<f64>,
+}
+
+impl Default for ErrorReport {
+    /// Nothing estimated, confidence 0.95.
+    fn default() -> Self {
+        ErrorReport {
+            rms_relative: None,
+            confidence: 0.95,
+            bias_relative: None,
+            discretisation_relative: None,
+        }
+    }
+}
+
+/// Wall-clock time of each stage in seconds.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Seconds {
+    /// Reading the scene.
+    pub load: f64,
+    /// Cutting it into patches.
+    pub subdivide: f64,
+    /// Building the bounding volume hierarchy.
+    pub bvh: f64,
+    /// Casting rays and making form factors of them.
+    pub form_factors: f64,
+    /// Solving the system and adding up its energy.
+    pub solve: f64,
+    /// Writing the mesh.
+    pub output: f64,
+    /// Everything up to the report.
+    pub total: f64,
+}
+
+/// What the user chose, or what was chosen for them.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OptionsReport {
+    /// Rays asked for, a patch.
+    pub rays_per_patch: f64,
+    /// `pooled` or `one-way`.
+    pub estimator: &'static str,
+    /// Relative residual demanded.
+    pub tolerance: f64,
+    /// Seed of the rays.
+    pub seed: u64,
+    /// Radiosity shown as white in the mesh, W/m².
+    pub white: f64,
+}
+
+impl SolveReport {
+    /// Collects the figures of a solution. Times, errors and peak memory are for the caller to fill in.
+    pub fn new(
+        file: &str,
+        scene: &Scene,
+        patches: &Patches,
+        form_factors: &FormFactors,
+        solution: &Solution,
+        energy: &EnergyLedger,
+        options: OptionsReport,
+    ) -> SolveReport {
+        SolveReport {
+            version: env!("CARGO_PKG_VERSION"),
+            scene: SceneReport {
+                file: file.into(),
+                triangles: scene.triangles.len(),
+                patches: patches.len(),
+                area: (0..scene.triangles.len()).map(|t| scene.area(t)).sum(),
+                channels: patches.channels(),
+                back_patches: patches.len() - patches.fronts(),
+                patch_edge: finite(patches.edge()),
+                warnings: scene.warnings.clone(),
+            },
+            form_factors: FormFactorsReport::of(form_factors),
+            solve: SolverReport {
+                solver: solution.solver.name(),
+                iterations: solution.iterations,
+                residual: solution.residual,
+                error_bound: finite(solution.error_bound),
+                converged: true,
+            },
+            energy: EnergyReport::of(energy),
+            error: ErrorReport::default(),
+            seconds: Seconds::default(),
+            peak_bytes: None,
+            options,
+        }
+    }
+
+    /// Writes it as indented JSON with a line end after it.
+    ///
+    /// # Errors
+    /// What `out` says.
+    pub fn write(&self, mut out: &mut dyn Write) -> io::Result<()> {
+        serde_json::to_writer_pretty(&mut out, self)?;
+        out.write_all(b"\n")
+    }
+}
+
+impl FormFactorsReport {
+    fn of(form_factors: &FormFactors) -> Self {
+        let hits = form_factors.hits();
+        let count = |what: fn(&[u32]) -> usize| -> usize {
+            hits.map_or(0, |h| (0..h.len()).into_par_iter().map(|i| what(h.of(i))).sum())
+        };
+        let escaped = count(|targets| targets.iter().filter(|&&t| t == hemisphere::ESCAPED).count());
+        FormFactorsReport {
+            rays: hits.map_or(0, |h| h.rays()),
+            non_zeros: form_factors.non_zeros(),
+            bytes: form_factors.bytes(),
+            escaped_fraction: escaped as f64 / count(<[u32]>::len).max(1) as f64,
+            back_hits: hits.map_or(0, |h| h.back_hits()),
+            row_sum_deviation: form_factors.row_sum_deviation().into(),
+            reciprocity_deviation: form_factors.reciprocity_deviation().into(),
+        }
+    }
+}
+
+impl From<form_factor::BeforeAfter> for BeforeAfter {
+    fn from(figure: form_factor::BeforeAfter) -> Self {
+        BeforeAfter { before: figure.before, after: figure.after }
+    }
+}
+
+impl EnergyReport {
+    fn of(energy: &EnergyLedger) -> Self {
+        EnergyReport {
+            emitted: rgb(&energy.emitted),
+            absorbed: rgb(&energy.absorbed),
+            escaped: rgb(&energy.escaped),
+            imbalance: energy.imbalance(),
+            solver_part: energy.relative_solver_part(),
+            reciprocity_part: energy.relative_reciprocity_part(),
+        }
+    }
+}
+
+fn finite(x: f64) -> Option<f64> {
+    x.is_finite().then_some(x)
+}
+
+/// Most memory that this process has held at any time, as Linux tells; `None` elsewhere.
+pub fn peak_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(1024 * kibibytes)
+}
+
+/// A time in seconds, to the microsecond.
+pub fn seconds(time: Duration) -> f64 {
+    (time.as_secs_f64() * 1e6).round() / 1e6
+}

@@ -1,0 +1,64 @@
+//! Radiosity at vertices, for viewers that shade smoothly.
+//!
+//! Patches carry one radiosity each; a vertex takes the mean of the patches of its surface that meet there, weighted
+//! by their angles at it, as Cohen and Wallace ("Radiosity and Realistic Image Synthesis", 1993, chapter 9) do with
+//! equal weights. Angles make the result independent of how a flat surface was cut into triangles, and reproduce a
+//! radiosity that varies linearly over a regular mesh.
+
+use rayon::prelude::*;
+
+use super::vertices::PatchMesh;
+use crate::{patch::Patches, scene::Scene};
+
+/// Below this a corner has no angle worth the name; it still counts, or a vertex of slivers alone would have no value.
+const LEAST_ANGLE: f64 = 1e-9;
+
+/// A quantity of the patches at the vertices; `patches.channels()` interleaved values each.
+///
+/// # Panics
+/// When `values` does not hold `channels` values a patch.
+pub fn at_vertices(scene: &Scene, patches: &Patches, mesh: &PatchMesh, values: &[f64]) -> Vec<f64> {
+    match patches.channels() {
+        1 => mean::<1>(scene, patches, mesh, values),
+        _ => mean::<3>(scene, patches, mesh, values),
+    }
+}
+
+fn mean<const C: usize>(scene: &Scene, patches: &Patches, mesh: &PatchMesh, values: &[f64]) -> Vec<f64> {
+    assert_eq!(values.len(), C * patches.len(), "one value a patch and channel is wanted");
+    let angles: Vec<[f64; 3]> =
+        (0..scene.triangles.len()).into_par_iter().map(|t| corner_angles(scene, t)).collect();
+    let mut sums = vec![[0.0; C]; mesh.positions().len()];
+    let mut weights = vec![0.0; sums.len()];
+    for (i, value) in values.as_chunks::<C>().0.iter().enumerate() {
+        // Patches are similar to their triangle, corner for corner.
+        for (vertex, angle) in mesh.corners(i).into_iter().zip(angles[patches.triangle(i)]) {
+            weights[vertex as usize] += angle;
+            for (sum, value) in sums[vertex as usize].iter_mut().zip(value) {
+                *sum += angle * value;
+            }
+        }
+    }
+    for (sum, weight) in sums.iter_mut().zip(&weights) {
+        *sum = sum.map(|s| s / weight);
+    }
+    // The coarse edge is drawn straight between its ends: any other value here would show as a crack of colour.
+    for hanging in mesh.hanging() {
+        let [a, b] = hanging.ends.map(|end| sums[end as usize]);
+        sums[hanging.vertex as usize] = std::array::from_fn(|c| a[c] + (b[c] - a[c]) * hanging.fraction);
+    }
+    sums.into_flattened()
+}
+
+/// Interior angles of triangle `t` in radians.
+fn corner_angles(scene: &Scene, t: usize) -> [f64; 3] {
+    let p = scene.corners(t);
+    let edges = [p[1] - p[0], p[2] - p[1], p[0] - p[2]];
+    // Squares of very short or long edges would leave the range of double precision.
+    let scale = edges.iter().map(|e| e.abs().max_element()).fold(0.0, f64::max);
+    let edges = edges.map(|e| e / scale);
+    std::array::from_fn(|k| {
+        let (to_next, to_last) = (edges[k], -edges[(k + 2) % 3]);
+        to_next.cross(to_last).length().atan2(to_next.dot(to_last)).max(LEAST_ANGLE)
+    })
+}

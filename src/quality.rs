@@ -1,0 +1,28 @@
+//! How much work to spend, for those who do not want to choose two numbers.
+
+/// A preset of patches and rays. Memory grows with their product, the error of the rays falls with the root of theirs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Quality {
+    /// About how many patches to cut the fronts into; never fewer than there are triangles.
+    pub patches: usize,
+    /// Mean number of rays a patch.
+    pub rays: u32,
+}
+
+impl Quality {
+    /// 1,000 patches with 64 rays: is the scene as it should be? Below a second.
+    pub const DRAFT: Quality = Quality { patches: 1_000, rays: 64 };
+    /// 8,000 patches with 64 rays.
+    pub const MEDIUM: Quality = Quality { patches: 8_000, rays: 64 };
+    /// 32,000 patches with 256 rays.
+    pub const HIGH: Quality = Quality { patches: 32_000, rays: 256 };
+    /// 100,000 patches with 1,024 rays: what other answers are compared with. A gigabyte or two.
+    pub const REFERENCE: Quality = Quality { patches: 100_000, rays: 1_024 };
+}
+
+impl Default for Quality {
+    /// [`Quality::MEDIUM`].
+    fn default() -> Self {
+        Quality::MEDIUM
+    }
+}

@@ -1,0 +1,362 @@
+//! The program as the shell sees it.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use ply_rs::{
+    parser::Parser,
+    ply::{DefaultElement, Property},
+};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// A closed unit cube seen from inside, whose walls all emit 1/π and reflect half: B = Be + B / 2 = 2.
+const FURNACE: &str = "mtllib scene.mtl\nusemtl wall
+v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1
+f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n";
+const GLOW: &str =
+    "newmtl wall\nKd 0.5 0.5 0.5\nKe 0.31830988618379067 0.31830988618379067 0.31830988618379067\n";
+
+/// The same cube, of which one side is a lamp and the others have a colour.
+fn lamp() -> Here {
+    let obj = FURNACE.replace("f 1 2 4 3", "usemtl lamp\nf 1 2 4 3\nusemtl wall");
+    Here::new(&obj, "newmtl wall\nKd 0.5 0.9 0.1\nnewmtl lamp\nKd 0.5 0.5 0.5\nKe 1 1 1\n")
+}
+
+/// A directory with a scene in it.
+struct Here(TempDir);
+
+impl Here {
+    fn new(obj: &str, mtl: &str) -> Here {
+        let dir = tempfile::tempdir().unwrap();
+        fs::write(dir.path().join("scene.obj"), obj).unwrap();
+        fs::write(dir.path().join("scene.mtl"), mtl).unwrap();
+        Here(dir)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn read(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path(name)).unwrap()
+    }
+
+    fn json(&self, name: &str) -> Value {
+        serde_json::from_slice(&self.read(name)).unwrap()
+    }
+
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<_> = fs::read_dir(self.0.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    /// Runs `radiosity` with the words of `arguments` in this directory.
+    fn run(&self, arguments: &str) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_radiosity"))
+            .current_dir(self.0.path())
+            .args(arguments.split_whitespace())
+            .output()
+            .unwrap()
+    }
+
+    /// Runs what must fail with `status` and leave no file; returns stderr.
+    fn fails(&self, arguments: &str, status: i32) -> String {
+        let before = self.names();
+        let output = self.run(arguments);
+        let errors = stderr(&output);
+        assert_eq!(output.status.code(), Some(status), "{arguments}: {errors}");
+        assert_eq!(self.names(), before, "{arguments}");
+        assert!(output.stdout.is_empty());
+        assert!(!errors.contains("panicked"), "{errors}");
+        errors
+    }
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+}
+
+#[test]
+fn the_furnace_is_solved_exactly_and_reported() {
+    let here = Here::new(FURNACE, GLOW);
+    let output = here.run("solve scene.obj -o out.ply --report r.json --patches 200 --rays 64");
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(stderr(&output), "");
+    assert_eq!(here.names(), ["out.ply", "r.json", "scene.mtl", "scene.obj"]);
+
+    let ply = Parser::<DefaultElement>::new().read_ply(&mut &here.read("out.ply")[..]).unwrap();
+    let faces = &ply.payload["face"];
+    assert_eq!(faces.len(), 12 * 16);
+    for face in faces {
+        let Property::Float(radiosity) = face["radiosity_g"] else { panic!("no float") };
+        assert!((radiosity - 2.0).abs() < 1e-6, "{radiosity}");
+    }
+    let report = here.json("r.json");
+    assert_eq!(report["scene"]["file"], "scene.obj");
+    assert_eq!(report["scene"]["triangles"], 12);
+    assert_eq!(report["scene"]["patches"], 192);
+    assert_eq!(report["scene"]["channels"], 1);
+    assert_eq!(number(&report["scene"]["area"]), 6.0);
+    assert_eq!(report["solve"]["converged"], true);
+    assert_eq!(report["form_factors"]["escaped_fraction"], 0.0);
+    for channel in 0..3 {
+        assert!((number(&report["energy"]["emitted"][channel]) - 6.0).abs() < 1e-9);
+        assert!((number(&report["energy"]["absorbed"][channel]) - 6.0).abs() < 1e-7);
+    }
+    assert!(number(&report["energy"]["imbalance"]).abs() < 1e-9);
+    if cfg!(target_os = "linux") {
+        assert!(number(&report["peak_bytes"]) > 1e6);
+    }
+
+    let table = String::from_utf8(output.stdout).unwrap();
+    for said in
+        ["12 triangles", "192 front + 0 back", "--patches 200", "emitted 6.000000e0 W", "out.ply, r.json"]
+    {
+        assert!(table.contains(said), "{said} is missing in\n{table}");
+    }
+}
+
+#[test]
+fn the_report_has_the_promised_fields_in_the_promised_order() {
+    let here = Here::new(FURNACE, GLOW);
+    here.run("solve scene.obj --report r.json --patch-size inf --rays 16");
+    let text = String::from_utf8(here.read("r.json")).unwrap();
+    let mut rest = &text[..];
+    for field in [
+        "version scene file triangles patches area channels",
+        "form_factors rays non_zeros bytes escaped_fraction back_hits",
+        "row_sum_deviation before after reciprocity_deviation before after",
+        "solve solver iterations residual error_bound converged",
+        "energy emitted absorbed escaped imbalance solver_part reciprocity_part",
+        "error rms_relative confidence bias_relative discretisation_relative",
+        "seconds load subdivide bvh form_factors solve output total peak_bytes",
+    ]
+    .into_iter()
+    .flat_map(str::split_whitespace)
+    {
+        let at = rest
+            .find(&format!("\"{field}\":"))
+            .unwrap_or_else(|| panic!("{field} is not where it should be"));
+        rest = &rest[at + field.len()..];
+    }
+    let seconds = &here.json("r.json")["seconds"];
+    let sum: f64 = ["load", "subdivide", "bvh", "form_factors", "solve", "output"]
+        .map(|s| number(&seconds[s]))
+        .iter()
+        .sum();
+    assert!(sum <= number(&seconds["total"]) + 1e-5);
+    // Whole triangles have no largest edge, and what is infinite is null.
+    assert!(here.json("r.json")["scene"]["patch_edge"].is_null());
+    assert_eq!(here.json("r.json")["scene"]["patches"], 12);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
+    let here = lamp();
+    let mesh = |options: &str| {
+        let output =
+            here.run(&format!("solve scene.obj -o out.ply --quiet --patches 500 --rays 32 {options}"));
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        assert!(output.stdout.is_empty() && output.stderr.is_empty());
+        here.read("out.ply")
+    };
+    let one = mesh("--threads 1");
+    assert!(one == mesh("--threads 2"));
+    assert!(one == mesh("--threads 5"));
+    assert!(one != mesh("--seed 7"));
+}
+
+#[test]
+fn every_solver_and_quality_gives_the_furnace_the_same_light() {
+    let here = Here::new(FURNACE, GLOW);
+    let absorbed = |options: &str| {
+        let output = here.run(&format!("solve scene.obj --report r.json {options}"));
+        assert_eq!(output.status.code(), Some(0), "{options}: {}", stderr(&output));
+        let report = here.json("r.json");
+        (
+            number(&report["energy"]["absorbed"][0]),
+            report["solve"]["solver"].as_str().unwrap().to_owned(),
+            report,
+        )
+    };
+    for solver in ["jacobi", "gauss-seidel", "southwell", "cg", "direct"] {
+        let (watts, name, _) = absorbed(&format!("--solver {solver} --patches 100 --rays 16"));
+        assert!((watts - 6.0).abs() < 1e-6);
+        assert_eq!(name, solver);
+    }
+    let (_, name, report) = absorbed("--quality draft --estimator one-way");
+    assert_eq!((name.as_str(), &report["options"]["estimator"]), ("gauss-seidel", &Value::from("one-way")));
+    assert_eq!(report["scene"]["patches"], 768);
+    assert_eq!(absorbed("--quality draft").2["options"]["rays_per_patch"], 64.0);
+}
+
+#[test]
+fn exposure_moves_colours_by_stops_and_nothing_else() {
+    let here = Here::new(FURNACE, GLOW);
+    let run = |stops: &str| {
+        let options =
+            format!("solve scene.obj -o out.ply --report r.json --patches 50 --rays 16 --exposure {stops}");
+        let output = here.run(&options);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        let ply = Parser::<DefaultElement>::new().read_ply(&mut &here.read("out.ply")[..]).unwrap();
+        let vertex = &ply.payload["vertex"][0];
+        (
+            vertex["red"].clone(),
+            vertex["radiosity_r"].clone(),
+            number(&here.json("r.json")["options"]["white"]),
+        )
+    };
+    let (colour, radiosity, white) = run("0");
+    let (darker, same, grey) = run("-1");
+    assert_eq!(radiosity, same);
+    assert!((grey / white - 2.0).abs() < 1e-12);
+    // 0.6 and 0.3 of white as sRGB.
+    assert_eq!((colour, darker), (Property::UChar(203), Property::UChar(149)));
+}
+
+#[test]
+fn bad_usage_is_told_before_any_work_and_exits_with_two() {
+    let here = Here::new(FURNACE, GLOW);
+    for (arguments, said) in [
+        ("", "Usage"),
+        ("solve", "<SCENE>"),
+        ("solve scene.obj --rays 0", "--rays"),
+        ("solve scene.obj --patch-size 0", "a length above 0"),
+        ("solve scene.obj --patch-size nan", "a length above 0"),
+        ("solve scene.obj --patches 10 --patch-size 1", "cannot be used with"),
+        ("solve scene.obj --tolerance 0", "between 0 and 1"),
+        ("solve scene.obj --exposure inf", "between -100 and 100"),
+        ("solve scene.obj --threads 0", "--threads"),
+        ("solve scene.obj --solver magic", "possible values"),
+        ("solve scene.obj --solver cg --estimator one-way", "reciprocal"),
+        ("solve scene.obj -o out.stl", "must end in .ply"),
+        ("solve scene.obj -o scene.obj", "replace the input"),
+        ("solve scene.obj --report ./scene.obj", "replace the input"),
+        ("solve scene.obj --report scene.mtl", "material"),
+        ("solve scene.obj -o a.ply --report a.ply", "the same file"),
+        ("solve scene.obj -o nowhere/out.ply", "nowhere/out.ply"),
+        ("solve scene.obj --patches 100000000 --rays 4000000000", "GiB of memory"),
+        ("solve scene.obj --patch-size 1e-9", "hint: choose a larger --patch-size"),
+    ] {
+        let errors = here.fails(arguments, 2);
+        assert!(errors.contains(said), "{arguments}: {errors}");
+    }
+    assert_eq!(here.read("scene.obj"), FURNACE.as_bytes());
+}
+
+#[test]
+fn bad_input_is_told_with_file_and_line() {
+    let here = Here::new(&FURNACE.replace("f 1 5 6 2", "f 1 5 66 2"), GLOW);
+    let errors = here.fails("solve scene.obj -o out.ply --report r.json", 2);
+    assert!(errors.starts_with("error: scene.obj:13: "), "{errors}");
+    assert!(errors.lines().all(|l| l.starts_with("error: ") || l.starts_with("hint: ")), "{errors}");
+
+    assert!(here.fails("solve missing.obj", 2).starts_with("error: missing.obj: "));
+    assert!(here.fails("solve scene.mtl", 2).starts_with("error: scene.mtl: unknown kind of scene\nhint: "));
+
+    let dark = Here::new(FURNACE, "newmtl wall\nKd 0.5 0.5 0.5\n");
+    let errors = dark.fails("solve scene.obj -o out.ply", 2);
+    assert!(errors.starts_with("error: scene.obj: nothing emits light"), "{errors}");
+    assert!(errors.contains("\nhint: give a material"), "{errors}");
+
+    let mirror = Here::new(FURNACE, &GLOW.replace("Kd 0.5 0.5 0.5", "Kd 1 1 1"));
+    let errors = mirror.fails("solve scene.obj -o out.ply --rays 16 --patches 50", 2);
+    assert!(errors.starts_with("error: scene.obj: the scene has no equilibrium"), "{errors}");
+}
+
+#[test]
+fn what_was_there_stays_when_the_run_fails() {
+    let here = lamp();
+    fs::write(here.path("out.ply"), "old").unwrap();
+    let errors = here.fails("solve scene.obj -o out.ply --tolerance 1e-300 --patches 50 --rays 16", 1);
+    assert!(errors.starts_with("error: cg did not converge: "), "{errors}");
+    assert!(errors.contains("\nhint: "), "{errors}");
+    assert_eq!(here.read("out.ply"), b"old");
+}
+
+#[test]
+fn warnings_go_to_stderr_and_do_not_stop_the_work() {
+    let here = Here::new(&format!("{FURNACE}f 1 2 2\n"), GLOW);
+    let output = here.run("solve scene.obj -o out.ply --quiet --patches 50 --rays 16");
+    assert_eq!(output.status.code(), Some(0));
+    assert!(stderr(&output).lines().all(|line| line.starts_with("warning: ")) && !output.stderr.is_empty());
+}
+
+#[test]
+fn help_and_version_are_there() {
+    let here = Here::new(FURNACE, GLOW);
+    for (arguments, said) in [
+        ("--version", concat!("radiosity ", env!("CARGO_PKG_VERSION"))),
+        ("--help", "Example:\n  radiosity solve room.obj"),
+        ("solve --help", "Example:\n  radiosity solve room.obj"),
+    ] {
+        let output = here.run(arguments);
+        assert_eq!(output.status.code(), Some(0));
+        assert!(String::from_utf8(output.stdout).unwrap().contains(said));
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_signal_stops_the_work_and_leaves_nothing() {
+    use std::{
+        process::Stdio,
+        time::{Duration, Instant},
+    };
+    let here = Here::new(FURNACE, GLOW);
+    let child = Command::new(env!("CARGO_BIN_EXE_radiosity"))
+        .current_dir(here.0.path())
+        .args([
+            "solve",
+            "scene.obj",
+            "-o",
+            "out.ply",
+            "--report",
+            "r.json",
+            "--patches",
+            "50000",
+            "--rays",
+            "4000",
+        ])
+        .args(["--threads", "1"])
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(Duration::from_millis(700));
+    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    let asked = Instant::now();
+    let output = child.wait_with_output().unwrap();
+    assert!(asked.elapsed() < Duration::from_secs(5));
+    assert_eq!(output.status.code(), Some(130));
+    assert_eq!(stderr(&output).lines().last(), Some("stopped"));
+    assert_eq!(here.names(), ["scene.mtl", "scene.obj"]);
+}
+
+#[test]
+fn paths_with_blanks_and_directories_work() {
+    let here = Here::new(FURNACE, GLOW);
+    fs::create_dir(here.path("a b")).unwrap();
+    let scene: &Path = &here.path("scene.obj");
+    let output = Command::new(env!("CARGO_BIN_EXE_radiosity"))
+        .current_dir(here.path("a b"))
+        .arg("solve")
+        .arg(scene)
+        .args(["-o", "my mesh.PLY", "--patches", "50", "--rays", "16"])
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(here.path("a b/my mesh.PLY").exists());
+}

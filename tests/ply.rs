@@ -1,0 +1,378 @@
+//! The PLY that is written, read back by another program's eyes, and the vertices and colours in it.
+
+use std::{collections::HashMap, io::Cursor, time::Instant};
+
+use glam::DVec3;
+use ply_rs::{
+    parser::Parser,
+    ply::{DefaultElement, Encoding, Ply, Property},
+};
+use radiosity::{
+    Scene,
+    output::{
+        exposure::Exposure,
+        ply::{PlyOptions, encode},
+        vertex_colors::at_vertices,
+        vertices::{CREASE, PatchMesh},
+    },
+    patch::{Patches, Subdivision},
+    scene::Material,
+    solve::{Solution, Solver},
+};
+
+const GREY: [f64; 3] = [0.5; 3];
+const DARK: [f64; 3] = [0.0; 3];
+
+fn grey() -> Vec<Material> {
+    vec![Material::new("grey", GREY, DARK)]
+}
+
+fn quad(corners: [DVec3; 4], material: u32) -> [([DVec3; 3], u32); 2] {
+    let [a, b, c, d] = corners;
+    [([a, b, c], material), ([a, c, d], material)]
+}
+
+/// The unit cube, seen from outside.
+fn cube() -> Scene {
+    let at = |k: u32| DVec3::new(f64::from(k & 1), f64::from(k >> 1 & 1), f64::from(k >> 2));
+    let sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let triangles: Vec<_> = sides.iter().flat_map(|side| quad(side.map(at), 0)).collect();
+    Scene::new(&triangles, grey())
+}
+
+fn subdivide(scene: &Scene, edge: f64) -> Patches {
+    Patches::subdivide(scene, &Subdivision::Edge(edge))
+}
+
+/// Triangle `t`'s front patches have value `f` of their centroid.
+fn field(scene: &Scene, patches: &Patches, f: impl Fn(DVec3) -> f64) -> Vec<f64> {
+    (0..patches.len())
+        .map(|i| {
+            let p = scene.corners(patches.triangle(i));
+            let middle = patches
+                .corners(i)
+                .iter()
+                .fold(DVec3::ZERO, |sum, b| sum + (p[0] * b[0] + p[1] * b[1] + p[2] * b[2]) / 3.0);
+            f(middle)
+        })
+        .collect()
+}
+
+fn place(p: DVec3) -> [u64; 3] {
+    (p + 0.0).to_array().map(f64::to_bits)
+}
+
+/// How often each edge occurs, in each direction, with vertices named by `name`.
+fn edge_uses<K: std::hash::Hash + Eq + Copy>(
+    mesh: &PatchMesh,
+    patches: usize,
+    name: impl Fn(u32) -> K,
+) -> HashMap<(K, K), usize> {
+    let mut uses = HashMap::new();
+    for i in 0..patches {
+        let face = mesh.face(i).map(&name);
+        for k in 0..3 {
+            *uses.entry((face[k], face[(k + 1) % 3])).or_insert(0) += 1;
+        }
+    }
+    uses
+}
+
+fn solution(patches: &Patches, radiosity: Vec<f64>, irradiance: Vec<f64>) -> Solution {
+    Solution {
+        channels: patches.channels(),
+        radiosity,
+        irradiance,
+        solver: Solver::Direct,
+        iterations: 1,
+        residual: 0.0,
+        error_bound: 0.0,
+    }
+}
+
+#[test]
+fn a_closed_cube_is_watertight_by_position_and_open_by_index() {
+    let scene = cube();
+    let patches = subdivide(&scene, 0.3);
+    let mesh = PatchMesh::new(&scene, &patches, CREASE);
+    let position = |v: u32| place(mesh.positions()[v as usize]);
+    let uses = edge_uses(&mesh, patches.len(), position);
+    for (&(a, b), &count) in &uses {
+        assert_eq!((count, uses.get(&(b, a))), (1, Some(&1)));
+    }
+    // Euler: V - E + F = 2 for a sphere.
+    let places: std::collections::HashSet<_> = (0..mesh.positions().len() as u32).map(position).collect();
+    assert_eq!(places.len() + patches.len(), uses.len() / 2 + 2);
+    // Six smooth squares: (2^l + 1)^2 vertices each, none shared between them.
+    let n = (patches.len() / 12).isqrt();
+    assert_eq!(mesh.positions().len(), 6 * (n + 1) * (n + 1));
+}
+
+#[test]
+fn a_crease_angle_above_a_right_angle_welds_the_cube() {
+    let scene = cube();
+    let patches = subdivide(&scene, 0.3);
+    let mesh = PatchMesh::new(&scene, &patches, 91.0);
+    let uses = edge_uses(&mesh, patches.len(), |v| v);
+    assert!(uses.iter().all(|(&(a, b), &count)| count == 1 && uses.get(&(b, a)) == Some(&1)));
+}
+
+#[test]
+fn materials_windings_and_third_triangles_split_a_flat_wall() {
+    let (o, x, y) = (DVec3::ZERO, DVec3::X, DVec3::Y);
+    let two = |second: [DVec3; 3], material: u32, third: Option<[DVec3; 3]>| {
+        let mut triangles = vec![([o, x, y], 0), (second, material)];
+        triangles.extend(third.map(|t| (t, 0)));
+        let scene =
+            Scene::new(&triangles, vec![Material::new("a", GREY, DARK), Material::new("b", GREY, DARK)]);
+        PatchMesh::new(&scene, &subdivide(&scene, 9.0), CREASE).positions().len()
+    };
+    assert_eq!(two([x, x + y, y], 0, None), 4);
+    assert_eq!(two([x, x + y, y], 1, None), 6);
+    assert_eq!(two([x, y, x + y], 0, None), 6);
+    assert_eq!(two([x, x + y, y], 0, Some([x, y, DVec3::Z])), 9);
+}
+
+#[test]
+fn triangles_that_only_touch_in_a_vertex_share_none() {
+    let (o, x, y) = (DVec3::ZERO, DVec3::X, DVec3::Y);
+    let scene = Scene::new(&[([o, x, y], 0), ([o, -x, -y], 0)], grey());
+    let mesh = PatchMesh::new(&scene, &subdivide(&scene, 9.0), CREASE);
+    assert_eq!(mesh.positions().len(), 6);
+}
+
+#[test]
+fn constant_radiosity_gives_constant_vertices_and_linear_is_reproduced_inside() {
+    let scene = cube();
+    let patches = subdivide(&scene, 0.1);
+    let mesh = PatchMesh::new(&scene, &patches, CREASE);
+    let constant = at_vertices(&scene, &patches, &mesh, &vec![7.0; patches.len()]);
+    assert_eq!(constant.len(), mesh.positions().len());
+    assert!(constant.iter().all(|v| (v - 7.0).abs() < 1e-14));
+
+    let linear = |p: DVec3| 1.0 + p.dot(DVec3::new(0.3, 0.5, 0.7));
+    let values = at_vertices(&scene, &patches, &mesh, &field(&scene, &patches, linear));
+    let mut inside = 0;
+    for (&p, value) in mesh.positions().iter().zip(&values) {
+        if p.to_array().iter().filter(|&&x| x == 0.0 || x == 1.0).count() == 1 {
+            inside += 1;
+            assert!((value - linear(p)).abs() < 1e-12, "{value} at {p}");
+        } else {
+            // At a crease there is no other side to balance it: off, but by less than a patch.
+            assert!((value - linear(p)).abs() < 0.07);
+        }
+    }
+    assert!(inside > 1000);
+}
+
+#[test]
+fn a_corner_counts_by_its_angle_not_by_the_number_of_triangles() {
+    // Half of the surface round the origin is one triangle's, the other half is cut in three.
+    let scene = Scene::new(
+        &[
+            ([DVec3::ZERO, DVec3::X, DVec3::Y], 0),
+            ([DVec3::ZERO, DVec3::Y, DVec3::new(-0.5, 1.0, 0.0)], 0),
+            ([DVec3::ZERO, DVec3::new(-0.5, 1.0, 0.0), DVec3::new(-1.0, 0.5, 0.0)], 0),
+            ([DVec3::ZERO, DVec3::new(-1.0, 0.5, 0.0), -DVec3::X], 0),
+        ],
+        grey(),
+    );
+    let patches = subdivide(&scene, 9.0);
+    let mesh = PatchMesh::new(&scene, &patches, CREASE);
+    let values = at_vertices(&scene, &patches, &mesh, &[1.0, 3.0, 3.0, 3.0]);
+    assert!((values[mesh.corners(0)[0] as usize] - 2.0).abs() < 1e-12);
+}
+
+#[test]
+fn hanging_vertices_lie_on_the_coarse_edge_in_place_and_in_colour() {
+    // A long sliver of a triangle on a short edge: it is cut more finely than its neighbour.
+    let (a, b) = (DVec3::ZERO, DVec3::X);
+    let scene = Scene::new(&[([a, b, DVec3::Y], 0), ([b, a, DVec3::new(0.3, -5.0, 0.0)], 0)], grey());
+    let patches = subdivide(&scene, 1.5);
+    assert_eq!((patches.level(0), patches.level(1)), (0, 2));
+    let mesh = PatchMesh::new(&scene, &patches, CREASE);
+    let values = at_vertices(&scene, &patches, &mesh, &field(&scene, &patches, |p| p.y * p.y + p.x));
+    assert_eq!(mesh.hanging().len(), 3);
+    for hanging in mesh.hanging() {
+        let [from, to] = hanging.ends.map(|v| v as usize);
+        let [start, end] = [mesh.positions()[from], mesh.positions()[to]];
+        assert_eq!(mesh.positions()[hanging.vertex as usize], start.lerp(end, hanging.fraction));
+        let between = values[from] + (values[to] - values[from]) * hanging.fraction;
+        assert!((values[hanging.vertex as usize] - between).abs() < 1e-12);
+    }
+    let middle = mesh.hanging().iter().find(|h| h.fraction == 0.5).unwrap();
+    let mean = middle.ends.iter().map(|&v| values[v as usize]).sum::<f64>() / 2.0;
+    assert!((values[middle.vertex as usize] - mean).abs() < 1e-12);
+    // The ends of the coarse edge are vertices of the coarse triangle.
+    assert!(middle.ends.iter().all(|v| mesh.corners(0).contains(v)));
+}
+
+#[test]
+fn a_back_is_another_surface_and_faces_the_other_way() {
+    let scene = cube();
+    let mut patches = subdivide(&scene, 0.6);
+    let fronts = patches.len();
+    patches.add_backs(&scene, &[0, 1]);
+    let mesh = PatchMesh::new(&scene, &patches, CREASE);
+    let normal = |i: usize| {
+        let [a, b, c] = mesh.face(i).map(|v| mesh.positions()[v as usize]);
+        (b - a).cross(c - a)
+    };
+    for i in 0..patches.len() {
+        let outward = scene.normal(patches.triangle(i));
+        assert_eq!(normal(i).dot(outward) > 0.0, i < fronts);
+    }
+    let mut values = vec![1.0; patches.len()];
+    values[fronts..].fill(5.0);
+    let values = at_vertices(&scene, &patches, &mesh, &values);
+    let backs: Vec<u32> = (fronts..patches.len()).flat_map(|i| mesh.face(i)).collect();
+    assert!((0..values.len()).all(|v| values[v] == if backs.contains(&(v as u32)) { 5.0 } else { 1.0 }));
+}
+
+#[test]
+fn any_order_of_triangles_and_any_unit_give_the_same_vertices() {
+    let scene = cube();
+    let there = |scene: &Scene| -> Vec<[u64; 3]> {
+        let mesh = PatchMesh::new(scene, &subdivide(scene, 0.3), CREASE);
+        let mut places: Vec<_> = mesh.positions().iter().map(|&p| place(p)).collect();
+        places.sort_unstable();
+        places
+    };
+    let mut reversed = scene.clone();
+    reversed.triangles.reverse();
+    for triangle in &mut reversed.triangles {
+        triangle.vertices.rotate_left(1);
+    }
+    // On the cube's dyadic lattice every order of corners finds the very same points.
+    assert_eq!(there(&scene), there(&reversed));
+
+    let mut tiny = scene.clone();
+    tiny.vertices.iter_mut().for_each(|v| *v *= 1e-200);
+    let patches = subdivide(&tiny, 0.3e-200);
+    let mesh = PatchMesh::new(&tiny, &patches, CREASE);
+    let values = at_vertices(&tiny, &patches, &mesh, &vec![7.0; patches.len()]);
+    assert!(values.iter().all(|v| (v - 7.0).abs() < 1e-14));
+}
+
+fn read(bytes: &[u8]) -> Ply<DefaultElement> {
+    Parser::<DefaultElement>::new().read_ply(&mut Cursor::new(bytes)).unwrap()
+}
+
+fn float(element: &DefaultElement, name: &str) -> f32 {
+    match element[name] {
+        Property::Float(x) => x,
+        ref other => panic!("{name} is {other:?}"),
+    }
+}
+
+/// A coloured room corner with a back, its solution and standard errors.
+fn coloured() -> (Scene, Patches, Solution, Vec<f64>) {
+    let materials =
+        vec![Material::new("a", [0.5, 0.4, 0.3], DARK), Material::new("b", [0.1, 0.2, 0.3], DARK)];
+    let (o, x, y, z) = (DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z);
+    // The second triangle has no area: the file's numbering runs on past it.
+    let scene = Scene::new(&[([o, x, y], 0), ([o, o, y], 0), ([o, y, z], 1)], materials);
+    let mut patches = subdivide(&scene, 0.8);
+    patches.add_backs(&scene, &[1]);
+    let values = |scale: f64| (0..3 * patches.len()).map(|k| scale * (k + 1) as f64).collect();
+    let solution = solution(&patches, values(1.0), values(10.0));
+    let errors = values(0.1);
+    (scene, patches, solution, errors)
+}
+
+#[test]
+fn what_is_written_is_what_another_reader_reads() {
+    let (scene, patches, solution, errors) = coloured();
+    let exposure = Exposure { scale: 0.01 };
+    let mut bytes = Vec::new();
+    let options =
+        PlyOptions { standard_errors: Some(&errors), exposure: Some(exposure), ..PlyOptions::default() };
+    encode(&mut bytes, &scene, &patches, &solution, &options).unwrap();
+
+    let ply = read(&bytes);
+    assert_eq!(ply.header.encoding, Encoding::BinaryLittleEndian);
+    let comments = ply.header.comments.join("\n");
+    for said in [env!("CARGO_PKG_VERSION"), "W/m2", "1.000000e2 W/m2"] {
+        assert!(comments.contains(said), "{comments}");
+    }
+    let mesh = PatchMesh::new(&scene, &patches, CREASE);
+    let at_vertices = at_vertices(&scene, &patches, &mesh, &solution.radiosity);
+    let vertices = &ply.payload["vertex"];
+    assert_eq!(vertices.len(), mesh.positions().len());
+    for (v, vertex) in vertices.iter().enumerate() {
+        let radiosity: [f64; 3] = at_vertices[3 * v..][..3].try_into().unwrap();
+        let colour = exposure.encode(radiosity);
+        for c in 0..3 {
+            assert_eq!(float(vertex, ["x", "y", "z"][c]), mesh.positions()[v][c] as f32);
+            assert_eq!(vertex[["red", "green", "blue"][c]], Property::UChar(colour[c]));
+            let name = ["radiosity_r", "radiosity_g", "radiosity_b"][c];
+            assert_eq!(float(vertex, name), radiosity[c] as f32);
+        }
+    }
+    let faces = &ply.payload["face"];
+    assert_eq!(faces.len(), patches.len());
+    for (i, face) in faces.iter().enumerate() {
+        assert_eq!(face["vertex_indices"], Property::ListInt(mesh.face(i).map(|v| v as i32).to_vec()));
+        // Triangle 1 of the scene is triangle 2 of the file.
+        assert_eq!(face["triangle"], Property::Int(2 * patches.triangle(i) as i32));
+        assert_eq!(face["side"], Property::UChar(u8::from(i >= patches.fronts())));
+        assert_eq!(face["area"], Property::Double(0.5 / 4.0));
+        for (c, channel) in ["r", "g", "b"].into_iter().enumerate() {
+            let k = (3 * i + c + 1) as f64;
+            assert_eq!(float(face, &format!("radiosity_{channel}")), k as f32);
+            assert_eq!(float(face, &format!("irradiance_{channel}")), (10.0 * k) as f32);
+            assert_eq!(float(face, &format!("error_{channel}")), (0.1 * k) as f32);
+        }
+    }
+}
+
+#[test]
+fn grey_is_written_as_three_equal_channels_and_unknown_errors_as_nan() {
+    let scene = cube();
+    let patches = subdivide(&scene, 0.6);
+    // A little below zero, as iterative solvers leave dark patches.
+    let mut radiosity = vec![2.0; patches.len()];
+    radiosity[5] = -1e-20;
+    let solution = solution(&patches, radiosity, vec![3.0; patches.len()]);
+    let mut bytes = Vec::new();
+    encode(&mut bytes, &scene, &patches, &solution, &PlyOptions::default()).unwrap();
+    let ply = read(&bytes);
+    for (i, face) in ply.payload["face"].iter().enumerate() {
+        for channel in ["r", "g", "b"] {
+            assert_eq!(float(face, &format!("radiosity_{channel}")), if i == 5 { 0.0 } else { 2.0 });
+            assert_eq!(float(face, &format!("irradiance_{channel}")), 3.0);
+            assert!(float(face, &format!("error_{channel}")).is_nan());
+        }
+    }
+    // 0.6 of white, the brightness at which automatic exposure shows a uniformly lit wall.
+    assert!(ply.payload["vertex"].iter().any(|v| v["green"] == Property::UChar(203)));
+}
+
+#[test]
+fn what_single_precision_cannot_hold_is_an_error() {
+    let scene = cube();
+    let patches = subdivide(&scene, 0.6);
+    for (radiosity, irradiance) in [(1e39, 1.0), (1.0, f64::NAN)] {
+        let n = patches.len();
+        let solution = solution(&patches, vec![radiosity; n], vec![irradiance; n]);
+        let error = encode(&mut Vec::new(), &scene, &patches, &solution, &PlyOptions::default()).unwrap_err();
+        assert_eq!(error.kind(), std::io::ErrorKind::InvalidData);
+    }
+}
+
+#[test]
+fn a_million_vertices_are_written_in_seconds() {
+    let scene = cube();
+    let patches = subdivide(&scene, 2f64.sqrt() / 512.0);
+    assert_eq!(patches.len(), 12 << 18);
+    let solution = solution(&patches, vec![1.0; patches.len()], vec![2.0; patches.len()]);
+    let start = Instant::now();
+    let mut bytes = Vec::new();
+    encode(&mut bytes, &scene, &patches, &solution, &PlyOptions::default()).unwrap();
+    let time = start.elapsed();
+    let vertices = 6 * 513 * 513;
+    println!("{vertices} vertices and {} faces in {time:?}", patches.len());
+    assert!(bytes.len() > 27 * vertices + 66 * patches.len());
+    // A slow machine, other tests beside this one, debug assertions: this can only tell linear from quadratic.
+    assert!(time.as_secs() < 30, "{time:?}");
+}
