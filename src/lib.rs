@@ -3,6 +3,7 @@
 #![deny(missing_docs)]
 #![forbid(unsafe_code)]
 
+pub mod accuracy;
 pub mod energy;
 mod error;
 pub mod form_factor;

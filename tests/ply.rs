@@ -344,8 +344,8 @@ fn grey_is_written_as_three_equal_channels_and_unknown_errors_as_nan() {
             assert!(float(face, &format!("error_{channel}")).is_nan());
         }
     }
-    // 0.6 of white, the brightness at which automatic exposure shows a uniformly lit wall.
-    assert!(ply.payload["vertex"].iter().any(|v| v["green"] == Property::UChar(203)));
+    // 0.8 of white, the brightness at which automatic exposure shows a uniformly lit wall.
+    assert!(ply.payload["vertex"].iter().any(|v| v["green"] == Property::UChar(231)));
 }
 
 #[test]
@@ -372,7 +372,8 @@ fn a_million_vertices_are_written_in_seconds() {
     let time = start.elapsed();
     let vertices = 6 * 513 * 513;
     println!("{vertices} vertices and {} faces in {time:?}", patches.len());
-    assert!(bytes.len() > 27 * vertices + 66 * patches.len());
+    let payload = 27 * vertices + 62 * patches.len();
+    assert!((payload..payload + 2000).contains(&bytes.len()));
     // A slow machine, other tests beside this one, debug assertions: this can only tell linear from quadratic.
     assert!(time.as_secs() < 30, "{time:?}");
 }

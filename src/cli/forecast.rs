@@ -36,7 +36,11 @@ pub fn check(patches: f64, rays: f64) -> Result<Option<String>> {
         });
     }
     Ok((bytes > GIB).then(|| {
-        format!("the form factors of {patches:.0} patches will take about {:.1} GiB of memory", bytes / GIB)
+        format!(
+            "the form factors of {patches:.0} patches will take about {:.1} GiB of memory, up to twice that while they \
+             are made",
+            bytes / GIB
+        )
     }))
 }
 

@@ -5,6 +5,7 @@ use std::{path::PathBuf, time::Instant};
 use clap::{Args, ValueEnum};
 use radiosity::{
     Error, Quality, Result, Scene,
+    accuracy::error_bars::{ErrorBars, relative_rms},
     energy::EnergyLedger,
     form_factor::{CastOptions, Estimator, FormFactors},
     output::{
@@ -44,7 +45,7 @@ pub struct SolveArgs {
     /// About how many patches; at least one a triangle
     #[arg(long, value_name = "N", conflicts_with = "patch_size", value_parser = clap::value_parser!(u32).range(1..))]
     patches: Option<u32>,
-    /// Mean number of hemisphere rays a patch
+    /// Rays a patch, hemisphere and shadow rays together
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     rays: Option<u32>,
     /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel
@@ -175,6 +176,7 @@ struct Computed {
     form_factors: FormFactors,
     solution: Solution,
     energy: EnergyLedger,
+    error_bars: ErrorBars,
 }
 
 /// Runs the command.
@@ -189,7 +191,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     let watch = Watch::new(args.common.quiet);
     let mut times = Seconds::default();
     let computed = compute(args, &watch, &mut times)?;
-    let Computed { scene, patches, form_factors, solution, energy } = &computed;
+    let Computed { scene, patches, form_factors, solution, energy, error_bars } = &computed;
 
     let exposure = Exposure::automatic(patches, &solution.radiosity).brighter(args.exposure);
     watch.begin_writing();
@@ -208,6 +210,8 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     };
     let file = args.scene.display().to_string();
     let mut report = SolveReport::new(&file, scene, patches, form_factors, solution, energy, options);
+    report.error.rms_relative =
+        Some(relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas()));
     times.total = seconds(start.elapsed());
     report.seconds = times;
     report.peak_bytes = peak_bytes();
@@ -220,7 +224,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     if !args.common.quiet {
         let (_, chosen) = args.subdivision();
         let names = outputs::names(&[&args.output, &args.report]);
-        to_stdout(&summary::table(&report, patches, form_factors, &chosen, args.exposure, &names));
+        to_stdout(&summary::table(&report, patches, &chosen, args.exposure, &names));
     }
     Ok(verdict(args, &report))
 }
@@ -258,10 +262,12 @@ fn compute(args: &SolveArgs, watch: &Watch, times: &mut Seconds) -> Result<Compu
         let solution = solve::solve(&form_factors, &patches, &args.solve_options(), watch.progress())
             .map_err(|error| blame(args, error))?;
         let energy = EnergyLedger::of(&form_factors, &patches, &solution);
-        Ok((solution, energy))
+        let error_bars =
+            ErrorBars::of(&form_factors, &patches, &solution).expect("the form factors were sampled");
+        Ok((solution, energy, error_bars))
     })?;
-    let (solution, energy) = solved;
-    Ok(Computed { scene, patches, form_factors, solution, energy })
+    let (solution, energy, error_bars) = solved;
+    Ok(Computed { scene, patches, form_factors, solution, energy, error_bars })
 }
 
 /// Names the scene where the scene is to blame.
@@ -275,8 +281,9 @@ fn blame(args: &SolveArgs, error: Error) -> Error {
 }
 
 fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Result<Pending> {
-    let Computed { scene, patches, solution, .. } = computed;
-    let options = PlyOptions { exposure: Some(exposure), ..PlyOptions::default() };
+    let Computed { scene, patches, solution, error_bars, .. } = computed;
+    let standard_errors = Some(&error_bars.standard_error[..]);
+    let options = PlyOptions { exposure: Some(exposure), standard_errors, ..PlyOptions::default() };
     file.write(|out| ply::encode(out, scene, patches, solution, &options))
 }
 

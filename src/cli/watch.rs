@@ -44,7 +44,8 @@ impl Watch {
             handled.progress.stop();
         });
         let bar = (!quiet && io::stderr().is_terminal()).then(|| {
-            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+            let bar =
+                ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style(false));
             let (drawn, drawing) = (bar.clone(), Arc::clone(&shared));
             (bar, std::thread::spawn(move || draw(&drawn, &drawing)))
         });

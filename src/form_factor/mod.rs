@@ -8,7 +8,7 @@ pub mod closure;
 pub mod exact;
 pub mod hemisphere;
 pub mod reciprocity;
-mod replicates;
+pub(crate) mod replicates;
 mod shadow;
 
 use rayon::prelude::*;
@@ -282,6 +282,30 @@ impl FormFactors {
             .map(|(b, right)| b.map(|b| b * right))
             .collect();
         gather(&self.matrix, &scaled, irradiance, |i, sums| sums.map(|sum| self.left[i] * sum));
+    }
+
+    /// F z for a value a replicate and channel, in single precision: for error bars.
+    pub(crate) fn gather_replicates<const C: usize>(
+        &self,
+        z: &[[[f32; REPLICATES]; C]],
+    ) -> Vec<[[f32; REPLICATES]; C]> {
+        (0..self.len())
+            .into_par_iter()
+            .with_min_len(128)
+            .map(|i| {
+                let mut sums = [[0f32; REPLICATES]; C];
+                let (columns, values) = row(&self.matrix, i);
+                for (&j, &s) in columns.iter().zip(values) {
+                    let factor = (self.left[i] * f64::from(s) * self.right[j as usize]) as f32;
+                    for (sums, z) in sums.iter_mut().zip(&z[j as usize]) {
+                        for (sum, z) in sums.iter_mut().zip(z) {
+                            *sum += factor * z;
+                        }
+                    }
+                }
+                sums
+            })
+            .collect()
     }
 
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j), by visiting every pair.

@@ -1,4 +1,4 @@
-//! The replicates taken apart: how the irradiance would vary had only one of them been cast.
+//! The replicates taken apart: how every row would differ had only one of them been cast.
 
 use rayon::prelude::*;
 
@@ -48,25 +48,21 @@ impl<const C: usize> Sums<C> {
     }
 }
 
-impl FormFactors {
-    /// Standard error of the irradiance of every patch and channel that comes from sampling the form factors, for the
-    /// radiosity of a solution; `None` when the form factors were not sampled.
-    ///
-    /// Each replicate is an independent estimate of every row from 1/[`REPLICATES`] of the rays. The spread of
-    /// Σ_j S_ij B_j between them, after the same closure to first order, gives the standard error of their mean. The
-    /// error that a patch inherits through the radiosity of others is left out: it is an average over many independent
-    /// ones.
-    pub fn standard_errors(&self, radiosity: &[f64], channels: usize) -> Option<Vec<f64>> {
-        let samples = self.samples.as_ref()?;
-        assert_eq!(radiosity.len(), channels * self.len(), "one value a patch and channel is wanted");
-        Some(match channels {
-            1 => self.spread_of_replicates::<1>(samples, radiosity.as_chunks().0),
-            3 => self.spread_of_replicates::<3>(samples, radiosity.as_chunks().0),
-            _ => panic!("{channels} channels: there are 1 or 3"),
-        })
-    }
+/// How one replicate's rows deviate from the mean of all, for a given radiosity.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Deviation<const C: usize> {
+    /// Σ_j dS_ij B_j / A_i before closure, for each channel and replicate.
+    pub(crate) irradiance: [[f32; REPLICATES]; C],
+    /// By how much the closure would scale the row if no other were scaled, d ln d.
+    pub(crate) scale: [f32; REPLICATES],
+    /// What a change of the row's scale changes its irradiance by, dE / d ln d.
+    pub(crate) response: [f32; C],
+}
 
-    fn spread_of_replicates<const C: usize>(&self, samples: &Samples, radiosity: &[[f64; C]]) -> Vec<f64> {
+impl FormFactors {
+    /// The deviations of all replicates for every patch; `None` when the form factors were not sampled.
+    pub(crate) fn deviations<const C: usize>(&self, radiosity: &[[f64; C]]) -> Option<Vec<Deviation<C>>> {
+        let samples = self.samples.as_ref()?;
         let replicates: Vec<Vec<Sums<C>>> = (0..REPLICATES)
             .into_par_iter()
             .map(|k| match self.estimator {
@@ -74,12 +70,16 @@ impl FormFactors {
                 Estimator::Pooled => samples.pooled(k, radiosity),
             })
             .collect();
-        let mut errors = vec![[0.0; C]; self.len()];
-        errors.par_iter_mut().enumerate().with_min_len(256).for_each(|(i, error)| {
-            let own: [Sums<C>; REPLICATES] = std::array::from_fn(|k| replicates[k][i]);
-            *error = samples.patch_error(i, &own, self.estimator);
-        });
-        errors.into_flattened()
+        Some(
+            (0..self.len())
+                .into_par_iter()
+                .with_min_len(256)
+                .map(|i| {
+                    let own: [Sums<C>; REPLICATES] = std::array::from_fn(|k| replicates[k][i]);
+                    samples.deviation(i, &own, self.estimator)
+                })
+                .collect(),
+        )
     }
 }
 
@@ -126,37 +126,40 @@ impl Samples {
         all
     }
 
-    /// Standard error of the mean of the replicates of patch `i`.
-    fn patch_error<const C: usize>(
+    /// Deviations of the replicates of patch `i` from their mean.
+    fn deviation<const C: usize>(
         &self,
         i: usize,
         replicates: &[Sums<C>; REPLICATES],
         estimator: Estimator,
-    ) -> [f64; C] {
-        let many = REPLICATES as f64;
+    ) -> Deviation<C> {
         let mean = |value: &dyn Fn(&Sums<C>) -> f32| {
-            replicates.iter().map(|s| f64::from(value(s))).sum::<f64>() / many
+            replicates.iter().map(|s| f64::from(value(s))).sum::<f64>() / REPLICATES as f64
         };
         let (plain, links) = (mean(&|s| s.plain), mean(&|s| s.links));
         let power = Spread::link_yield(self.hits.sources.probability(i) > 0.0);
-        // A replicate whose row sums to more than the mean is scaled down by the closure: d ln d = -excess / stiffness.
+        // A replicate whose row sums to more than the mean is scaled down by the closure.
         let stiffness = plain + power * links;
-        std::array::from_fn(|c| {
-            let (plain_power, link_power) = (mean(&|s| s.plain_power[c]), mean(&|s| s.link_power[c]));
-            let squares: f64 = replicates
-                .iter()
-                .map(|s| {
-                    let excess = f64::from(s.plain + s.links) - (plain + links);
-                    let deviation =
-                        f64::from(s.plain_power[c] + s.link_power[c]) - (plain_power + link_power);
-                    let closure = match estimator {
-                        Estimator::Pooled => excess / stiffness * (plain_power + power * link_power),
-                        Estimator::OneWay => 0.0,
-                    };
-                    (deviation - closure).powi(2)
+        let scale: [f64; REPLICATES] = std::array::from_fn(|k| match estimator {
+            Estimator::Pooled => {
+                (plain + links - f64::from(replicates[k].plain + replicates[k].links)) / stiffness
+            }
+            Estimator::OneWay => 0.0,
+        });
+        let power_mean = |c: usize| (mean(&|s| s.plain_power[c]), mean(&|s| s.link_power[c]));
+        Deviation {
+            scale: scale.map(|s| s as f32),
+            response: std::array::from_fn(|c| {
+                let (plain, links) = power_mean(c);
+                ((plain + power * links) / self.areas[i]) as f32
+            }),
+            irradiance: std::array::from_fn(|c| {
+                let (plain, links) = power_mean(c);
+                std::array::from_fn(|k| {
+                    let power = f64::from(replicates[k].plain_power[c] + replicates[k].link_power[c]);
+                    ((power - (plain + links)) / self.areas[i]) as f32
                 })
-                .sum();
-            (squares / (many * (many - 1.0))).sqrt() / self.areas[i]
-        })
+            }),
+        }
     }
 }

@@ -8,7 +8,7 @@ pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 /// The share of the lit, non-emitting area that automatic exposure leaves darker than [`BRIGHT`].
 const PERCENTILE: f64 = 0.9;
 /// Linear brightness of that percentile: a well lit white wall, with room for what is brighter.
-const BRIGHT: f64 = 0.6;
+const BRIGHT: f64 = 0.8;
 
 /// How bright radiosity is shown.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,7 +18,7 @@ pub struct Exposure {
 }
 
 impl Exposure {
-    /// Shows 90 % of the lit area that does not emit below a brightness of 0.6. Lamps may clip, unlit surfaces and the
+    /// Shows 90 % of the lit area that does not emit below a brightness of 0.8, as pictures are shown. Lamps may clip, unlit surfaces and the
     /// unit of length have no say. A scene without light is shown black.
     ///
     /// # Panics
@@ -115,7 +115,7 @@ mod tests {
         let mut radiosity = vec![1000.0, 0.0, 0.0, 0.0];
         radiosity.extend((1..=10).map(f64::from));
         let exposure = Exposure::automatic(&squares(14), &radiosity);
-        assert!((exposure.scale - 0.6 / 9.0).abs() < 1e-15);
+        assert!((exposure.scale - 0.8 / 9.0).abs() < 1e-15);
         assert_eq!(exposure.encode([1000.0, 0.0, -1.0]), [255, 0, 0]);
         let twice = exposure.brighter(1.0);
         assert_eq!(twice.scale, 2.0 * exposure.scale);
@@ -125,7 +125,7 @@ mod tests {
     #[test]
     fn exposure_of_darkness_and_of_lamps_alone_is_finite() {
         assert_eq!(Exposure::automatic(&squares(3), &[0.0; 3]).encode([0.0; 3]), [0; 3]);
-        assert!((Exposure::automatic(&squares(1), &[5.0]).scale - 0.6 / 5.0).abs() < 1e-15);
+        assert!((Exposure::automatic(&squares(1), &[5.0]).scale - 0.8 / 5.0).abs() < 1e-15);
         assert!(Exposure::automatic(&squares(2), &[0.0, 1e-310]).scale.is_finite());
     }
 }

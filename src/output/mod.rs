@@ -1,6 +1,6 @@
 //! What people take home: coloured meshes and reports.
 //!
-//! Everything written here is written whole or not at all ([`file`]), and holds finite numbers only, except where a
+//! Everything written here is written whole or not at all ([`mod@file`]), and holds finite numbers only, except where a
 //! figure is not known: NaN in a PLY, `null` in a report.
 
 pub mod exposure;
