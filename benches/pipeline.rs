@@ -1,14 +1,15 @@
-//! From a scene to its radiosity, time and memory: `cargo bench --bench pipeline`.
+//! From a scene to its radiosity and its error bars, time and memory: `cargo bench --bench pipeline`.
 //!
 //! The most memory that a process ever held never falls again, so each size runs in a process of its own: this program,
 //! started anew. 100,000 patches at 64 rays must fit into 2 GiB.
 
 mod scenes;
 
-use std::{process::Command, time::Instant};
+use std::{hint::black_box, process::Command, time::Instant};
 
 use radiosity::{
     Progress,
+    accuracy::error_bars::ErrorBars,
     form_factor::{CastOptions, FormFactors},
     output::report::peak_bytes,
     patch::{Patches, Subdivision},
@@ -35,7 +36,7 @@ fn main() {
         "{RAYS} rays a patch; the fastest of {ROUNDS} rounds, in seconds; matrix with hits and peak of the process in MiB"
     );
     println!(
-        "scene                    patches  casting  Mrays/s  solving  iterations  non-zeros   held   peak"
+        "scene                    patches  casting  Mrays/s  solving  iterations  error bars  non-zeros   held   peak"
     );
     for task in 0..RUNS.len() {
         let program = std::env::current_exe().expect("a running program has a name");
@@ -47,7 +48,7 @@ fn main() {
 fn run(place: Place, count: usize) {
     let progress = Progress::new();
     let scene = (place.make)();
-    let (mut casting, mut solving, mut peak) = (f64::INFINITY, f64::INFINITY, None);
+    let ([mut casting, mut solving, mut judging], mut peak) = ([f64::INFINITY; 3], None);
     for round in 0..ROUNDS {
         let tracer = Tracer::new(&scene);
         let mut patches = Patches::subdivide(&scene, &Subdivision::Count(count));
@@ -58,13 +59,16 @@ fn run(place: Place, count: usize) {
         let start = Instant::now();
         let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress).unwrap();
         solving = solving.min(start.elapsed().as_secs_f64());
+        let start = Instant::now();
+        black_box(ErrorBars::of(&form_factors, &patches, &solution));
+        judging = judging.min(start.elapsed().as_secs_f64());
         // Later rounds may find the memory in pieces.
         if round == 0 {
             peak = peak_bytes();
         }
         if round + 1 == ROUNDS {
             println!(
-                "{place:23}  {:7}  {casting:7.3}  {:7.2}  {solving:7.3}  {:10}  {:9}  {:5.1}  {}",
+                "{place:23}  {:7}  {casting:7.3}  {:7.2}  {solving:7.3}  {:10}  {judging:10.3}  {:9}  {:5.1}  {}",
                 patches.len(),
                 form_factors.hits().map_or(0, |hits| hits.rays()) as f64 / casting / 1e6,
                 solution.iterations,

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use radiosity::{
     Progress, Quality, Result, Scene,
+    accuracy::error_bars::ErrorBars,
     form_factor::{CastOptions, FormFactors},
     output::{
         exposure::Exposure,
@@ -36,7 +37,7 @@ fn main() -> Result<()> {
     let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress)?;
 
     // How far off the rays may be, patch by patch: the file carries it along.
-    let errors = form_factors.standard_errors(&solution.radiosity, solution.channels);
+    let errors = ErrorBars::of(&form_factors, &patches, &solution).map(|bars| bars.standard_error);
     let exposure = Exposure::automatic(&patches, &solution.radiosity);
     let options =
         PlyOptions { standard_errors: errors.as_deref(), exposure: Some(exposure), ..PlyOptions::default() };
