@@ -25,8 +25,7 @@ pub const REPLICATES: usize = 16;
 /// The target of a ray that left the scene.
 pub const ESCAPED: u32 = u32::MAX;
 
-/// The target of a ray that connects a source with another patch: such rays are kept with their geometry, see
-/// [`shadow`].
+/// The target of a ray that connects a source with another patch: such rays are kept with their geometry.
 pub const LINKED: u32 = u32::MAX - 1;
 
 /// While casting: the ray met the back of this front patch, which was no unknown yet.

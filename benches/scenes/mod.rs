@@ -1,0 +1,112 @@
+//! Scenes of known size for the benchmarks.
+
+#![allow(dead_code, reason = "every benchmark is a program of its own and uses some of these")]
+
+use glam::{DVec3, dvec3};
+use radiosity::{Scene, scene::Material};
+
+/// A scene and how the tables call it.
+#[derive(Clone, Copy)]
+pub struct Place {
+    pub name: &'static str,
+    pub make: fn() -> Scene,
+}
+
+impl std::fmt::Display for Place {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(self.name)
+    }
+}
+
+pub const CORNELL: Place = Place { name: "cornell, 36 triangles", make: || load("cornell-box.obj") };
+pub const DOOR: Place = Place { name: "door ajar", make: || load("door-ajar.obj") };
+pub const SPHERES_1E5: Place = Place { name: "spheres, 1e5", make: || spheres([4, 4, 5], 3) };
+pub const SPHERES_1E6: Place = Place { name: "spheres, 1e6", make: || spheres([7, 7, 4], 4) };
+/// Flat walls of equal small triangles are where a careless hierarchy falls apart: their Morton codes tie.
+pub const WALLS_1E5: Place = Place { name: "tessellated walls, 1e5", make: || room(91) };
+pub const WALLS_1E6: Place = Place { name: "tessellated walls, 1e6", make: || room(289) };
+
+type Triangles = Vec<([DVec3; 3], u32)>;
+const WHITE: u32 = 0;
+const LAMP: u32 = 1;
+
+fn load(name: &str) -> Scene {
+    Scene::load(format!("{}/meshes/{name}", env!("CARGO_MANIFEST_DIR")))
+        .expect("the scene is in the repository")
+}
+
+fn scene(triangles: &Triangles) -> Scene {
+    let materials = vec![
+        Material::new("white", [0.7, 0.6, 0.5], [0.0; 3]),
+        Material::new("lamp", [0.7, 0.6, 0.5], [10.0, 9.0, 8.0]),
+    ];
+    Scene::new(triangles, materials)
+}
+
+/// A closed unit cube whose walls are cut into n × n squares of two triangles; a lamp in the ceiling.
+fn room(n: u32) -> Scene {
+    let mut triangles = Vec::new();
+    add_room(n, &mut triangles);
+    scene(&triangles)
+}
+
+/// The same with a grid of spheres, each of 20 · 4^level triangles.
+fn spheres(grid: [u32; 3], level: u32) -> Scene {
+    let mut triangles = Vec::new();
+    add_room(16, &mut triangles);
+    let sphere = icosphere(level);
+    let cell = dvec3(1.0 / f64::from(grid[0]), 1.0 / f64::from(grid[1]), 1.0 / f64::from(grid[2]));
+    let radius = 0.35 * cell.min_element();
+    for i in 0..grid[0] * grid[1] * grid[2] {
+        let [x, y, z] = [i % grid[0], i / grid[0] % grid[1], i / (grid[0] * grid[1])].map(f64::from);
+        let centre = (dvec3(x, y, z) + 0.5) * cell;
+        triangles.extend(sphere.iter().map(|corners| (corners.map(|p| centre + p * radius), WHITE)));
+    }
+    scene(&triangles)
+}
+
+fn add_room(n: u32, triangles: &mut Triangles) {
+    for wall in 0..6 {
+        let (axis, far) = (wall / 2, wall % 2);
+        let origin = DVec3::AXES[axis] * far as f64;
+        // The product of the edges points inwards.
+        let (a, b) = (DVec3::AXES[(axis + 1 + far) % 3], DVec3::AXES[(axis + 2 - far) % 3]);
+        for i in 0..n * n {
+            let at = |u: u32, v: u32| origin + (a * f64::from(u) + b * f64::from(v)) / f64::from(n);
+            let (u, v) = (i % n, i / n);
+            let [p, q, r, s] = [at(u, v), at(u + 1, v), at(u + 1, v + 1), at(u, v + 1)];
+            let middle = (p + r) * 0.5 - dvec3(0.5, 1.0, 0.5);
+            let material = if middle.abs().max_element() < 0.15 { LAMP } else { WHITE };
+            triangles.extend([([p, q, r], material), ([p, r, s], material)]);
+        }
+    }
+}
+
+/// An icosahedron, each face cut into four as often as told, on the unit sphere.
+fn icosphere(level: u32) -> Vec<[DVec3; 3]> {
+    let golden = (1.0 + 5f64.sqrt()) / 2.0;
+    let signs = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)];
+    let corners: Vec<DVec3> = signs
+        .iter()
+        .flat_map(|&(s, t)| [dvec3(0.0, s, t * golden), dvec3(s, t * golden, 0.0), dvec3(t * golden, 0.0, s)])
+        .collect();
+    // Its faces are the triples of corners at the distance of an edge, which is 2.
+    let is_edge = |a: DVec3, b: DVec3| (a.distance(b) - 2.0).abs() < 1e-9;
+    let mut faces = Vec::new();
+    for (i, &a) in corners.iter().enumerate() {
+        for (j, &b) in corners.iter().enumerate().skip(i + 1).filter(|(_, b)| is_edge(a, **b)) {
+            for &c in corners.iter().skip(j + 1).filter(|c| is_edge(a, **c) && is_edge(b, **c)) {
+                let outward = (b - a).cross(c - a).dot(a) > 0.0;
+                faces.push((if outward { [a, b, c] } else { [a, c, b] }).map(DVec3::normalize));
+            }
+        }
+    }
+    for _ in 0..level {
+        let cut = |[a, b, c]: [DVec3; 3]| {
+            let [p, q, r] = [(a + b).normalize(), (b + c).normalize(), (c + a).normalize()];
+            [[a, p, r], [p, b, q], [r, q, c], [p, q, r]]
+        };
+        faces = faces.into_iter().flat_map(cut).collect();
+    }
+    faces
+}

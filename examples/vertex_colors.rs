@@ -1,0 +1,49 @@
+//! A mesh in, the same mesh with its light painted on the vertices out: any viewer of PLY files shows it.
+//!
+//!     cargo run --release --example vertex_colors -- [SCENE.obj [OUT.ply]]
+
+use std::path::PathBuf;
+
+use radiosity::{
+    Progress, Quality, Result, Scene,
+    accuracy::error_bars::ErrorBars,
+    form_factor::{CastOptions, FormFactors},
+    output::{
+        exposure::Exposure,
+        ply::{self, PlyOptions},
+    },
+    patch::{Patches, Subdivision},
+    solve::{SolveOptions, solve},
+    trace::Tracer,
+};
+
+fn main() -> Result<()> {
+    let mut arguments = std::env::args_os().skip(1).map(PathBuf::from);
+    let input = arguments
+        .next()
+        .unwrap_or_else(|| concat!(env!("CARGO_MANIFEST_DIR"), "/meshes/door-ajar.obj").into());
+    let output = arguments.next().unwrap_or_else(|| "vertex_colors.ply".into());
+
+    let scene = Scene::load(&input)?;
+    for warning in &scene.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let quality = Quality::MEDIUM;
+    let tracer = Tracer::new(&scene);
+    let mut patches = Patches::subdivide(&scene, &Subdivision::Count(quality.patches));
+    let options = CastOptions { rays: quality.rays.into(), ..CastOptions::default() };
+    let progress = Progress::new();
+    let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &progress)?;
+    let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress)?;
+
+    // How far off the rays may be, patch by patch: the file carries it along.
+    let errors = ErrorBars::of(&form_factors, &patches, &solution).map(|bars| bars.standard_error);
+    let exposure = Exposure::automatic(&patches, &solution.radiosity);
+    let options =
+        PlyOptions { standard_errors: errors.as_deref(), exposure: Some(exposure), ..PlyOptions::default() };
+    ply::write(&output, &scene, &patches, &solution, &options)?;
+
+    println!("{} triangles, {} patches: {}", scene.triangles.len(), patches.len(), output.display());
+    println!("white is a radiosity of {:.3} W/m2", 1.0 / exposure.scale);
+    Ok(())
+}
