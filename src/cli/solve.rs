@@ -9,13 +9,14 @@ use radiosity::{
     energy::EnergyLedger,
     form_factor::{CastOptions, Estimator, FormFactors},
     output::{
-        exposure::Exposure,
+        exposure,
         file::{OutputFile, Pending},
         ply::{self, PlyOptions},
         report::{OptionsReport, Seconds, SolveReport, peak_bytes, seconds},
     },
     patch::{Patches, Subdivision},
     solve::{self, Solution, SolveOptions, Solver},
+    tone::Exposure,
     trace::Tracer,
 };
 
@@ -193,7 +194,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     let computed = compute(args, &watch, &mut times)?;
     let Computed { scene, patches, form_factors, solution, energy, error_bars } = &computed;
 
-    let exposure = Exposure::automatic(patches, &solution.radiosity).brighter(args.exposure);
+    let exposure = exposure::of_radiosity(patches, &solution.radiosity).brighter(args.exposure);
     watch.begin_writing();
     let mut pending = Vec::new();
     let written;
@@ -206,7 +207,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
         estimator: if form_factors.estimator() == Estimator::Pooled { "pooled" } else { "one-way" },
         tolerance: args.tolerance,
         seed: args.seed,
-        white: 1.0 / exposure.scale,
+        white: exposure.white(),
     };
     let file = args.scene.display().to_string();
     let mut report = SolveReport::new(&file, scene, patches, form_factors, solution, energy, options);
