@@ -1,10 +1,12 @@
-//! What people take home: coloured meshes and reports.
+//! What people take home: coloured meshes, pictures and reports.
 //!
 //! Everything written here is written whole or not at all ([`mod@file`]), and holds finite numbers only, except where a
 //! figure is not known: NaN in a PLY, `null` in a report.
 
 pub mod exposure;
 pub mod file;
+pub mod final_gather;
+pub mod picture;
 pub mod ply;
 pub mod report;
 mod surfaces;
