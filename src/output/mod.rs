@@ -9,6 +9,7 @@ pub mod final_gather;
 pub mod picture;
 pub mod ply;
 pub mod report;
+pub mod sampling_report;
 mod surfaces;
 pub mod vertex_colors;
 pub mod vertices;
