@@ -14,6 +14,7 @@ mod progress;
 mod quality;
 pub mod scene;
 pub mod solve;
+pub mod tone;
 pub mod trace;
 
 pub use error::{Error, Result};

@@ -1,17 +1,16 @@
 //! The program as the shell sees it.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    process::{Command, Output},
-};
+mod cli_common;
+
+use std::{fs, path::Path, process::Command};
 
 use ply_rs::{
     parser::Parser,
     ply::{DefaultElement, Property},
 };
 use serde_json::Value;
-use tempfile::TempDir;
+
+use cli_common::{Here, stderr};
 
 /// A closed unit cube seen from inside, whose walls all emit 1/π and reflect half: B = Be + B / 2 = 2.
 const FURNACE: &str = "mtllib scene.mtl\nusemtl wall
@@ -24,64 +23,6 @@ const GLOW: &str =
 fn lamp() -> Here {
     let obj = FURNACE.replace("f 1 2 4 3", "usemtl lamp\nf 1 2 4 3\nusemtl wall");
     Here::new(&obj, "newmtl wall\nKd 0.5 0.9 0.1\nnewmtl lamp\nKd 0.5 0.5 0.5\nKe 1 1 1\n")
-}
-
-/// A directory with a scene in it.
-struct Here(TempDir);
-
-impl Here {
-    fn new(obj: &str, mtl: &str) -> Here {
-        let dir = tempfile::tempdir().unwrap();
-        fs::write(dir.path().join("scene.obj"), obj).unwrap();
-        fs::write(dir.path().join("scene.mtl"), mtl).unwrap();
-        Here(dir)
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn read(&self, name: &str) -> Vec<u8> {
-        fs::read(self.path(name)).unwrap()
-    }
-
-    fn json(&self, name: &str) -> Value {
-        serde_json::from_slice(&self.read(name)).unwrap()
-    }
-
-    fn names(&self) -> Vec<String> {
-        let mut names: Vec<_> = fs::read_dir(self.0.path())
-            .unwrap()
-            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-            .collect();
-        names.sort();
-        names
-    }
-
-    /// Runs `radiosity` with the words of `arguments` in this directory.
-    fn run(&self, arguments: &str) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_radiosity"))
-            .current_dir(self.0.path())
-            .args(arguments.split_whitespace())
-            .output()
-            .unwrap()
-    }
-
-    /// Runs what must fail with `status` and leave no file; returns stderr.
-    fn fails(&self, arguments: &str, status: i32) -> String {
-        let before = self.names();
-        let output = self.run(arguments);
-        let errors = stderr(&output);
-        assert_eq!(output.status.code(), Some(status), "{arguments}: {errors}");
-        assert_eq!(self.names(), before, "{arguments}");
-        assert!(output.stdout.is_empty());
-        assert!(!errors.contains("panicked"), "{errors}");
-        errors
-    }
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8(output.stderr.clone()).unwrap()
 }
 
 fn number(value: &Value) -> f64 {
@@ -347,7 +288,7 @@ fn a_signal_stops_the_work_and_leaves_nothing() {
     };
     let here = Here::new(FURNACE, GLOW);
     let child = Command::new(env!("CARGO_BIN_EXE_radiosity"))
-        .current_dir(here.0.path())
+        .current_dir(here.directory())
         .args([
             "solve",
             "scene.obj",

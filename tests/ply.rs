@@ -10,7 +10,6 @@ use ply_rs::{
 use radiosity::{
     Scene,
     output::{
-        exposure::Exposure,
         ply::{PlyOptions, encode},
         vertex_colors::at_vertices,
         vertices::{CREASE, PatchMesh},
@@ -18,6 +17,7 @@ use radiosity::{
     patch::{Patches, Subdivision},
     scene::Material,
     solve::{Solution, Solver},
+    tone::Exposure,
 };
 
 const GREY: [f64; 3] = [0.5; 3];

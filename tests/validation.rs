@@ -71,8 +71,10 @@ fn right_answers_pass() {
     let mut objecting = Vec::new();
     for scene in ["meshes/cornell-box.obj", "meshes/textured.obj"] {
         let scene = Scene::load(scene).unwrap();
+        let tracer = Tracer::new(&scene);
         for seed in 0..8 {
-            let objections = Validation::of(&scene, &options(seed), &Progress::new()).unwrap().objections();
+            let objections =
+                Validation::of(&scene, &tracer, &options(seed), &Progress::new()).unwrap().objections();
             if !objections.is_empty() {
                 objecting.push(objections);
             }

@@ -246,16 +246,20 @@ impl Validation {
     ///
     /// # Errors
     /// As [`FormFactors::cast`], [`solve()`] and [`light_traced`].
-    pub fn of(scene: &Scene, options: &ValidationOptions, progress: &Progress) -> Result<Validation> {
-        let tracer = Tracer::new(scene);
+    pub fn of(
+        scene: &Scene,
+        tracer: &Tracer,
+        options: &ValidationOptions,
+        progress: &Progress,
+    ) -> Result<Validation> {
         let cast = CastOptions { rays: options.rays, seed: options.seed, ..CastOptions::default() };
-        let coarse = Solved::new(scene, &tracer, &options.subdivision, &cast, &options.solve, progress)?;
+        let coarse = Solved::new(scene, tracer, &options.subdivision, &cast, &options.solve, progress)?;
         let finer = CastOptions { rays: 0.25 * options.rays, seed: options.seed + 1, ..cast };
-        let fine = Solved::new(scene, &tracer, &halved(&coarse.patches), &finer, &options.solve, progress)?;
+        let fine = Solved::new(scene, tracer, &halved(&coarse.patches), &finer, &options.solve, progress)?;
         let radiosity = radiosity_estimates(&coarse, &fine);
         drop(fine);
-        let path = path_traced(scene, &tracer, &coarse.patches, options, progress)?;
-        let light = light_traced(scene, &tracer, &coarse.patches, options, progress)?;
+        let path = path_traced(scene, tracer, &coarse.patches, options, progress)?;
+        let light = light_traced(scene, tracer, &coarse.patches, options, progress)?;
         let areas = &coarse.form_factors.areas()[..coarse.patches.fronts()];
         Ok(Validation {
             energy: EnergyLedger::of(&coarse.form_factors, &coarse.patches, &coarse.solution),

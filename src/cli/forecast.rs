@@ -44,6 +44,25 @@ pub fn check(patches: f64, rays: f64) -> Result<Option<String>> {
     }))
 }
 
+/// Refuses a picture that memory cannot hold.
+pub fn check_picture(pixels: f64, by_particles: bool) -> Result<()> {
+    // The film, what automatic exposure sorts, the encoded picture; by particles a sum for each thread and an estimate
+    // a pixel too.
+    let threads = rayon::current_num_threads() as f64;
+    let bytes = pixels * if by_particles { 200.0 + 24.0 * threads } else { 60.0 };
+    match memory().filter(|&memory| bytes > memory) {
+        None => Ok(()),
+        Some(memory) => Err(Error::Usage {
+            message: format!(
+                "a picture of {pixels:.2e} pixels needs about {:.0} GiB of memory, this machine has {:.0}",
+                bytes / GIB,
+                memory / GIB
+            ),
+            hint: Some("give a smaller --width and --height".into()),
+        }),
+    }
+}
+
 /// Memory and swap space of this machine, as Linux tells.
 fn memory() -> Option<f64> {
     let info = std::fs::read_to_string("/proc/meminfo").ok()?;

@@ -3,10 +3,16 @@
 //! Results go to files, a short summary to stdout, progress, warnings and errors to stderr. Exit status: 0 done; 1
 //! computed, but a demanded check failed; 2 bad usage or input; 130 stopped by a signal.
 
+mod camera;
 mod forecast;
+mod options;
 mod outputs;
+mod pipeline;
+mod probe;
+mod render;
 mod solve;
 mod summary;
+mod validate;
 mod watch;
 
 use std::{
@@ -35,6 +41,9 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Solve(solve::SolveArgs),
+    Validate(validate::ValidateArgs),
+    Render(render::RenderArgs),
+    Probe(probe::ProbeArgs),
 }
 
 /// Options of every command.
@@ -74,6 +83,9 @@ pub fn run() -> ExitCode {
     // clap prints help, the version and usage errors itself, and exits with 2 for the last.
     let result = match Cli::parse().command {
         Command::Solve(args) => solve::run(&args),
+        Command::Validate(args) => validate::run(&args),
+        Command::Render(args) => render::run(&args),
+        Command::Probe(args) => probe::run(&args),
     };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radiosity::{Error, Result, output::file::OutputFile};
+use radiosity::{Error, Result, monte_carlo::PictureFormat, output::file::OutputFile};
 
 /// Kinds of files that scenes are made of. No output takes the place of one: it might be a material library or a
 /// texture of this very scene.
@@ -19,13 +19,29 @@ pub fn mesh(path: &Path, scene: &Path) -> Result<OutputFile> {
     Ok(output)
 }
 
+/// Where a picture can be written to, and its format.
+pub fn picture(path: &Path, scene: &Path) -> Result<(OutputFile, PictureFormat)> {
+    let output = OutputFile::new(path, &[scene])?;
+    let extension = path.extension().map(|e| e.to_string_lossy());
+    match extension.and_then(|e| PictureFormat::of_extension(&e)) {
+        Some(format) => Ok((output, format)),
+        None if is_device(path) => Ok((output, PictureFormat::Png)),
+        None => Err(usage(path, "unknown kind of picture", "end the name in .png, .exr or .hdr")),
+    }
+}
+
 /// Where a report can be written to.
 pub fn report(path: &Path, scene: &Path) -> Result<OutputFile> {
-    let output = OutputFile::new(path, &[scene])?;
+    text(path, &[scene], "a report")
+}
+
+/// Where text can be written to; `what` it is.
+pub fn text(path: &Path, inputs: &[&Path], what: &str) -> Result<OutputFile> {
+    let output = OutputFile::new(path, inputs)?;
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
     if extension.is_some_and(|e| INPUT_KINDS.contains(&e.as_str())) {
-        let hint = "reports are JSON: give it a name that ends in .json";
-        return Err(usage(path, "a report may not take the name of a scene, material or texture", hint));
+        let message = format!("{what} may not take the name of a scene, material or texture");
+        return Err(usage(path, &message, "give it a name that ends in .json or .txt"));
     }
     Ok(output)
 }

@@ -4,22 +4,29 @@ use std::{path::PathBuf, time::Instant};
 
 use clap::{Args, ValueEnum};
 use radiosity::{
-    Error, Quality, Result, Scene,
+    Error, Result, Scene,
     accuracy::error_bars::{ErrorBars, relative_rms},
     energy::EnergyLedger,
-    form_factor::{CastOptions, Estimator, FormFactors},
+    form_factor::{Estimator, FormFactors},
     output::{
-        exposure::Exposure,
+        exposure,
         file::{OutputFile, Pending},
         ply::{self, PlyOptions},
         report::{OptionsReport, Seconds, SolveReport, peak_bytes, seconds},
     },
-    patch::{Patches, Subdivision},
-    solve::{self, Solution, SolveOptions, Solver},
-    trace::Tracer,
+    patch::Patches,
+    solve::{Solution, SolveOptions, Solver},
+    tone::Exposure,
 };
 
-use super::{Common, Outcome, forecast, outputs, summary, to_stdout, watch::Watch};
+use super::{
+    Common, Outcome,
+    options::{CastArgs, below_one, stops},
+    outputs,
+    pipeline::{self, Job, Solved},
+    summary, to_stdout,
+    watch::Watch,
+};
 
 /// Share of the emitted power that rounding may lose in the sums of the energy ledger.
 const ROUNDING: f64 = 1e-9;
@@ -36,18 +43,8 @@ pub struct SolveArgs {
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
-    /// A preset of patches and rays
-    #[arg(long, value_enum, default_value_t = QualityName::Medium)]
-    quality: QualityName,
-    /// Largest edge of a patch in the scene's unit; `inf` leaves the triangles whole
-    #[arg(long, value_name = "LENGTH", value_parser = positive)]
-    patch_size: Option<f64>,
-    /// About how many patches; at least one a triangle
-    #[arg(long, value_name = "N", conflicts_with = "patch_size", value_parser = clap::value_parser!(u32).range(1..))]
-    patches: Option<u32>,
-    /// Rays a patch, hemisphere and shadow rays together
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    rays: Option<u32>,
+    #[command(flatten)]
+    cast: CastArgs,
     /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel
     #[arg(long, value_enum, default_value_t = SolverName::Auto)]
     solver: SolverName,
@@ -68,18 +65,6 @@ pub struct SolveArgs {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum QualityName {
-    /// 1,000 patches, 64 rays
-    Draft,
-    /// 8,000 patches, 64 rays
-    Medium,
-    /// 32,000 patches, 256 rays
-    High,
-    /// 100,000 patches, 1,024 rays
-    Reference,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
 enum SolverName {
     Auto,
     Jacobi,
@@ -95,49 +80,7 @@ enum EstimatorName {
     OneWay,
 }
 
-fn positive(text: &str) -> std::result::Result<f64, String> {
-    parse(text, |x| x > 0.0, "a length above 0, or inf, is wanted")
-}
-
-fn below_one(text: &str) -> std::result::Result<f64, String> {
-    parse(text, |x| x > 0.0 && x < 1.0, "a number between 0 and 1 is wanted")
-}
-
-fn stops(text: &str) -> std::result::Result<f64, String> {
-    parse(text, |x| x.abs() <= 100.0, "a number between -100 and 100 is wanted")
-}
-
-fn parse(text: &str, good: impl Fn(f64) -> bool, wanted: &str) -> std::result::Result<f64, String> {
-    text.parse().ok().filter(|&x| good(x)).ok_or_else(|| wanted.into())
-}
-
 impl SolveArgs {
-    fn quality(&self) -> Quality {
-        match self.quality {
-            QualityName::Draft => Quality::DRAFT,
-            QualityName::Medium => Quality::MEDIUM,
-            QualityName::High => Quality::HIGH,
-            QualityName::Reference => Quality::REFERENCE,
-        }
-    }
-
-    /// How to cut the scene, and a word on who chose that.
-    fn subdivision(&self) -> (Subdivision, String) {
-        if let Some(edge) = self.patch_size {
-            return (Subdivision::Edge(edge), format!("--patch-size {edge}"));
-        }
-        if let Some(patches) = self.patches {
-            return (Subdivision::Count(patches as usize), format!("--patches {patches}"));
-        }
-        let name = self.quality.to_possible_value().map_or(String::new(), |v| v.get_name().to_owned());
-        let patches = self.quality().patches;
-        (Subdivision::Count(patches), format!("about {patches} for quality {name}"))
-    }
-
-    fn rays(&self) -> u32 {
-        self.rays.unwrap_or(self.quality().rays)
-    }
-
     fn estimator(&self) -> Estimator {
         match self.estimator {
             EstimatorName::Pooled => Estimator::Pooled,
@@ -193,7 +136,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     let computed = compute(args, &watch, &mut times)?;
     let Computed { scene, patches, form_factors, solution, energy, error_bars } = &computed;
 
-    let exposure = Exposure::automatic(patches, &solution.radiosity).brighter(args.exposure);
+    let exposure = exposure::of_radiosity(patches, &solution.radiosity).brighter(args.exposure);
     watch.begin_writing();
     let mut pending = Vec::new();
     let written;
@@ -202,11 +145,11 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     pending.extend(written);
 
     let options = OptionsReport {
-        rays_per_patch: args.rays().into(),
+        rays_per_patch: args.cast.rays().into(),
         estimator: if form_factors.estimator() == Estimator::Pooled { "pooled" } else { "one-way" },
         tolerance: args.tolerance,
         seed: args.seed,
-        white: 1.0 / exposure.scale,
+        white: exposure.white(),
     };
     let file = args.scene.display().to_string();
     let mut report = SolveReport::new(&file, scene, patches, form_factors, solution, energy, options);
@@ -222,7 +165,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     pending.into_iter().try_for_each(Pending::commit)?;
     drop(watch);
     if !args.common.quiet {
-        let (_, chosen) = args.subdivision();
+        let (_, chosen) = args.cast.subdivision();
         let names = outputs::names(&[&args.output, &args.report]);
         to_stdout(&summary::table(&report, patches, &chosen, args.exposure, &names));
     }
@@ -230,54 +173,24 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
 }
 
 fn compute(args: &SolveArgs, watch: &Watch, times: &mut Seconds) -> Result<Computed> {
-    let scene;
-    (scene, times.load) = watch.stage("reading", || Scene::load(&args.scene))?;
-    for warning in &scene.warnings {
-        watch.warn(warning);
-    }
-    if scene.degenerate > 0 {
-        watch.warn(&format!(
-            "{}: left out {} triangles without area",
-            args.scene.display(),
-            scene.degenerate
-        ));
-    }
-    if !scene.has_emitter() {
-        return Err(Error::input(&args.scene, None, "nothing emits light: there is nothing to compute")
-            .with_hint("give a material an emitted radiance, a line like `Ke 10 10 10` in the .mtl file"));
-    }
-    let (subdivision, _) = args.subdivision();
-    let rays = f64::from(args.rays());
-    if let Some(warning) = forecast::check(Patches::forecast(&scene, &subdivision), rays)? {
-        watch.warn(&warning);
-    }
-
-    let (tracer, mut patches, form_factors, solved);
-    (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
-    (patches, times.subdivide) = watch.stage("patches", || Ok(Patches::subdivide(&scene, &subdivision)))?;
-    let cast = CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
-    (form_factors, times.form_factors) =
-        watch.stage("rays", || FormFactors::cast(&scene, &tracer, &mut patches, &cast, watch.progress()))?;
-    (solved, times.solve) = watch.stage("solving", || {
-        let solution = solve::solve(&form_factors, &patches, &args.solve_options(), watch.progress())
-            .map_err(|error| blame(args, error))?;
+    let job = Job {
+        file: &args.scene,
+        cast: &args.cast,
+        estimator: args.estimator(),
+        options: args.solve_options(),
+        seed: args.seed,
+    };
+    let (scene, tracer) = pipeline::load(&args.scene, watch, times)?;
+    job.check(&scene, watch)?;
+    let Solved { patches, form_factors, solution } = job.solve(&scene, &tracer, watch, times)?;
+    let ((energy, error_bars), seconds) = watch.stage("error bars", || {
         let energy = EnergyLedger::of(&form_factors, &patches, &solution);
         let error_bars =
             ErrorBars::of(&form_factors, &patches, &solution).expect("the form factors were sampled");
-        Ok((solution, energy, error_bars))
+        Ok((energy, error_bars))
     })?;
-    let (solution, energy, error_bars) = solved;
+    times.solve += seconds;
     Ok(Computed { scene, patches, form_factors, solution, energy, error_bars })
-}
-
-/// Names the scene where the scene is to blame.
-fn blame(args: &SolveArgs, error: Error) -> Error {
-    match (&error, error.hint()) {
-        (Error::NoEquilibrium, Some(hint)) => {
-            Error::input(&args.scene, None, error.to_string()).with_hint(hint)
-        }
-        _ => error,
-    }
 }
 
 fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Result<Pending> {

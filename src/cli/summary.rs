@@ -3,7 +3,10 @@
 use std::fmt::Write;
 
 use radiosity::{
-    output::report::{Seconds, SolveReport},
+    output::{
+        report::{Seconds, SolveReport},
+        sampling_report::{PictureReport, SamplingReport, SamplingSeconds},
+    },
     patch::Patches,
 };
 
@@ -11,9 +14,7 @@ use radiosity::{
 pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, written: &str) -> String {
     let SolveReport { scene, form_factors: factors, solve, energy, seconds, .. } = report;
     let mut text = String::new();
-    let mut row = |name: &str, value: String| {
-        let _ = writeln!(text, "{name:<13} {value}");
-    };
+    let mut row = |name: &str, value: String| row(&mut text, name, &value);
     row("scene", format!("{}: {} triangles", scene.file, scene.triangles));
     let edge = scene.patch_edge.map_or("of any size".into(), |edge| format!("edges up to {edge:.4}"));
     row(
@@ -74,6 +75,68 @@ fn times(s: &Seconds) -> String {
         "load {:.2}, subdivide {:.2}, bvh {:.2}, form factors {:.2}, solve {:.2}, output {:.2}; total {:.2}",
         s.load, s.subdivide, s.bvh, s.form_factors, s.solve, s.output, s.total
     )
+}
+
+/// The figures of a picture.
+pub fn picture(report: &SamplingReport, fixed: bool, stops: f64, written: &str) -> String {
+    let mut text = sampled(report, "a pixel");
+    if let Some(picture) = &report.picture {
+        let [eye, look_at, up] =
+            [picture.eye, picture.look_at, picture.up].map(|p| p.map(|x| format!("{x:.6}")).join(","));
+        let PictureReport { width, height, fov, white, .. } = picture;
+        let [r, g, b] = picture.mean_radiance;
+        row(
+            &mut text,
+            "camera",
+            &format!("{width} x {height}, --eye {eye} --look-at {look_at} --up {up} --fov {fov}"),
+        );
+        row(&mut text, "radiance", &format!("mean {r:.4e} {g:.4e} {b:.4e} W/(m2 sr)"));
+        let chosen = if fixed { "--white" } else { "automatic" };
+        row(&mut text, "exposure", &format!("white is {white:.4e} W/(m2 sr) ({chosen} {stops:+} stops)"));
+    }
+    finish(text, report, written)
+}
+
+/// The figures of probes.
+pub fn probes(report: &SamplingReport, written: &str) -> String {
+    let mut text = sampled(report, "a point");
+    if let Some(probes) = &report.probes {
+        let [r, g, b] = probes.mean_irradiance;
+        let error = 100.0 * probes.rms_relative;
+        row(&mut text, "irradiance", &format!("{} points, mean {r:.4e} {g:.4e} {b:.4e} W/m2", probes.points));
+        row(&mut text, "error", &format!("{error:.3} % RMS standard error"));
+    }
+    finish(text, report, written)
+}
+
+fn row(text: &mut String, name: &str, value: &str) {
+    let _ = writeln!(text, "{name:<13} {value}");
+}
+
+fn sampled(report: &SamplingReport, each: &str) -> String {
+    let mut text = String::new();
+    row(&mut text, "scene", &format!("{}: {} triangles", report.scene, report.triangles));
+    let mut method = format!("{}, {} samples {each}", report.method, report.samples);
+    if let Some(patches) = report.patches {
+        let _ = write!(method, ", {patches} patches");
+    }
+    if let Some(rays) = report.final_gather {
+        let _ = write!(method, ", final gather of {rays} rays a sample");
+    }
+    row(&mut text, "method", &method);
+    text
+}
+
+fn finish(mut text: String, report: &SamplingReport, written: &str) -> String {
+    let SamplingSeconds { stages, sampling } = &report.seconds;
+    let solution = stages.subdivide + stages.form_factors + stages.solve;
+    let seconds = format!(
+        "load {:.2}, bvh {:.2}, solution {solution:.2}, sampling {sampling:.2}, output {:.2}; total {:.2}",
+        stages.load, stages.bvh, stages.output, stages.total
+    );
+    row(&mut text, "seconds", &seconds);
+    row(&mut text, "wrote", written);
+    text
 }
 
 /// A number of bytes for people.

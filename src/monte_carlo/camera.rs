@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3A};
 
+use super::{PathTracer, Samples};
 use crate::{Error, Result, trace::Tracer};
 
 /// A pinhole camera in the file's coordinates.
@@ -126,17 +127,24 @@ impl Camera {
         }
     }
 
+    /// Whether a coarse grid of a few paths over the picture finds any light.
+    pub fn sees_light(&self, paths: &PathTracer) -> bool {
+        let lens = self.lens(paths.tracer());
+        (0..GRID * GRID).any(|i| {
+            let mut samples = Samples::new(i as u32, 0);
+            paths.radiance(lens.eye(), lens.grid_direction(i), &mut samples) != [0.0; 3]
+        })
+    }
+
     /// Whether a picture from here can show anything; the sentence is a warning for the user.
     ///
     /// # Errors
     /// [`Error::Usage`] when no ray of a grid over the picture meets the scene.
     pub fn check(&self, tracer: &Tracer) -> Result<Option<String>> {
-        const GRID: usize = 32;
         let lens = self.lens(tracer);
         let (mut met, mut backs, mut near) = (0, 0, 0);
         for i in 0..GRID * GRID {
-            let place = |k: usize, size: usize| (k as f64 + 0.5) / GRID as f64 * size as f64;
-            let direction = lens.direction(place(i % GRID, self.width), place(i / GRID, self.height));
+            let direction = lens.grid_direction(i);
             if let Some(hit) = tracer.closest(lens.eye, direction) {
                 met += 1;
                 backs += usize::from(!hit.front);
@@ -162,7 +170,26 @@ impl Camera {
     }
 }
 
+/// Directions along a side of the grid that tells whether a camera sees anything.
+const GRID: usize = 32;
+
 impl Lens {
+    /// Direction `i` of a grid over the picture.
+    fn grid_direction(&self, i: usize) -> Vec3A {
+        let place = |k: usize, size: usize| (k as f64 + 0.5) / GRID as f64 * size as f64;
+        self.direction(place(i % GRID, self.width), place(i / GRID, self.height))
+    }
+
+    /// Pixels in a row.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows of pixels.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
     /// Where all rays start.
     #[inline]
     pub fn eye(&self) -> Vec3A {

@@ -88,7 +88,13 @@ impl Effort {
     ///
     /// Replicates are the unit of parallel work, so one quantity alone keeps several threads busy; each is summed in
     /// order by one thread, so the result does not depend on how many there are.
-    pub(super) fn estimate(
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped).
+    ///
+    /// # Panics
+    /// With fewer than two replicates.
+    pub fn estimate(
         &self,
         count: usize,
         progress: &Progress,

@@ -1,15 +1,17 @@
-//! Pictures: made by paths, and written to files.
+//! Pictures: made of radiance, and encoded for files.
 
-use std::{
-    io::{BufWriter, Write},
-    path::Path,
-};
+use std::io::{self, Write};
 
+use glam::Vec3A;
 use image::{DynamicImage, ImageFormat, Rgb32FImage, RgbImage};
 use rayon::prelude::*;
 
-use super::{Camera, PathTracer, Samples};
-use crate::{Error, Progress, Result, trace::sampling::mix};
+use super::{Camera, Lens, PathTracer, Samples};
+use crate::{
+    Progress, Result,
+    tone::{Exposure, luminance},
+    trace::sampling::mix,
+};
 
 /// Linear radiance, W/(m² sr), row by row from the top.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,15 +36,27 @@ impl Default for RenderOptions {
     }
 }
 
-/// How radiance becomes a displayed value: times a factor, clipped at 1, sRGB transfer function. There is no other
-/// curve: below white the picture is proportional to the light.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Exposure {
-    /// Photographic stops brighter (or darker, below 0) than the automatic exposure. Default 0.
-    ///
-    /// The automatic one shows the luminance that nine tenths of the pixels with any light do not exceed as 0.8:
-    /// lamps in the picture clip, what they light does not, and black surroundings do not count.
-    pub stops: f64,
+/// How a picture is stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PictureFormat {
+    /// Eight bits a channel, exposed and encoded as sRGB.
+    Png,
+    /// Radiance in single precision, linear and not exposed.
+    Exr,
+    /// Radiance with a shared exponent (Radiance RGBE), linear and not exposed.
+    Hdr,
+}
+
+impl PictureFormat {
+    /// The format that a file name's extension stands for.
+    pub fn of_extension(extension: &str) -> Option<PictureFormat> {
+        match extension.to_lowercase().as_str() {
+            "png" => Some(PictureFormat::Png),
+            "exr" => Some(PictureFormat::Exr),
+            "hdr" => Some(PictureFormat::Hdr),
+            _ => None,
+        }
+    }
 }
 
 impl Film {
@@ -72,27 +86,43 @@ impl Film {
 
     /// Renders a picture by path tracing: each pixel is the mean radiance over its square.
     ///
-    /// The numbers of a path depend on the seed, the pixel and the sample alone, so the bytes are the same for any
-    /// number of threads.
-    ///
     /// # Errors
-    /// [`Error::Stopped`].
+    /// [`Error::Stopped`](crate::Error::Stopped).
     pub fn render(
         paths: &PathTracer,
         camera: &Camera,
         options: &RenderOptions,
         progress: &Progress,
     ) -> Result<Film> {
-        let (width, height) = (camera.width(), camera.height());
         let lens = camera.lens(paths.tracer());
+        Film::sample(&lens, options, progress, |direction, samples| {
+            paths.radiance(lens.eye(), direction, samples)
+        })
+    }
+
+    /// A picture whose pixels are means over their squares of the radiance that `radiance` samples, which arrives at
+    /// the eye against a direction (not of unit length).
+    ///
+    /// The numbers of a sample depend on the seed, the pixel and the sample alone, so the bytes are the same for any
+    /// number of threads.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped).
+    pub fn sample(
+        lens: &Lens,
+        options: &RenderOptions,
+        progress: &Progress,
+        radiance: impl Fn(Vec3A, &mut Samples) -> [f64; 3] + Sync,
+    ) -> Result<Film> {
+        let (width, height) = (lens.width(), lens.height());
         let samples = options.samples.max(1);
         let mut pixels = vec![[0.0; 3]; width * height];
         progress.begin(pixels.len() as u64 * samples as u64);
         // Short stretches keep all threads busy to the end, whatever the picture's shape.
         const STRETCH: usize = 32;
         pixels.par_chunks_mut(STRETCH).enumerate().try_for_each(|(chunk, stretch)| {
-            progress.check()?;
             for (k, pixel) in stretch.iter_mut().enumerate() {
+                progress.check()?;
                 let i = chunk * STRETCH + k;
                 let seed = mix(&[options.seed, i as u64]);
                 let mut sum = [0.0; 3];
@@ -100,118 +130,68 @@ impl Film {
                     let mut numbers = Samples::new(s, seed);
                     let [x, y] = numbers.square().map(f64::from);
                     let direction = lens.direction((i % width) as f64 + x, (i / width) as f64 + y);
-                    let radiance = paths.radiance(lens.eye(), direction, &mut numbers);
+                    let radiance = radiance(direction, &mut numbers);
                     (0..3).for_each(|c| sum[c] += radiance[c]);
                 }
                 *pixel = sum.map(|x| (x / samples as f64) as f32);
+                progress.advance(samples as u64);
             }
-            progress.advance(stretch.len() as u64 * samples as u64);
             Ok(())
         })?;
         Ok(Film { width, height, pixels })
     }
 
-    /// The factor by which radiance is multiplied for display.
-    pub fn exposure_factor(&self, exposure: Exposure) -> f64 {
-        let mut lit: Vec<f64> =
-            self.pixels.iter().map(luminance).filter(|l| *l > 0.0 && l.is_finite()).collect();
-        let automatic = if lit.is_empty() {
-            1.0
-        } else {
-            let rank = (lit.len() - 1) * 9 / 10;
-            0.8 / *lit.select_nth_unstable_by(rank, f64::total_cmp).1
-        };
-        automatic * exposure.stops.exp2()
+    /// Mean radiance over the picture.
+    pub fn mean(&self) -> [f64; 3] {
+        let n = self.pixels.len() as f64;
+        std::array::from_fn(|c| self.pixels.iter().map(|p| f64::from(p[c])).sum::<f64>() / n)
+    }
+
+    /// The exposure that shows nine tenths of the pixels with any light below white: lamps in the picture may clip,
+    /// black surroundings do not count.
+    pub fn automatic_exposure(&self) -> Exposure {
+        Exposure::automatic(self.pixels.iter().map(|p| (luminance(p.map(f64::from)), 1.0)))
     }
 
     /// The picture as eight-bit sRGB.
     pub fn to_srgb(&self, exposure: Exposure) -> Vec<[u8; 3]> {
-        let factor = self.exposure_factor(exposure);
-        self.pixels.iter().map(|p| p.map(|x| srgb(f64::from(x) * factor))).collect()
+        self.pixels.iter().map(|p| exposure.encode(p.map(f64::from))).collect()
     }
 
-    /// Writes the picture; the extension chooses the format: `.png` (eight bits, exposed), `.exr` or `.hdr` (linear
-    /// radiance, unexposed). The file appears complete or not at all.
+    /// Writes the picture; only a PNG is exposed.
     ///
     /// # Errors
-    /// [`Error::Usage`] for another extension or an exposure that is not finite, [`Error::Io`] when writing fails.
-    ///
-    /// # Panics
-    /// When a pixel is negative or not finite, which no estimator here yields.
-    pub fn save(&self, path: &Path, exposure: Exposure) -> Result<()> {
-        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-        let format = match extension.as_deref() {
-            Some("png") => ImageFormat::Png,
-            Some("exr") => ImageFormat::OpenExr,
-            Some("hdr") => ImageFormat::Hdr,
-            _ => {
-                return Err(Error::Usage {
-                    message: format!("{}: unknown kind of picture", path.display()),
-                    hint: Some("end the name in .png, .exr or .hdr".into()),
-                });
-            }
-        };
-        if !exposure.stops.is_finite() {
-            return Err(Error::Usage { message: "the exposure is not a number".into(), hint: None });
+    /// What the writer says; a radiance that single precision cannot hold.
+    pub fn encode(
+        &self,
+        out: &mut (impl Write + ?Sized),
+        format: PictureFormat,
+        exposure: Exposure,
+    ) -> io::Result<()> {
+        if !self.pixels.iter().flatten().all(|x| x.is_finite()) {
+            return Err(io::Error::other("the picture holds a radiance that single precision cannot"));
         }
-        assert!(
-            self.pixels.iter().flatten().all(|x| x.is_finite() && *x >= 0.0),
-            "a pixel is negative or not finite"
-        );
         let (width, height) = (self.width as u32, self.height as u32);
-        let picture = if format == ImageFormat::Png {
-            RgbImage::from_raw(width, height, self.to_srgb(exposure).into_flattened()).map(DynamicImage::from)
-        } else {
-            Rgb32FImage::from_raw(width, height, self.pixels.as_flattened().to_vec()).map(DynamicImage::from)
+        let linear = || {
+            let pixels = self.pixels.as_flattened().to_vec();
+            DynamicImage::from(
+                Rgb32FImage::from_raw(width, height, pixels).expect("the buffer fits its size"),
+            )
         };
-        replace(path, |file| {
-            let mut bytes = std::io::Cursor::new(Vec::new());
-            picture
-                .as_ref()
-                .expect("the buffer fits its size")
-                .write_to(&mut bytes, format)
-                .map_err(std::io::Error::other)?;
-            file.write_all(bytes.get_ref())
-        })
+        let (picture, format) = match format {
+            PictureFormat::Png => {
+                let pixels = self.to_srgb(exposure).into_flattened();
+                let image = RgbImage::from_raw(width, height, pixels).expect("the buffer fits its size");
+                (image.into(), ImageFormat::Png)
+            }
+            PictureFormat::Exr => (linear(), ImageFormat::OpenExr),
+            PictureFormat::Hdr => (linear(), ImageFormat::Hdr),
+        };
+        // The encoder of EXR seeks.
+        let mut bytes = io::Cursor::new(Vec::new());
+        picture.write_to(&mut bytes, format).map_err(io::Error::other)?;
+        out.write_all(bytes.get_ref())
     }
-}
-
-/// Writes a file under a temporary name in the same folder and renames it when it is complete.
-fn replace(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let attempt = || {
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".radiosity-");
-        #[cfg(unix)]
-        {
-            // Temporary files are private by default; a picture is as public as the umask says.
-            use std::os::unix::fs::PermissionsExt;
-            builder.permissions(std::fs::Permissions::from_mode(0o666));
-        }
-        let mut file = builder.tempfile_in(folder)?;
-        {
-            let mut buffered = BufWriter::new(file.as_file_mut());
-            write(&mut buffered)?;
-            buffered.flush()?;
-        }
-        file.persist(path).map(drop).map_err(|e| e.error)
-    };
-    attempt().map_err(|source| Error::io(path, source))
-}
-
-fn luminance(pixel: &[f32; 3]) -> f64 {
-    let [r, g, b] = pixel.map(f64::from);
-    0.2126 * r + 0.7152 * g + 0.0722 * b
-}
-
-/// Transfer function of IEC 61966-2-1, clipped.
-fn srgb(x: f64) -> u8 {
-    let x = x.clamp(0.0, 1.0);
-    let encoded = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
-    (encoded * 255.0).round() as u8
 }
 
 #[cfg(test)]
@@ -222,18 +202,21 @@ mod tests {
         Film::from_pixels(3, 2, (0..6).map(|i| [0.5 * i as f32, 0.25, 7.5]).collect())
     }
 
+    fn encoded(film: &Film, format: PictureFormat, exposure: Exposure) -> DynamicImage {
+        let mut bytes = Vec::new();
+        film.encode(&mut bytes, format, exposure).unwrap();
+        image::load_from_memory(&bytes).unwrap()
+    }
+
     #[test]
     fn linear_formats_keep_radiance_and_row_order() {
-        let folder = tempfile::tempdir().unwrap();
-        for (name, tolerance) in [("a.exr", 0.0), ("a.hdr", 0.01)] {
-            let path = folder.path().join(name);
-            ramp().save(&path, Exposure { stops: 3.0 }).unwrap();
-            let back = image::open(&path).unwrap().to_rgb32f();
+        for (format, tolerance) in [(PictureFormat::Exr, 0.0), (PictureFormat::Hdr, 0.01)] {
+            let back = encoded(&ramp(), format, Exposure::of_white(0.125)).to_rgb32f();
             assert_eq!(back.dimensions(), (3, 2));
             for (pixel, want) in back.pixels().zip(ramp().pixels()) {
                 for c in 0..3 {
                     let allowed = tolerance * want.iter().fold(0.0f32, |a, &b| a.max(b));
-                    assert!((pixel.0[c] - want[c]).abs() <= allowed, "{name} {pixel:?} {want:?}");
+                    assert!((pixel.0[c] - want[c]).abs() <= allowed, "{format:?} {pixel:?} {want:?}");
                 }
             }
         }
@@ -241,46 +224,29 @@ mod tests {
 
     #[test]
     fn png_is_exposed_and_encoded() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("grey.png");
-        // 19 lit pixels of luminance 1 to 19, the last a lamp; nine tenths do not exceed 17. Black does not count.
-        let mut pixels = vec![[0.0; 3]; 5];
-        pixels.extend((1..=18).map(|i| [i as f32; 3]));
+        // 20 lit pixels of luminance 1 to 19 and a lamp; nine tenths do not exceed 18. Black does not count.
+        let mut pixels = vec![[0.0; 3]; 4];
+        pixels.extend((1..=19).map(|i| [i as f32; 3]));
         pixels.push([900.0; 3]);
         let film = Film::from_pixels(12, 2, pixels);
-        assert!((film.exposure_factor(Exposure::default()) - 0.8 / 17.0).abs() < 1e-12);
-        film.save(&path, Exposure::default()).unwrap();
-        let back = image::open(&path).unwrap().to_rgb8();
+        let exposure = film.automatic_exposure();
+        assert!((exposure.scale - 0.6 / 18.0).abs() < 1e-12);
+        let back = encoded(&film, PictureFormat::Png, exposure).to_rgb8();
         let value = |i: u32| back.get_pixel(i % 12, i / 12).0;
-        // By the standard: 255 (1.055 x^(1/2.4) - 0.055) is 231.1 for 0.8 and 61.3 for 0.8/17.
-        assert_eq!([value(0), value(5), value(21), value(23)], [[0; 3], [61; 3], [231; 3], [255; 3]]);
-        film.save(&path, Exposure { stops: -1.0 }).unwrap();
-        // 0.4: 169.6.
-        assert_eq!(image::open(&path).unwrap().to_rgb8().get_pixel(9, 1).0, [170; 3]);
+        // By the standard: 255 (1.055 x^(1/2.4) - 0.055) is 203.4 for 0.6 and 51.2 for 0.6/18.
+        assert_eq!([value(0), value(4), value(21), value(23)], [[0; 3], [51; 3], [203; 3], [255; 3]]);
+        // 0.3: 148.9.
+        let darker = encoded(&film, PictureFormat::Png, exposure.brighter(-1.0)).to_rgb8();
+        assert_eq!(darker.get_pixel(9, 1).0, [149; 3]);
     }
 
     #[test]
-    fn a_failed_write_leaves_the_old_file_and_nothing_else() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("old.png");
-        std::fs::write(&path, "old").unwrap();
-        let failed = replace(&path, |file| {
-            file.write_all(b"half")?;
-            Err(std::io::Error::other("disk full"))
-        });
-        assert!(failed.unwrap_err().to_string().contains("disk full"));
-        assert_eq!(std::fs::read(&path).unwrap(), b"old");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
-        let nowhere = ramp().save(&folder.path().join("none/a.png"), Exposure::default());
-        assert!(matches!(nowhere, Err(Error::Io { .. })));
-        let unknown = ramp().save(&folder.path().join("a.gif"), Exposure::default()).unwrap_err();
-        assert!(matches!(unknown, Error::Usage { .. }) && unknown.hint().unwrap().contains(".png"));
-    }
-
-    #[test]
-    #[should_panic(expected = "not finite")]
     fn a_picture_with_a_nan_is_not_written() {
         let film = Film::from_pixels(1, 1, vec![[f32::NAN, 0.0, 0.0]]);
-        let _ = film.save(&std::env::temp_dir().join("nan.exr"), Exposure::default());
+        for format in [PictureFormat::Png, PictureFormat::Exr, PictureFormat::Hdr] {
+            let mut bytes = Vec::new();
+            assert!(film.encode(&mut bytes, format, Exposure::of_white(1.0)).is_err());
+            assert!(bytes.is_empty());
+        }
     }
 }

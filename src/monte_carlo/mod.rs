@@ -22,7 +22,7 @@ mod tests;
 pub use camera::{Camera, Lens};
 pub use emitters::{EmitterPoint, Emitters};
 pub use estimate::{Effort, Estimate};
-pub use image::{Exposure, Film, RenderOptions};
+pub use image::{Film, PictureFormat, RenderOptions};
 pub use light_tracer::{LightImage, LightOptions, LightTracer, LightTransport, Particle};
 pub use path_tracer::{PathOptions, PathTracer, Receiver, Region};
 pub use probe::{Probe, read_probes, write_probes};

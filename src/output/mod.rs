@@ -1,12 +1,16 @@
-//! What people take home: coloured meshes and reports.
+//! What people take home: coloured meshes, pictures and reports.
 //!
 //! Everything written here is written whole or not at all ([`mod@file`]), and holds finite numbers only, except where a
 //! figure is not known: NaN in a PLY, `null` in a report.
 
 pub mod exposure;
 pub mod file;
+pub mod final_gather;
+pub mod picture;
 pub mod ply;
 pub mod report;
+pub mod sampling_report;
 mod surfaces;
+pub mod validation_report;
 pub mod vertex_colors;
 pub mod vertices;

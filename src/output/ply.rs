@@ -17,12 +17,18 @@ use ply_rs::{
 };
 
 use super::{
-    exposure::{Exposure, rgb},
+    exposure,
     file::OutputFile,
     vertex_colors,
     vertices::{CREASE, PatchMesh},
 };
-use crate::{Result, patch::Patches, scene::Scene, solve::Solution};
+use crate::{
+    Result,
+    patch::Patches,
+    scene::Scene,
+    solve::Solution,
+    tone::{Exposure, rgb},
+};
 
 /// What may be chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,7 +37,7 @@ pub struct PlyOptions<'a> {
     pub standard_errors: Option<&'a [f64]>,
     /// Surfaces that bend by so many degrees at an edge are not shaded as one.
     pub crease: f64,
-    /// How bright the vertex colours are; by [`Exposure::automatic`] where `None`.
+    /// How bright the vertex colours are; by [`exposure::of_radiosity`] where `None`.
     pub exposure: Option<Exposure>,
 }
 
@@ -78,7 +84,7 @@ pub fn encode(
     assert!(options.standard_errors.is_none_or(|e| e.len() == values), "sizes disagree");
 
     let mesh = PatchMesh::new(scene, patches, options.crease);
-    let exposure = options.exposure.unwrap_or_else(|| Exposure::automatic(patches, &solution.radiosity));
+    let exposure = options.exposure.unwrap_or_else(|| exposure::of_radiosity(patches, &solution.radiosity));
     let radiosity = vertex_colors::at_vertices(scene, patches, &mesh, &solution.radiosity);
     let header = header(exposure, mesh.positions().len(), patches.len());
 
@@ -148,7 +154,7 @@ fn header(exposure: Exposure, vertices: usize, faces: usize) -> Header {
     header.comments = vec![
         format!("radiosity {}", env!("CARGO_PKG_VERSION")),
         "units: lengths as in the scene; radiosity, irradiance and its standard error in W/m2, linear Rec. 709".into(),
-        format!("exposure: colours are sRGB, white is a radiosity of {:.6e} W/m2", 1.0 / exposure.scale),
+        format!("exposure: colours are sRGB, white is a radiosity of {:.6e} W/m2", exposure.white()),
     ];
     let named = |quantity: &'static str| RGB.map(|c| (format!("{quantity}_{c}"), ScalarType::Float));
     let mut vertex = element("vertex", vertices);

@@ -11,13 +11,13 @@ use std::{
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::exposure::rgb;
 use crate::{
     energy::EnergyLedger,
     form_factor::{self, FormFactors, hemisphere},
     patch::Patches,
     scene::Scene,
     solve::Solution,
+    tone::rgb,
 };
 
 /// What `radiosity solve --report` writes.
@@ -258,7 +258,7 @@ impl From<form_factor::BeforeAfter> for BeforeAfter {
 }
 
 impl EnergyReport {
-    fn of(energy: &EnergyLedger) -> Self {
+    pub(super) fn of(energy: &EnergyLedger) -> Self {
         EnergyReport {
             emitted: rgb(&energy.emitted),
             absorbed: rgb(&energy.absorbed),

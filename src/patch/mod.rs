@@ -189,6 +189,17 @@ impl Patches {
         quadtree::corners(self.child(i), self.levels[self.triangle(i)])
     }
 
+    /// Barycentric coordinates in patch `i` of a point of its triangle; a point outside by a rounding is moved in.
+    pub fn local(&self, i: usize, barycentric: [f32; 3]) -> [f64; 3] {
+        let corners = self.corners(i);
+        // Signed areas of the triangles that the point makes with each side, in the plane of two coordinates.
+        let from = |k: usize| [0, 1].map(|axis| corners[k][axis] - f64::from(barycentric[axis]));
+        let across = |[ux, uy]: [f64; 2], [vx, vy]: [f64; 2]| (ux * vy - vx * uy).max(0.0);
+        let weights = [across(from(1), from(2)), across(from(2), from(0)), across(from(0), from(1))];
+        let sum: f64 = weights.iter().sum();
+        weights.map(|w| w / sum)
+    }
+
     /// Reflectance of every patch, `channels` at a time.
     pub fn reflectance(&self) -> &[f64] {
         &self.reflectance
@@ -241,4 +252,33 @@ fn edge_for_count(longest: &[f64], wanted: usize) -> f64 {
     }
     let ratio = |edge: f64| (patches(edge) / wanted).ln().abs();
     if ratio(fine) < ratio(coarse) { fine } else { coarse }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{scene::Material, trace::sampling::square_to_triangle};
+    use glam::DVec3;
+
+    #[test]
+    fn a_point_is_a_mix_of_the_corners_of_its_patch() {
+        let material = Material::new("m", [0.5; 3], [0.0; 3]);
+        let scene = Scene::new(&[([DVec3::ZERO, DVec3::X, DVec3::Y], 0)], vec![material]);
+        let patches = Patches::subdivide(&scene, &Subdivision::Edge(0.1));
+        assert_eq!(patches.level(0), 4);
+        for k in 0..500 {
+            let [x, y] = [0.618, 0.755].map(|step| (f64::from(k) * step).fract() as f32);
+            let barycentric = square_to_triangle(x, y);
+            let i = patches.at(0, barycentric, true).unwrap() as usize;
+            let (weights, corners) = (patches.local(i, barycentric), patches.corners(i));
+            assert!(weights.iter().all(|w| (0.0..=1.0).contains(w)));
+            for axis in 0..3 {
+                let mixed: f64 = (0..3).map(|c| weights[c] * corners[c][axis]).sum();
+                assert!((mixed - f64::from(barycentric[axis])).abs() < 1e-6, "{barycentric:?} {weights:?}");
+            }
+        }
+        // A corner, and a point that rounding has put outside.
+        assert_eq!(patches.local(0, [1.0, 0.0, 0.0]), [1.0, 0.0, 0.0]);
+        assert!(patches.local(0, [1.0, -1e-7, 0.0]).iter().all(|w| (0.0..=1.0).contains(w)));
+    }
 }

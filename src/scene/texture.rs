@@ -45,13 +45,9 @@ impl TextureMap {
     }
 }
 
-/// sRGB transfer function, IEC 61966-2-1.
-static LINEAR: LazyLock<[f64; 256]> = LazyLock::new(|| {
-    std::array::from_fn(|i| {
-        let c = i as f64 / 255.0;
-        if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
-    })
-});
+/// What the bytes of a texel mean.
+static LINEAR: LazyLock<[f64; 256]> =
+    LazyLock::new(|| std::array::from_fn(|i| crate::tone::linear(i as f64 / 255.0)));
 
 impl Texture {
     /// An image of `width` times `height` texels, R G B a byte each, sRGB-encoded, rows from the top.

@@ -1,0 +1,62 @@
+//! Where the picture is taken from.
+
+use clap::Args;
+use glam::DVec3;
+use radiosity::{
+    Error, Result, Scene,
+    monte_carlo::{Camera, PathOptions, PathTracer},
+    trace::Tracer,
+};
+
+use super::{options::point, watch::Watch};
+
+/// The camera. What is not given is chosen so that the picture frames the scene.
+#[derive(Args)]
+pub struct CameraArgs {
+    /// Pixels in a row
+    #[arg(long, value_name = "PIXELS", default_value_t = 640)]
+    width: usize,
+    /// Rows of pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = 480)]
+    height: usize,
+    /// Where the camera stands, in the scene's unit [default: frames the scene]
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    eye: Option<DVec3>,
+    /// The point in the middle of the picture [default: frames the scene]
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    look_at: Option<DVec3>,
+    /// The direction that is upwards in the picture [default: 0,1,0, or what suits the scene]
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    up: Option<DVec3>,
+    /// Vertical angle of view [default: frames the scene]
+    #[arg(long, value_name = "DEG")]
+    fov: Option<f64>,
+}
+
+impl CameraArgs {
+    /// The camera as given, completed by the one that frames the scene.
+    pub fn camera(&self, scene: &Scene, tracer: &Tracer) -> Result<Camera> {
+        let framed = Camera::frame(scene, tracer, self.width, self.height)?;
+        Camera::new(
+            self.eye.unwrap_or(framed.eye()),
+            self.look_at.unwrap_or(framed.look_at()),
+            self.up.unwrap_or(framed.up()),
+            self.fov.unwrap_or(framed.fov()),
+            self.width,
+            self.height,
+        )
+    }
+}
+
+/// Refuses a camera that sees nothing, or only backs that no light reaches; warns of one that sees only backs.
+pub fn check(camera: &Camera, scene: &Scene, tracer: &Tracer, watch: &Watch) -> Result<()> {
+    let Some(warning) = camera.check(tracer)? else { return Ok(()) };
+    if !camera.sees_light(&PathTracer::new(scene, tracer, PathOptions::default())) {
+        return Err(Error::Usage {
+            message: format!("{warning}; no light gets there"),
+            hint: Some("give --eye and --look-at, or leave both out to frame the scene".into()),
+        });
+    }
+    watch.warn(&warning);
+    Ok(())
+}

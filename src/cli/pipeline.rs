@@ -1,0 +1,92 @@
+//! The stages that commands share: reading a scene, solving it.
+
+use std::path::Path;
+
+use radiosity::{
+    Error, Result, Scene,
+    form_factor::{CastOptions, Estimator, FormFactors},
+    output::report::Seconds,
+    patch::Patches,
+    solve::{self, Solution, SolveOptions},
+    trace::Tracer,
+};
+
+use super::{forecast, options::CastArgs, watch::Watch};
+
+/// A scene that emits, ready for rays.
+pub fn load(path: &Path, watch: &Watch, times: &mut Seconds) -> Result<(Scene, Tracer)> {
+    let (scene, tracer);
+    (scene, times.load) = watch.stage("reading", || Scene::load(path))?;
+    for warning in &scene.warnings {
+        watch.warn(warning);
+    }
+    if scene.degenerate > 0 {
+        watch.warn(&format!("{}: left out {} triangles without area", path.display(), scene.degenerate));
+    }
+    if !scene.has_emitter() {
+        return Err(Error::input(path, None, "nothing emits light: there is nothing to compute")
+            .with_hint("give a material an emitted radiance, a line like `Ke 10 10 10` in the .mtl file"));
+    }
+    (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
+    Ok((scene, tracer))
+}
+
+/// How a scene shall be solved.
+pub struct Job<'a> {
+    /// The scene's file, for messages.
+    pub file: &'a Path,
+    pub cast: &'a CastArgs,
+    pub estimator: Estimator,
+    pub options: SolveOptions,
+    pub seed: u64,
+}
+
+/// A solved scene.
+pub struct Solved {
+    pub patches: Patches,
+    pub form_factors: FormFactors,
+    pub solution: Solution,
+}
+
+impl Job<'_> {
+    /// Refuses what cannot be held in memory; warns of what is much.
+    pub fn check(&self, scene: &Scene, watch: &Watch) -> Result<()> {
+        let (subdivision, _) = self.cast.subdivision();
+        let forecast = Patches::forecast(scene, &subdivision);
+        if let Some(warning) = forecast::check(forecast, f64::from(self.cast.rays()))? {
+            watch.warn(&warning);
+        }
+        Ok(())
+    }
+
+    /// Solves a scene.
+    pub fn solve(
+        &self,
+        scene: &Scene,
+        tracer: &Tracer,
+        watch: &Watch,
+        times: &mut Seconds,
+    ) -> Result<Solved> {
+        let (mut patches, form_factors, solution);
+        let (subdivision, _) = self.cast.subdivision();
+        (patches, times.subdivide) =
+            watch.stage("patches", || Ok(Patches::subdivide(scene, &subdivision)))?;
+        let rays = f64::from(self.cast.rays());
+        let cast = CastOptions { rays, estimator: self.estimator, seed: self.seed, ..CastOptions::default() };
+        (form_factors, times.form_factors) = watch
+            .stage("rays", || FormFactors::cast(scene, tracer, &mut patches, &cast, watch.progress()))?;
+        (solution, times.solve) = watch.stage("solving", || {
+            solve::solve(&form_factors, &patches, &self.options, watch.progress())
+                .map_err(|error| blame(self.file, error))
+        })?;
+        Ok(Solved { patches, form_factors, solution })
+    }
+}
+
+/// Names the scene where the scene is to blame.
+pub fn blame(file: &Path, error: Error) -> Error {
+    match (&error, error.hint()) {
+        (Error::NoEquilibrium, Some(hint)) => Error::input(file, None, error.to_string()).with_hint(hint),
+        _ => error,
+    }
+}

@@ -1,0 +1,202 @@
+//! `radiosity probe`: irradiance at given points.
+
+use std::{
+    io::{self, Write},
+    path::{Path, PathBuf},
+    time::Instant,
+};
+
+use clap::{Args, ValueEnum};
+use radiosity::{
+    Error, Result, Scene,
+    form_factor::Estimator,
+    monte_carlo::{Effort, Estimate, PathOptions, PathTracer, Probe, Receiver, read_probes, write_probes},
+    output::{
+        file::Pending,
+        final_gather::FinalGather,
+        report::{peak_bytes, seconds},
+        sampling_report::{ProbesReport, SamplingReport, SamplingSeconds},
+    },
+    solve::SolveOptions,
+    trace::Tracer,
+};
+
+use super::{
+    Common, Outcome,
+    options::CastArgs,
+    outputs,
+    pipeline::{self, Job, Solved},
+    summary, to_stdout,
+    watch::Watch,
+};
+
+/// Compute the irradiance at given points, with its standard error
+#[derive(Args)]
+#[command(after_help = "Example:\n  radiosity probe room.obj --points desk.txt -o desk-light.txt\n\n\
+    Each line of the points holds `x y z nx ny nz`; each line of the result `x y z nx ny nz Er Eg Eb SEr SEg SEb` in\n\
+    W/m2. By radiosity the standard error is that of the last bounce, not of the solution it reads.")]
+pub struct ProbeArgs {
+    /// The scene: Wavefront .obj, its .mtl beside it
+    scene: PathBuf,
+    /// The points and the directions they face, a line `x y z nx ny nz` each
+    #[arg(long, value_name = "FILE")]
+    points: PathBuf,
+    /// Write the result here instead of to stdout
+    #[arg(short, long, value_name = "OUT")]
+    output: Option<PathBuf>,
+    /// Write all figures as JSON
+    #[arg(long, value_name = "R.json")]
+    report: Option<PathBuf>,
+    /// How light is followed
+    #[arg(long, value_enum, default_value_t = Method::Path)]
+    method: Method,
+    /// Samples a point
+    #[arg(long, value_name = "N", default_value_t = Effort::default().samples,
+        value_parser = clap::value_parser!(u32).range(1..=1 << 30))]
+    spp: u32,
+    /// Path tracing without looking at emitters: light counts only where a path runs into it
+    #[arg(long)]
+    no_next_event: bool,
+    #[command(flatten, next_help_heading = "With --method radiosity")]
+    cast: CastArgs,
+    /// Another seed casts other rays; the same gives the same bytes
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Method {
+    /// Paths from the points to the light
+    Path,
+    /// A last bounce, gathered from the radiosity of patches
+    Radiosity,
+}
+
+impl Method {
+    fn name(self) -> &'static str {
+        if self == Method::Path { "path" } else { "radiosity" }
+    }
+}
+
+impl ProbeArgs {
+    /// Refuses options that the method has no use for.
+    fn check(&self) -> Result<()> {
+        let foreign = match self.method {
+            Method::Path => self.cast.given(),
+            Method::Radiosity => self.no_next_event.then_some("--no-next-event"),
+        };
+        let Some(option) = foreign else { return Ok(()) };
+        let other = if self.method == Method::Path { "radiosity" } else { "path" };
+        Err(Error::Usage {
+            message: format!("{option} is not for --method {}", self.method.name()),
+            hint: Some(format!("leave it out, or use --method {other}")),
+        })
+    }
+}
+
+/// Runs the command.
+pub fn run(args: &ProbeArgs) -> Result<Outcome> {
+    let start = Instant::now();
+    args.check()?;
+    let inputs = [args.scene.as_path(), &args.points];
+    let text = |path: &PathBuf, what| outputs::text(path, &inputs, what);
+    let file = args.output.as_ref().map(|path| text(path, "a table of irradiance")).transpose()?;
+    let report_file = args.report.as_ref().map(|path| text(path, "a report")).transpose()?;
+    outputs::check_distinct(&[&file, &report_file].into_iter().flatten().collect::<Vec<_>>())?;
+    let probes = read_probes(&args.points)?;
+    args.common.start_threads()?;
+
+    let watch = Watch::new(args.common.quiet);
+    let mut times = SamplingSeconds::default();
+    let (scene, tracer) = pipeline::load(&args.scene, &watch, &mut times.stages)?;
+    let (estimates, patches) = estimate(args, &probes, &scene, &tracer, &watch, &mut times)?;
+
+    watch.begin_writing();
+    let mut pending = Vec::new();
+    pending.extend(
+        file.map(|file| file.write(|mut out| write_probes(&mut out, &probes, &estimates))).transpose()?,
+    );
+    times.stages.total = seconds(start.elapsed());
+    let report = SamplingReport {
+        version: env!("CARGO_PKG_VERSION"),
+        scene: args.scene.display().to_string(),
+        triangles: scene.triangles.len(),
+        method: args.method.name(),
+        samples: args.spp,
+        next_event: !args.no_next_event,
+        final_gather: patches.map(|_| GATHER),
+        patches,
+        seed: args.seed,
+        picture: None,
+        probes: Some(ProbesReport::new(&estimates)),
+        seconds: times,
+        peak_bytes: peak_bytes(),
+    };
+    pending.extend(report_file.map(|file| file.write(|out| report.write(out))).transpose()?);
+    watch.progress().check()?;
+    pending.into_iter().try_for_each(Pending::commit)?;
+    drop(watch);
+    if args.output.is_none() {
+        print(&probes, &estimates)?;
+    } else if !args.common.quiet {
+        to_stdout(&summary::probes(&report, &outputs::names(&[&args.output, &args.report])));
+    }
+    Ok(Outcome::Done)
+}
+
+/// Rays of the last bounce, a sample: samples are many, and each sees another direction.
+const GATHER: u32 = 1;
+
+/// The irradiance of the probes, and how many patches it took.
+fn estimate(
+    args: &ProbeArgs,
+    probes: &[Probe],
+    scene: &Scene,
+    tracer: &Tracer,
+    watch: &Watch,
+    times: &mut SamplingSeconds,
+) -> Result<(Vec<Estimate>, Option<usize>)> {
+    let places: Vec<Receiver> = probes.iter().map(|p| Receiver::free(tracer, p.point, p.normal)).collect();
+    let effort = Effort { samples: args.spp, seed: args.seed, ..Effort::default() };
+    let (estimates, patches);
+    match args.method {
+        Method::Path => {
+            let options = PathOptions { next_event: !args.no_next_event, ..PathOptions::default() };
+            let paths = PathTracer::new(scene, tracer, options);
+            (estimates, times.sampling) =
+                watch.stage("paths", || paths.irradiances(&places, &effort, watch.progress()))?;
+            patches = None;
+        }
+        Method::Radiosity => {
+            let job = Job {
+                file: &args.scene,
+                cast: &args.cast,
+                estimator: Estimator::default(),
+                options: SolveOptions::default(),
+                seed: args.seed,
+            };
+            job.check(scene, watch)?;
+            let Solved { patches: solved, solution, .. } =
+                job.solve(scene, tracer, watch, &mut times.stages)?;
+            let gather = FinalGather::new(scene, tracer, &solved, &solution, GATHER);
+            (estimates, times.sampling) =
+                watch.stage("gathering", || gather.irradiances(&places, &effort, watch.progress()))?;
+            patches = Some(solved.len());
+        }
+    }
+    Ok((estimates, patches))
+}
+
+/// Prints the result. That nobody reads on is no error; a full disk behind stdout is.
+fn print(probes: &[Probe], estimates: &[Estimate]) -> Result<()> {
+    let mut bytes = Vec::new();
+    let failed = |e| Error::io(Path::new("stdout"), e);
+    write_probes(&mut bytes, probes, estimates).map_err(failed)?;
+    let mut out = io::stdout().lock();
+    match out.write_all(&bytes).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(failed(e)),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,132 @@
+//! `radiosity validate`: whether the answer can be trusted.
+
+use std::{fmt::Write, path::PathBuf};
+
+use clap::Args;
+use radiosity::{
+    Result,
+    accuracy::validation::{Validation, ValidationOptions},
+    output::{report::Seconds, validation_report::ValidationReport},
+};
+
+use super::{Common, Outcome, options::CastArgs, outputs, pipeline, to_stdout, watch::Watch};
+
+/// Check whether the answer can be trusted: energy ledger, closure, reciprocity, and radiosity against path tracing and
+/// light tracing
+#[derive(Args)]
+#[command(after_help = "Example:\n  radiosity validate room.obj --report validation.json\n\n\
+    Solves the scene at two patch sizes, follows light from both ends, and compares the irradiance of every patch in\n\
+    units of the combined standard errors. Exit status 1 when a check fails.")]
+pub struct ValidateArgs {
+    /// The scene: Wavefront .obj, its .mtl beside it
+    scene: PathBuf,
+    /// Write all figures as JSON
+    #[arg(long, value_name = "R.json")]
+    report: Option<PathBuf>,
+    #[command(flatten)]
+    cast: CastArgs,
+    /// Paths a patch
+    #[arg(long, value_name = "N", default_value_t = ValidationOptions::default().paths,
+        value_parser = clap::value_parser!(u32).range(16..=1 << 24))]
+    paths: u32,
+    /// Particles from the emitters
+    #[arg(long, value_name = "N", default_value_t = ValidationOptions::default().particles,
+        value_parser = clap::value_parser!(u64).range(1024..=1 << 40))]
+    particles: u64,
+    /// Another seed casts other rays; the same gives the same verdict
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Runs the command.
+pub fn run(args: &ValidateArgs) -> Result<Outcome> {
+    let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene)).transpose()?;
+    args.common.start_threads()?;
+    let watch = Watch::new(args.common.quiet);
+    let (scene, tracer) = pipeline::load(&args.scene, &watch, &mut Seconds::default())?;
+    let defaults = ValidationOptions::default();
+    let options = ValidationOptions {
+        subdivision: args.cast.given_subdivision().unwrap_or(defaults.subdivision),
+        rays: args.cast.given_rays().map_or(defaults.rays, f64::from),
+        paths: args.paths,
+        particles: args.particles,
+        seed: args.seed,
+        ..defaults
+    };
+    let (validation, _) = watch.stage("validating", || {
+        Validation::of(&scene, &tracer, &options, watch.progress())
+            .map_err(|error| pipeline::blame(&args.scene, error))
+    })?;
+    let report = ValidationReport::new(&args.scene.display().to_string(), &scene, &validation);
+    watch.begin_writing();
+    if let Some(file) = report_file {
+        file.write(|out| report.write(out))?.commit()?;
+    }
+    drop(watch);
+    if !args.common.quiet {
+        to_stdout(&table(&report));
+    }
+    Ok(match report.objections.len() {
+        0 => Outcome::Done,
+        n => Outcome::CheckFailed(format!(
+            "{}: {n} checks failed; the first: {}",
+            report.scene, report.objections[0]
+        )),
+    })
+}
+
+fn table(report: &ValidationReport) -> String {
+    let mut text = String::new();
+    let mut line = |name: &str, value: String| {
+        let _ = writeln!(text, "{name:<36} {value}");
+    };
+    line("patches, rays", format!("{}, {}", report.patches, report.rays));
+    let energy = &report.energy;
+    line(
+        "energy imbalance",
+        format!(
+            "{:.1e} (solver {:.1e}, reciprocity {:.1e})",
+            energy.imbalance, energy.solver_part, energy.reciprocity_part
+        ),
+    );
+    for (name, deviation) in
+        [("row sums", report.row_sum_deviation), ("reciprocity", report.reciprocity_deviation)]
+    {
+        line(name, format!("off by {:.1e} as cast, {:.1e} repaired", deviation.before, deviation.after));
+    }
+    line("allowance for patch size", format!("{:.2} % RMS", 100.0 * report.discretisation_relative));
+    for c in &report.comparisons {
+        line(
+            c.what,
+            format!(
+                "RMS {:.2} %, mean {:+.2} % (z {:+.1}); z-scores: mean {:+.2}, spread {:.2}, {:.1} % beyond 2, {:.1} % beyond 3",
+                100.0 * c.rms_relative,
+                100.0 * c.mean_relative,
+                c.mean_z,
+                c.z_mean,
+                c.z_spread,
+                100.0 * c.beyond_2,
+                100.0 * c.beyond_3
+            ),
+        );
+    }
+    if let Some(radiosity) = report.comparisons.first() {
+        line("patches farthest from path tracing", String::new());
+        for w in &radiosity.worst {
+            let [x, y, z] = w.position;
+            let _ = writeln!(
+                text,
+                "  z {:+5.1}  {:.4e} against {:.4e} W/m2 at {x:.4} {y:.4} {z:.4} ({})",
+                w.z, w.first, w.second, w.material
+            );
+        }
+    }
+    let verdict = if report.valid { "passed" } else { "FAILED" };
+    let _ = writeln!(text, "{:<36} {verdict}", "verdict");
+    for objection in &report.objections {
+        let _ = writeln!(text, "  {objection}");
+    }
+    text
+}

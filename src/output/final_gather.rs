@@ -1,0 +1,116 @@
+//! Irradiance at a point from the radiosity solution: one last bounce, gathered there by rays.
+//!
+//! E = E direct + π mean(ρ E' / π): direct light comes from emitters chosen and met by rays, as the path tracer does
+//! it; the rest from rays with a cosine distribution that read the solved irradiance E' of the patch they hit. They do
+//! not read its emission, which has been counted. The integral smooths the patches away, and the sharp shadows of
+//! direct light never went through them (Reichert, "A Two-Pass Radiosity Method Driven by Lights and Viewer Position",
+//! 1992; Cohen and Wallace, "Radiosity and Realistic Image Synthesis", 1993, section 9.4).
+
+use glam::{DVec3, Vec3A};
+
+use crate::{
+    Progress, Result,
+    monte_carlo::{Effort, Estimate, PathOptions, PathTracer, Receiver, Samples},
+    patch::Patches,
+    scene::Scene,
+    solve::Solution,
+    tone::rgb,
+    trace::{
+        Hit, Tracer,
+        sampling::{around, square_to_cosine_hemisphere},
+    },
+};
+
+/// Gathers light from a radiosity solution.
+#[derive(Debug)]
+pub struct FinalGather<'a> {
+    scene: &'a Scene,
+    tracer: &'a Tracer,
+    patches: &'a Patches,
+    /// Of each patch, never negative.
+    irradiance: Vec<[f64; 3]>,
+    direct: PathTracer<'a>,
+    rays: u32,
+}
+
+impl<'a> FinalGather<'a> {
+    /// Prepares to gather by `rays` (at least one) hemisphere rays a sample.
+    ///
+    /// # Panics
+    /// When the solution is not one of these patches.
+    pub fn new(
+        scene: &'a Scene,
+        tracer: &'a Tracer,
+        patches: &'a Patches,
+        solution: &Solution,
+        rays: u32,
+    ) -> Self {
+        let irradiance = positive(&solution.irradiance, solution.channels);
+        assert_eq!(irradiance.len(), patches.len(), "the solution is of other patches");
+        let options = PathOptions { max_bounces: Some(0), ..PathOptions::default() };
+        let direct = PathTracer::new(scene, tracer, options);
+        FinalGather { scene, tracer, patches, irradiance, direct, rays: rays.max(1) }
+    }
+
+    /// One sample of the irradiance of a place, W/m².
+    pub fn irradiance(&self, at: Receiver, samples: &mut Samples) -> [f64; 3] {
+        let direct = DVec3::from(self.direct.irradiance(at, samples));
+        let origin = Tracer::leave(at.position, at.normal);
+        let mut reflected = DVec3::ZERO;
+        for ray in 0..self.rays {
+            let [x, y] = samples.branch(ray, self.rays).square();
+            let direction = around(at.normal, square_to_cosine_hemisphere(x, y));
+            if let Some(hit) = self.tracer.closest(origin, direction) {
+                // π times the mean of the radiance ρ E' / π.
+                reflected += reflectance(self.scene, &hit) * self.solved(&hit);
+            }
+        }
+        (direct + reflected / f64::from(self.rays)).to_array()
+    }
+
+    /// Irradiance of places, with the spread of the gathering; what the solution itself is off by is not in it.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped).
+    pub fn irradiances(
+        &self,
+        places: &[Receiver],
+        effort: &Effort,
+        progress: &Progress,
+    ) -> Result<Vec<Estimate>> {
+        effort.estimate(places.len(), progress, |i, samples| self.irradiance(places[i], samples))
+    }
+
+    /// One sample of the radiance that arrives at `origin` against `direction` (unit space).
+    pub fn radiance(&self, origin: Vec3A, direction: Vec3A, samples: &mut Samples) -> [f64; 3] {
+        let Some(hit) = self.tracer.closest(origin, direction) else { return [0.0; 3] };
+        let irradiance = self.irradiance(Receiver::of_hit(self.tracer, &hit), samples);
+        outgoing(self.scene, &hit, irradiance.into())
+    }
+
+    /// Solved irradiance where a ray hit: nothing on backs that no ray of the solution met.
+    fn solved(&self, hit: &Hit) -> DVec3 {
+        let patch = self.patches.at(hit.triangle, hit.barycentric, hit.front);
+        patch.map_or(DVec3::ZERO, |i| self.irradiance[i as usize].into())
+    }
+}
+
+/// Radiance that leaves a surface with a given irradiance, Le + ρ E / π, with the texture's values at that very point.
+pub(super) fn outgoing(scene: &Scene, hit: &Hit, irradiance: DVec3) -> [f64; 3] {
+    let reflected = reflectance(scene, hit) * irradiance / std::f64::consts::PI;
+    let triangle = hit.triangle as usize;
+    let emitted = match hit.front && scene.emits(triangle) {
+        true => scene.emission_at(triangle, hit.barycentric.map(f64::from)).into(),
+        false => DVec3::ZERO,
+    };
+    (emitted + reflected).to_array()
+}
+
+fn reflectance(scene: &Scene, hit: &Hit) -> DVec3 {
+    scene.reflectance_at(hit.triangle as usize, hit.barycentric.map(f64::from)).into()
+}
+
+/// Interleaved values as red, green and blue; what a solver left below zero, by its tolerance, as zero.
+pub(super) fn positive(values: &[f64], channels: usize) -> Vec<[f64; 3]> {
+    values.chunks_exact(channels).map(|v| rgb(v).map(|x| x.max(0.0))).collect()
+}

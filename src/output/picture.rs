@@ -1,0 +1,156 @@
+//! Pictures of a radiosity solution, through the camera and the film that paths and particles use too.
+
+use glam::DVec3;
+
+use super::{
+    final_gather::{FinalGather, outgoing, positive},
+    vertex_colors::at_vertices,
+    vertices::{CREASE, PatchMesh},
+};
+use crate::{
+    Progress, Result,
+    monte_carlo::{Camera, Film, RenderOptions},
+    patch::Patches,
+    scene::Scene,
+    solve::Solution,
+    trace::{Hit, Tracer},
+};
+
+/// A solution seen as a smooth surface: irradiance at the vertices, linear over each patch.
+///
+/// It is irradiance that is interpolated, not radiosity: vertices are shared within one material only, so without
+/// textures the two are the same, and with them texels stay sharp.
+#[derive(Debug)]
+pub struct SmoothSurface<'a> {
+    scene: &'a Scene,
+    patches: &'a Patches,
+    mesh: PatchMesh,
+    irradiance: Vec<[f64; 3]>,
+}
+
+impl<'a> SmoothSurface<'a> {
+    /// Averages the solution at the vertices.
+    ///
+    /// # Panics
+    /// When the solution is not one of these patches.
+    pub fn new(scene: &'a Scene, patches: &'a Patches, solution: &Solution) -> Self {
+        let mesh = PatchMesh::new(scene, patches, CREASE);
+        let values = at_vertices(scene, patches, &mesh, &solution.irradiance);
+        SmoothSurface { scene, patches, mesh, irradiance: positive(&values, solution.channels) }
+    }
+
+    /// Radiance that leaves the point that a ray hit: none from backs that no ray of the solution met.
+    pub fn radiance(&self, hit: &Hit) -> [f64; 3] {
+        let Some(patch) = self.patches.at(hit.triangle, hit.barycentric, hit.front) else { return [0.0; 3] };
+        let corners = self.mesh.corners(patch as usize);
+        let weights = self.patches.local(patch as usize, hit.barycentric);
+        let irradiance: DVec3 =
+            (0..3).map(|k| DVec3::from(self.irradiance[corners[k] as usize]) * weights[k]).sum();
+        outgoing(self.scene, hit, irradiance)
+    }
+}
+
+/// A picture of a solution: as it is, smoothed over each patch, or with `gather` rays a sample for the last bounce.
+///
+/// # Errors
+/// [`Error::Stopped`](crate::Error::Stopped).
+///
+/// # Panics
+/// When the solution is not one of these patches.
+pub fn render(
+    scene: &Scene,
+    tracer: &Tracer,
+    (patches, solution): (&Patches, &Solution),
+    camera: &Camera,
+    gather: Option<u32>,
+    options: &RenderOptions,
+    progress: &Progress,
+) -> Result<Film> {
+    let lens = camera.lens(tracer);
+    match gather {
+        Some(rays) => {
+            let gather = FinalGather::new(scene, tracer, patches, solution, rays);
+            Film::sample(&lens, options, progress, |direction, samples| {
+                gather.radiance(lens.eye(), direction, samples)
+            })
+        }
+        None => {
+            let surface = SmoothSurface::new(scene, patches, solution);
+            Film::sample(&lens, options, progress, |direction, _| {
+                tracer.closest(lens.eye(), direction).map_or([0.0; 3], |hit| surface.radiance(&hit))
+            })
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        form_factor::{CastOptions, FormFactors},
+        patch::Subdivision,
+        scene::Material,
+        solve::{SolveOptions, Solver, solve},
+    };
+    use glam::dvec3;
+
+    /// A unit square at z = 0, one triangle of it brighter than the other.
+    fn square() -> (Scene, Patches, Solution) {
+        let [a, b, c, d] = [dvec3(0., 0., 0.), dvec3(1., 0., 0.), dvec3(1., 1., 0.), dvec3(0., 1., 0.)];
+        let material = Material::new("m", [0.5, 0.25, 1.0], [1.0, 0.0, 0.0]);
+        let scene = Scene::new(&[([a, b, c], 0), ([a, c, d], 0)], vec![material]);
+        let patches = Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY));
+        let irradiance = vec![3.0, 6.0, 9.0, 1.0, 2.0, 3.0];
+        let solution = Solution {
+            channels: 3,
+            radiosity: vec![0.0; 6],
+            irradiance,
+            solver: Solver::Direct,
+            iterations: 0,
+            residual: 0.0,
+            error_bound: 0.0,
+        };
+        (scene, patches, solution)
+    }
+
+    #[test]
+    fn irradiance_is_linear_between_vertices_and_emission_comes_on_top() {
+        let (scene, patches, solution) = square();
+        let surface = SmoothSurface::new(&scene, &patches, &solution);
+        let pi = std::f64::consts::PI;
+        let seen = |barycentric, front| surface.radiance(&Hit { triangle: 0, front, t: 1.0, barycentric });
+        // Corners a and c belong to both triangles with equal angles: red irradiance 2; b to the first alone: 3.
+        for (barycentric, red) in [([1., 0., 0.], 2.0), ([0., 1., 0.], 3.0), ([0.25, 0.5, 0.25], 2.5)] {
+            let got = seen(barycentric, true);
+            let want = [1.0 + 0.5 * red / pi, 0.25 * 2.0 * red / pi, 3.0 * red / pi];
+            assert!((0..3).all(|c| (got[c] - want[c]).abs() < 1e-6), "{got:?} {want:?}");
+        }
+        assert_eq!(seen([0.2, 0.3, 0.5], false), [0.0; 3]);
+    }
+
+    #[test]
+    fn the_emission_is_not_counted_twice() {
+        // A black floor under a lamp that reflects nothing: final gather is direct light alone, π L F.
+        let lamp = [dvec3(0., 1., 0.), dvec3(1., 1., 0.), dvec3(0., 1., 1.)];
+        let floor = [dvec3(0., 0., 0.), dvec3(0., 0., 1.), dvec3(1., 0., 0.)];
+        let materials =
+            vec![Material::new("floor", [0.5; 3], [0.0; 3]), Material::new("lamp", [0.0; 3], [2.0; 3])];
+        let scene = Scene::new(&[(floor, 0), (lamp, 1)], materials);
+        let tracer = Tracer::new(&scene);
+        let mut patches = Patches::subdivide(&scene, &Subdivision::Count(8));
+        let progress = Progress::new();
+        let factors = FormFactors::cast(&scene, &tracer, &mut patches, &CastOptions::default(), &progress);
+        let solution = solve(&factors.unwrap(), &patches, &SolveOptions::default(), &progress).unwrap();
+        let gather = FinalGather::new(&scene, &tracer, &patches, &solution, 4);
+        let point = dvec3(0.25, 0.0, 0.25);
+        let at = crate::monte_carlo::Receiver::free(&tracer, point, DVec3::Y);
+        let effort = crate::monte_carlo::Effort::default();
+        let found = gather.irradiances(&[at], &effort, &progress).unwrap()[0];
+        let want =
+            2.0 * std::f64::consts::PI * crate::form_factor::exact::point_to_polygon(point, DVec3::Y, &lamp);
+        assert!(
+            (found.mean[0] - want).abs() < 4.0 * found.standard_error[0]
+                && found.standard_error[0] < 0.01 * want
+        );
+    }
+}

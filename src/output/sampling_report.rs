@@ -1,0 +1,123 @@
+//! The figures of a picture or of probes as JSON.
+
+use std::io::{self, Write};
+
+use serde::Serialize;
+
+use super::report::Seconds;
+use crate::monte_carlo::{Camera, Estimate, Film};
+
+/// What `radiosity render --report` and `radiosity probe --report` write.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SamplingReport {
+    /// Version of the program.
+    pub version: &'static str,
+    /// The scene's file, as it was named.
+    pub scene: String,
+    /// Triangles that have an area.
+    pub triangles: usize,
+    /// `path`, `light` or `radiosity`.
+    pub method: &'static str,
+    /// Samples a pixel or a point.
+    pub samples: u32,
+    /// Whether points on emitters were chosen.
+    pub next_event: bool,
+    /// Rays of the last bounce, a sample; `null` without one.
+    pub final_gather: Option<u32>,
+    /// Patches of the solution; `null` where nothing was solved.
+    pub patches: Option<usize>,
+    /// Everything is a function of it.
+    pub seed: u64,
+    /// The picture, if one was made.
+    pub picture: Option<PictureReport>,
+    /// The probes, if there were any.
+    pub probes: Option<ProbesReport>,
+    /// Time of each stage.
+    pub seconds: SamplingSeconds,
+    /// Most memory held at any time; `null` where the operating system does not tell.
+    pub peak_bytes: Option<u64>,
+}
+
+/// A picture.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PictureReport {
+    /// Pixels in a row.
+    pub width: usize,
+    /// Rows of pixels.
+    pub height: usize,
+    /// Where the camera stands.
+    pub eye: [f64; 3],
+    /// The point in the middle of the picture.
+    pub look_at: [f64; 3],
+    /// The direction that is upwards in the picture.
+    pub up: [f64; 3],
+    /// Vertical angle of view, degrees.
+    pub fov: f64,
+    /// Radiance shown as white, W/(m² sr).
+    pub white: f64,
+    /// Mean over the picture, W/(m² sr).
+    pub mean_radiance: [f64; 3],
+}
+
+/// Probes.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ProbesReport {
+    /// How many.
+    pub points: usize,
+    /// Mean irradiance over them, W/m².
+    pub mean_irradiance: [f64; 3],
+    /// Root mean square of their standard errors over the mean irradiance, of the worst channel.
+    pub rms_relative: f64,
+}
+
+/// Wall-clock time of each stage in seconds.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct SamplingSeconds {
+    /// The stages of a solution.
+    #[serde(flatten)]
+    pub stages: Seconds,
+    /// Sampling the picture or the probes.
+    pub sampling: f64,
+}
+
+impl PictureReport {
+    /// Collects the figures of a picture that shows `white` as white.
+    pub fn new(camera: &Camera, film: &Film, white: f64) -> PictureReport {
+        PictureReport {
+            width: film.width(),
+            height: film.height(),
+            eye: camera.eye().to_array(),
+            look_at: camera.look_at().to_array(),
+            up: camera.up().to_array(),
+            fov: camera.fov(),
+            white,
+            mean_radiance: film.mean(),
+        }
+    }
+}
+
+impl ProbesReport {
+    /// Collects the figures of probes.
+    pub fn new(estimates: &[Estimate]) -> ProbesReport {
+        let n = estimates.len().max(1) as f64;
+        let mean = |c: usize| estimates.iter().map(|e| e.mean[c]).sum::<f64>() / n;
+        let rms = |c: usize| (estimates.iter().map(|e| e.standard_error[c].powi(2)).sum::<f64>() / n).sqrt();
+        let relative = |c: usize| if mean(c) > 0.0 { rms(c) / mean(c) } else { 0.0 };
+        ProbesReport {
+            points: estimates.len(),
+            mean_irradiance: std::array::from_fn(mean),
+            rms_relative: (0..3).map(relative).fold(0.0, f64::max),
+        }
+    }
+}
+
+impl SamplingReport {
+    /// Writes it as indented JSON with a line end after it.
+    ///
+    /// # Errors
+    /// What `out` says.
+    pub fn write(&self, mut out: &mut dyn Write) -> io::Result<()> {
+        serde_json::to_writer_pretty(&mut out, self)?;
+        out.write_all(b"\n")
+    }
+}

@@ -1,0 +1,155 @@
+//! The figures of a validation as JSON.
+
+use std::io::{self, Write};
+
+use serde::Serialize;
+
+use super::report::{BeforeAfter, EnergyReport};
+use crate::{
+    accuracy::{
+        comparison::{Comparison, Worst},
+        validation::Validation,
+    },
+    patch::Patches,
+    scene::Scene,
+};
+
+/// What `radiosity validate --report` writes.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ValidationReport {
+    /// Version of the program.
+    pub version: &'static str,
+    /// The scene's file, as it was named.
+    pub scene: String,
+    /// Whether every check passed.
+    pub valid: bool,
+    /// What speaks against the answer, a sentence each.
+    pub objections: Vec<String>,
+    /// Patches under test.
+    pub patches: usize,
+    /// Rays of the solution under test.
+    pub rays: u64,
+    /// The energy ledger with its split.
+    pub energy: EnergyReport,
+    /// Largest |sum of a row + its escaped share - 1|.
+    pub row_sum_deviation: BeforeAfter,
+    /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j).
+    pub reciprocity_deviation: BeforeAfter,
+    /// What the size of the patches may add to differences, RMS relative to the mean irradiance: measured by solving
+    /// with edges half as long.
+    pub discretisation_relative: f64,
+    /// Each pair of methods.
+    pub comparisons: Vec<ComparisonReport>,
+}
+
+/// How two methods differ.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ComparisonReport {
+    /// Which two.
+    pub what: &'static str,
+    /// RMS difference relative to the mean irradiance.
+    pub rms_relative: f64,
+    /// Difference of the means, relative.
+    pub mean_relative: f64,
+    /// The same in standard errors.
+    pub mean_z: f64,
+    /// Mean of the z-scores of the patches.
+    pub z_mean: f64,
+    /// Their root mean square.
+    pub z_spread: f64,
+    /// Share beyond 2.
+    pub beyond_2: f64,
+    /// Share beyond 3.
+    pub beyond_3: f64,
+    /// Values compared, patches times channels.
+    pub compared: usize,
+    /// The worst patches.
+    pub worst: Vec<WorstReport>,
+}
+
+/// A patch where two methods differ most.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WorstReport {
+    /// Index of the patch.
+    pub patch: usize,
+    /// 0 red, 1 green, 2 blue.
+    pub channel: usize,
+    /// Its centre in the scene's coordinates.
+    pub position: [f64; 3],
+    /// Name of its material.
+    pub material: String,
+    /// The difference in standard errors.
+    pub z: f64,
+    /// Irradiance by the first method, W/m².
+    pub first: f64,
+    /// Irradiance by the second method, W/m².
+    pub second: f64,
+}
+
+impl ValidationReport {
+    /// Collects the figures.
+    pub fn new(file: &str, scene: &Scene, validation: &Validation) -> ValidationReport {
+        let solved = &validation.solved;
+        let objections = validation.objections();
+        ValidationReport {
+            version: env!("CARGO_PKG_VERSION"),
+            scene: file.into(),
+            valid: objections.is_empty(),
+            objections,
+            patches: solved.patches.len(),
+            rays: solved.form_factors.hits().map_or(0, |hits| hits.rays()),
+            energy: EnergyReport::of(&validation.energy),
+            row_sum_deviation: solved.form_factors.row_sum_deviation().into(),
+            reciprocity_deviation: solved.form_factors.reciprocity_deviation().into(),
+            discretisation_relative: validation.discretisation_relative,
+            comparisons: validation
+                .comparisons()
+                .map(|(what, comparison)| ComparisonReport::new(what, comparison, scene, &solved.patches))
+                .into(),
+        }
+    }
+
+    /// Writes it as indented JSON with a line end after it.
+    ///
+    /// # Errors
+    /// What `out` says.
+    pub fn write(&self, mut out: &mut dyn Write) -> io::Result<()> {
+        serde_json::to_writer_pretty(&mut out, self)?;
+        out.write_all(b"\n")
+    }
+}
+
+impl ComparisonReport {
+    fn new(what: &'static str, comparison: &Comparison, scene: &Scene, patches: &Patches) -> Self {
+        ComparisonReport {
+            what,
+            rms_relative: comparison.rms_relative,
+            mean_relative: comparison.mean_relative,
+            mean_z: comparison.mean_z,
+            z_mean: comparison.z_mean,
+            z_spread: comparison.z_spread,
+            beyond_2: comparison.beyond_2,
+            beyond_3: comparison.beyond_3,
+            compared: comparison.compared,
+            worst: comparison.worst.iter().map(|worst| WorstReport::new(worst, scene, patches)).collect(),
+        }
+    }
+}
+
+impl WorstReport {
+    fn new(worst: &Worst, scene: &Scene, patches: &Patches) -> Self {
+        let t = patches.triangle(worst.patch);
+        let centre: [f64; 3] =
+            std::array::from_fn(|k| patches.corners(worst.patch).iter().map(|c| c[k]).sum::<f64>() / 3.0);
+        let [a, b, c] = scene.corners(t);
+        WorstReport {
+            patch: worst.patch,
+            channel: worst.channel,
+            position: (a * centre[0] + b * centre[1] + c * centre[2]).to_array(),
+            material: scene.material(t).name.clone(),
+            z: worst.z,
+            first: worst.first,
+            second: worst.second,
+        }
+    }
+}

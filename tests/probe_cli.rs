@@ -1,0 +1,137 @@
+//! Irradiance at points, as the shell sees it.
+
+mod cli_common;
+
+use std::{f64::consts::PI, fs};
+
+use cli_common::{Here, stderr};
+use glam::{DVec3, dvec3};
+use radiosity::form_factor::exact::point_to_polygon;
+
+/// A black floor and a black lamp of 1 x 0.6 above it that shines down with radiances 3, 1, 1/4.
+const LAMP: &str = "mtllib scene.mtl\nusemtl black
+v -4 0 -4\nv -4 0 4\nv 4 0 4\nv 4 0 -4\nf 1 2 3 4\nusemtl lamp
+v 0 1.5 0\nv 1 1.5 0\nv 1 1.5 0.6\nv 0 1.5 0.6\nf 5 6 7 8\n";
+const BLACK: &str = "newmtl black\nKd 0 0 0\nnewmtl lamp\nKd 0 0 0\nKe 3 1 0.25\n";
+const CORNERS: [DVec3; 4] =
+    [dvec3(0.0, 1.5, 0.0), dvec3(1.0, 1.5, 0.0), dvec3(1.0, 1.5, 0.6), dvec3(0.0, 1.5, 0.6)];
+
+/// The numbers of each line.
+fn table(bytes: &[u8]) -> Vec<Vec<f64>> {
+    let text = std::str::from_utf8(bytes).unwrap();
+    text.lines().map(|line| line.split_whitespace().map(|word| word.parse().unwrap()).collect()).collect()
+}
+
+fn probe(here: &Here, options: &str) -> Vec<Vec<f64>> {
+    let output = here.run(&format!("probe {options}"));
+    assert_eq!(output.status.code(), Some(0), "{options}: {}", stderr(&output));
+    assert_eq!(stderr(&output), "");
+    table(&output.stdout)
+}
+
+#[test]
+fn direct_light_is_lambert_s() {
+    let here = Here::new(LAMP, BLACK);
+    // On the floor, below its middle and aside; in the air, upright and tilted so that the lamp straddles the horizon.
+    let probes = [
+        (dvec3(0.5, 0.0, 0.3), DVec3::Y),
+        (dvec3(-2.0, 0.0, 1.7), DVec3::Y),
+        (dvec3(0.2, 1.2, 0.1), DVec3::Y),
+        (dvec3(0.5, 0.7, 0.3), dvec3(1.0, 0.1, 0.2)),
+    ];
+    let lines: String = probes
+        .iter()
+        .map(|(p, n)| format!("{} {} {} {} {} {} # a place\n", p.x, p.y, p.z, n.x, n.y, n.z))
+        .collect();
+    fs::write(here.path("points.txt"), lines).unwrap();
+    for method in ["path", "radiosity --patches 50 --rays 32"] {
+        let found = probe(&here, &format!("scene.obj --points points.txt --spp 16384 --method {method}"));
+        assert_eq!(found.len(), probes.len());
+        for (line, (point, normal)) in found.iter().zip(probes) {
+            assert_eq!(line.len(), 12);
+            assert_eq!(line[..6], [point.to_array(), normal.to_array()].concat());
+            let form_factor = point_to_polygon(point, normal.normalize(), &CORNERS);
+            for (c, radiance) in [3.0, 1.0, 0.25].into_iter().enumerate() {
+                let (got, error, want) = (line[6 + c], line[9 + c], PI * radiance * form_factor);
+                assert!(
+                    error < 0.01 * want && (got - want).abs() <= 4.0 * error + 1e-9 * want,
+                    "{method}: {got} ± {error}, not {want}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn both_methods_tell_the_irradiance_of_a_furnace() {
+    let here = Here::new(LAMP, BLACK);
+    fs::write(here.path("p"), "0.5 0 0.5 0 1 0\n0.2 0.2 0.2 1 1 1\n0.45 0.7 0.4 0 3 0\n").unwrap();
+    let scene = format!("{}/meshes/furnace.obj", env!("CARGO_MANIFEST_DIR"));
+    for method in ["path", "path --no-next-event", "radiosity --patches 300"] {
+        for line in probe(&here, &format!("{scene} --points p --method {method}")) {
+            assert!((line[6] - 1.0).abs() < 4.5 * line[9] && line[9] < 0.01, "{method}: {line:?}");
+        }
+    }
+}
+
+#[test]
+fn both_methods_agree_where_light_arrives_by_detours() {
+    let here = Here::new(LAMP, BLACK);
+    // On the ceiling, which the lamp never shines on; in the shadow of the tall block; on the red wall.
+    fs::write(here.path("p"), "100 548.8 450 0 -1 0\n500 0 450 0 1 0\n556 200 100 -1 0 0\n").unwrap();
+    let scene = format!("{}/meshes/cornell-box.obj", env!("CARGO_MANIFEST_DIR"));
+    let by = |options: &str| probe(&here, &format!("{scene} --points p {options}"));
+    let paths = by("--spp 32768");
+    let [coarse, fine] =
+        [2_000, 8_000].map(|n| by(&format!("--method radiosity --rays 256 --patches {n} --spp 8192")));
+    for (i, p) in paths.iter().enumerate() {
+        for c in 0..3 {
+            let (want, error) = (p[6 + c], p[9 + c]);
+            // What the solution is off by shows in its change from patches to smaller ones.
+            let allowed = 4.0 * error.hypot(fine[i][9 + c]) + (coarse[i][6 + c] - fine[i][6 + c]).abs();
+            assert!(allowed < 0.15 * want, "{i}: {p:?} {:?} {:?}", coarse[i], fine[i]);
+            assert!((fine[i][6 + c] - want).abs() < allowed, "{i}: {p:?} {:?} {:?}", coarse[i], fine[i]);
+        }
+    }
+}
+
+#[test]
+fn a_file_holds_what_stdout_shows_whatever_the_threads() {
+    let here = Here::new(LAMP, BLACK);
+    fs::write(here.path("p"), "0.5 0 0.3 0 1 0\n1 0 1 0 1 0\n").unwrap();
+    let shown = here.run("probe scene.obj --points p --spp 256 --threads 1").stdout;
+    assert_eq!(table(&shown).len(), 2);
+    let output = here.run("probe scene.obj --points p --spp 256 --threads 3 -o out.txt --report r.json");
+    assert!(here.read("out.txt") == shown);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("2 points") && said.contains("out.txt, r.json"), "{said}");
+    let report = here.json("r.json");
+    assert_eq!((&report["probes"]["points"], &report["samples"]), (&2.into(), &256.into()));
+    let mean = table(&shown).iter().map(|line| line[6]).sum::<f64>() / 2.0;
+    assert!((report["probes"]["mean_irradiance"][0].as_f64().unwrap() / mean - 1.0).abs() < 1e-6);
+    assert!(here.run("probe scene.obj --points p --spp 256 --seed 9").stdout != shown);
+}
+
+#[test]
+fn bad_points_are_told_with_file_and_line() {
+    let here = Here::new(LAMP, BLACK);
+    fs::write(here.path("good"), "0.5 0 0.3 0 1 0\n").unwrap();
+    fs::write(here.path("bad"), "0.5 0 0.3 0 1 0\n\n# two\n1 2 3 4 5\n").unwrap();
+    fs::write(here.path("empty"), "# none\n").unwrap();
+    for (options, said) in [
+        ("--points bad", "error: bad:4: 6 numbers expected, found 5\nhint: a line reads: x y z nx ny nz"),
+        ("--points empty", "error: empty: no points"),
+        ("--points none", "error: none: "),
+        ("--points good -o good", "replace the input"),
+        ("--points good -o scene.obj", "replace the input"),
+        ("--points good -o scene.mtl", "may not take the name"),
+        ("--points good -o a --report a", "the same file"),
+        ("--points good --spp 0", "--spp"),
+        ("--points good --patches 9", "--patches is not for --method path"),
+        ("--points good --method radiosity --no-next-event", "--no-next-event is not for --method radiosity"),
+        ("", "--points"),
+    ] {
+        let errors = here.fails(&format!("probe scene.obj {options}"), 2);
+        assert!(errors.contains(said), "{options}: {errors}");
+    }
+}
