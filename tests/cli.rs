@@ -144,6 +144,36 @@ fn every_solver_and_quality_gives_the_furnace_the_same_light() {
 }
 
 #[test]
+fn standard_errors_are_in_the_mesh_and_fall_with_more_rays() {
+    let here = lamp();
+    let errors = |rays: u32| {
+        let options = format!("solve scene.obj -o out.ply --report r.json --patches 200 --rays {rays}");
+        assert_eq!(here.run(&options).status.code(), Some(0));
+        let ply = Parser::<DefaultElement>::new().read_ply(&mut &here.read("out.ply")[..]).unwrap();
+        let (mut squares, mut irradiance) = (0.0, 0.0);
+        for face in &ply.payload["face"] {
+            for channel in ["r", "g", "b"] {
+                let value = |quantity: &str| match face[&format!("{quantity}_{channel}")] {
+                    Property::Float(x) => f64::from(x),
+                    _ => panic!("no float"),
+                };
+                squares += value("error").powi(2);
+                irradiance += value("irradiance");
+            }
+        }
+        // All patches of a cube have one area.
+        let count = (3 * ply.payload["face"].len()) as f64;
+        let relative = (squares / count).sqrt() / (irradiance / count);
+        let reported = number(&here.json("r.json")["error"]["rms_relative"]);
+        assert!((relative / reported - 1.0).abs() < 1e-5, "{relative} {reported}");
+        relative
+    };
+    let (few, many) = (errors(32), errors(512));
+    // At least as the root of the rays, which is a factor of 4.
+    assert!(few < 0.5 && many < few / 3.0, "{few} {many}");
+}
+
+#[test]
 fn exposure_moves_colours_by_stops_and_nothing_else() {
     let here = Here::new(FURNACE, GLOW);
     let run = |stops: &str| {
@@ -163,8 +193,8 @@ fn exposure_moves_colours_by_stops_and_nothing_else() {
     let (darker, same, grey) = run("-1");
     assert_eq!(radiosity, same);
     assert!((grey / white - 2.0).abs() < 1e-12);
-    // 0.6 and 0.3 of white as sRGB.
-    assert_eq!((colour, darker), (Property::UChar(203), Property::UChar(149)));
+    // 0.8 and 0.4 of white as sRGB.
+    assert_eq!((colour, darker), (Property::UChar(231), Property::UChar(170)));
 }
 
 #[test]

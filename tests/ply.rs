@@ -344,8 +344,8 @@ fn grey_is_written_as_three_equal_channels_and_unknown_errors_as_nan() {
             assert!(float(face, &format!("error_{channel}")).is_nan());
         }
     }
-    // 0.6 of white, the brightness at which automatic exposure shows a uniformly lit wall.
-    assert!(ply.payload["vertex"].iter().any(|v| v["green"] == Property::UChar(203)));
+    // 0.8 of white, the brightness at which automatic exposure shows a uniformly lit wall.
+    assert!(ply.payload["vertex"].iter().any(|v| v["green"] == Property::UChar(231)));
 }
 
 #[test]

@@ -34,6 +34,9 @@ pub struct ErrorBars {
     pub channels: usize,
     /// The standard error of each patch and channel.
     pub standard_error: Vec<f64>,
+    /// The standard error of the area-weighted mean irradiance of all patches, for each channel: less than patches
+    /// with independent errors would give, since what one patch receives too much another misses.
+    pub of_mean: Vec<f64>,
 }
 
 impl ErrorBars {
@@ -48,36 +51,62 @@ impl ErrorBars {
     ) -> Option<ErrorBars> {
         let reflectance = radiometry.into().reflectance;
         assert_eq!(reflectance.len(), solution.radiosity.len(), "sizes disagree");
-        let standard_error = match solution.channels {
-            1 => propagate::<1>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0)?,
-            _ => propagate::<3>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0)?,
-        };
-        Some(ErrorBars { channels: solution.channels, standard_error })
+        match solution.channels {
+            1 => Self::spread::<1>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0),
+            _ => Self::spread::<3>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0),
+        }
     }
 
-    /// Area-weighted root mean square of the standard errors over the area-weighted mean irradiance, over all patches
-    /// and channels.
-    pub fn relative_rms(&self, areas: &[f64], irradiance: &[f64]) -> f64 {
-        let (mut squares, mut mean, mut weight) = (0.0, 0.0, 0.0);
-        for i in 0..areas.len() {
-            for c in i * self.channels..(i + 1) * self.channels {
-                squares += areas[i] * self.standard_error[c].powi(2);
-                mean += areas[i] * irradiance[c];
-                weight += areas[i];
+    fn spread<const C: usize>(
+        form_factors: &FormFactors,
+        reflectance: &[[f64; C]],
+        radiosity: &[[f64; C]],
+    ) -> Option<ErrorBars> {
+        let deviations = propagate(form_factors, reflectance, radiosity)?;
+        let areas = form_factors.areas();
+        let total: f64 = areas.iter().sum();
+        let mut mean = [[0f64; REPLICATES]; C];
+        for (area, deviation) in areas.iter().zip(&deviations) {
+            for c in 0..C {
+                for k in 0..REPLICATES {
+                    mean[c][k] += area / total * f64::from(deviation[c][k]);
+                }
             }
         }
-        if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
+        Some(ErrorBars {
+            channels: C,
+            standard_error: deviations
+                .iter()
+                .flat_map(|e| e.map(|c| standard_error(&c.map(f64::from))))
+                .collect(),
+            of_mean: mean.iter().map(standard_error).collect(),
+        })
     }
+}
+
+/// Area-weighted root mean square of `values`, interleaved channels a patch, relative to the area-weighted mean
+/// irradiance; zero in the dark.
+pub fn relative_rms(values: &[f64], irradiance: &[f64], areas: &[f64]) -> f64 {
+    let channels = values.len() / areas.len();
+    let (mut squares, mut mean, mut weight) = (0.0, 0.0, 0.0);
+    for q in 0..values.len() {
+        let area = areas[q / channels];
+        squares += area * values[q].powi(2);
+        mean += area * irradiance[q];
+        weight += area;
+    }
+    if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
 }
 
 /// One value a replicate and channel.
 type Spectrum<const C: usize> = [[f32; REPLICATES]; C];
 
+/// The deviations dE_k of all patches.
 fn propagate<const C: usize>(
     form_factors: &FormFactors,
     reflectance: &[[f64; C]],
     radiosity: &[[f64; C]],
-) -> Option<Vec<f64>> {
+) -> Option<Vec<Spectrum<C>>> {
     let mut local = form_factors.deviations(radiosity)?;
     close(form_factors, &mut local);
     let mut total: Vec<Spectrum<C>> = local.iter().map(|d| d.irradiance).collect();
@@ -103,13 +132,14 @@ fn propagate<const C: usize>(
             break;
         }
     }
+    Some(total)
+}
+
+/// Standard error of the mean of deviations, which sum to zero but for rounding.
+fn standard_error(deviations: &[f64; REPLICATES]) -> f64 {
     let many = REPLICATES as f64;
-    let spread = |values: &[f32; REPLICATES]| {
-        // The deviations sum to zero but for rounding.
-        let squares: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
-        (squares / (many * (many - 1.0))).sqrt()
-    };
-    Some(total.iter().flat_map(|e| e.iter().map(spread)).collect())
+    let squares: f64 = deviations.iter().map(|d| d * d).sum();
+    (squares / (many * (many - 1.0))).sqrt()
 }
 
 /// Solves for the scales that close all rows of each replicate together, (I + F) d ln d = -excess, by damped Jacobi
@@ -151,4 +181,17 @@ fn sent<const C: usize>(
 fn root_mean_square<const C: usize>(values: &[Spectrum<C>]) -> f64 {
     let squares: f64 = values.iter().flatten().flatten().map(|&v| f64::from(v).powi(2)).sum();
     (squares / values.len() as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_root_mean_square_is_weighted_by_area() {
+        // sqrt((2^2 + 3 * 1^2) / 4) over (1 + 3 * 5) / 4.
+        let relative = relative_rms(&[2.0, 1.0], &[1.0, 5.0], &[1.0, 3.0]);
+        assert!((relative - 1.75f64.sqrt() / 4.0).abs() < 1e-14);
+        assert_eq!(relative_rms(&[0.0, 0.0], &[0.0, 0.0], &[1.0, 3.0]), 0.0);
+    }
 }

@@ -1,3 +1,5 @@
 //! How right the answer is: error bars, and the comparison with the referee.
 
+pub mod comparison;
 pub mod error_bars;
+pub mod validation;

@@ -5,7 +5,7 @@ use std::{path::PathBuf, time::Instant};
 use clap::{Args, ValueEnum};
 use radiosity::{
     Error, Result, Scene,
-    accuracy::error_bars::ErrorBars,
+    accuracy::error_bars::{ErrorBars, relative_rms},
     energy::EnergyLedger,
     form_factor::{Estimator, FormFactors},
     output::{
@@ -153,7 +153,8 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     };
     let file = args.scene.display().to_string();
     let mut report = SolveReport::new(&file, scene, patches, form_factors, solution, energy, options);
-    report.error.rms_relative = Some(error_bars.relative_rms(form_factors.areas(), &solution.irradiance));
+    report.error.rms_relative =
+        Some(relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas()));
     times.total = seconds(start.elapsed());
     report.seconds = times;
     report.peak_bytes = peak_bytes();
@@ -166,7 +167,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     if !args.common.quiet {
         let (_, chosen) = args.cast.subdivision();
         let names = outputs::names(&[&args.output, &args.report]);
-        to_stdout(&summary::table(&report, patches, form_factors, &chosen, args.exposure, &names));
+        to_stdout(&summary::table(&report, patches, &chosen, args.exposure, &names));
     }
     Ok(verdict(args, &report))
 }

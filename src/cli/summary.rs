@@ -3,23 +3,15 @@
 use std::fmt::Write;
 
 use radiosity::{
-    form_factor::FormFactors,
     output::{
-        report::SolveReport,
+        report::{Seconds, SolveReport},
         sampling_report::{PictureReport, SamplingReport, SamplingSeconds},
     },
     patch::Patches,
 };
 
 /// The figures of a solution that people want to see.
-pub fn table(
-    report: &SolveReport,
-    patches: &Patches,
-    form_factors: &FormFactors,
-    chosen: &str,
-    stops: f64,
-    written: &str,
-) -> String {
+pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, written: &str) -> String {
     let SolveReport { scene, form_factors: factors, solve, energy, seconds, .. } = report;
     let mut text = String::new();
     let mut row = |name: &str, value: String| row(&mut text, name, &value);
@@ -41,10 +33,8 @@ pub fn table(
     row(
         "form factors",
         format!(
-            "{} non-zeros, {bytes}, {:?}, {:.2e} rays/s",
-            factors.non_zeros,
-            form_factors.estimator(),
-            rate
+            "{} non-zeros, {bytes}, {}, {:.2e} rays/s",
+            factors.non_zeros, report.options.estimator, rate
         ),
     );
     let bound = solve.error_bound.map_or("without a bound".into(), |b| format!("within {b:.1e} W/m2"));
@@ -71,20 +61,11 @@ pub fn table(
             energy.imbalance, energy.solver_part, energy.reciprocity_part
         ),
     );
+    if let Some(error) = report.error.rms_relative {
+        row("error", format!("{:.2} % of the mean irradiance from sampling (RMS, estimated)", 100.0 * error));
+    }
     row("exposure", format!("white is {:.4e} W/m2 (automatic {stops:+} stops)", report.options.white));
-    row(
-        "seconds",
-        format!(
-            "load {:.2}, subdivide {:.2}, bvh {:.2}, form factors {:.2}, solve {:.2}, output {:.2}; total {:.2}",
-            seconds.load,
-            seconds.subdivide,
-            seconds.bvh,
-            seconds.form_factors,
-            seconds.solve,
-            seconds.output,
-            seconds.total
-        ),
-    );
+    row("seconds", times(seconds));
     row("wrote", written.into());
     text
 }
@@ -149,6 +130,13 @@ fn finish(mut text: String, report: &SamplingReport, written: &str) -> String {
     row(&mut text, "seconds", &seconds);
     row(&mut text, "wrote", written);
     text
+}
+
+fn times(s: &Seconds) -> String {
+    format!(
+        "load {:.2}, subdivide {:.2}, bvh {:.2}, form factors {:.2}, solve {:.2}, output {:.2}; total {:.2}",
+        s.load, s.subdivide, s.bvh, s.form_factors, s.solve, s.output, s.total
+    )
 }
 
 /// A number of bytes for people.

@@ -160,7 +160,7 @@ pub struct Seconds {
     pub bvh: f64,
     /// Casting rays and making form factors of them.
     pub form_factors: f64,
-    /// Solving the system and adding up its energy.
+    /// Solving the system, adding up its energy and estimating its errors.
     pub solve: f64,
     /// Writing the mesh.
     pub output: f64,
@@ -285,4 +285,17 @@ pub fn peak_bytes() -> Option<u64> {
 /// A time in seconds, to the microsecond.
 pub fn seconds(time: Duration) -> f64 {
     (time.as_secs_f64() * 1e6).round() / 1e6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn peak_memory_is_that_of_this_process() {
+        if cfg!(target_os = "linux") {
+            let held = vec![1u8; 64 << 20];
+            assert!(held.iter().all(|&b| b == 1) && peak_bytes().unwrap() > 64 << 20);
+        }
+    }
 }

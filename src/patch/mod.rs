@@ -167,6 +167,11 @@ impl Patches {
         i as u32 - offset
     }
 
+    /// The front patch that is this child of a triangle's quadtree.
+    pub fn front(&self, triangle: usize, child: u32) -> usize {
+        (self.front_offsets[triangle] + child) as usize
+    }
+
     /// The patch on the back of front patch `i`, where that is an unknown.
     pub fn back_of(&self, i: usize) -> Option<u32> {
         let offset = self.back_offsets[self.triangle(i)];

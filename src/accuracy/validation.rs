@@ -1,0 +1,296 @@
+//! Whether the answer can be trusted: radiosity against path tracing and light tracing.
+//!
+//! An energy balance cannot tell a right answer from a wrong symmetric one; an estimate that shares no numerics with
+//! the solver can. What the patches of finite size add to the difference is not guessed: the scene is solved with
+//! edges half as long too, and the change tells.
+
+use crate::{
+    Progress, Result,
+    accuracy::{
+        comparison::{Comparison, Estimates},
+        error_bars::{ErrorBars, relative_rms},
+    },
+    energy::EnergyLedger,
+    form_factor::{CastOptions, FormFactors},
+    monte_carlo::{Effort, Estimate, LightOptions, LightTracer, PathOptions, PathTracer, Region},
+    patch::{Patches, Subdivision},
+    scene::Scene,
+    solve::{Solution, SolveOptions, solve},
+    trace::Tracer,
+};
+
+/// How hard to look.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ValidationOptions {
+    /// The patches under test.
+    pub subdivision: Subdivision,
+    /// Rays a patch for the solution under test; the finer one takes a quarter of it from each of its patches.
+    pub rays: f64,
+    /// Paths a patch.
+    pub paths: u32,
+    /// Particles from the emitters.
+    pub particles: u64,
+    /// How the systems are solved.
+    pub solve: SolveOptions,
+    /// The same seed gives the same verdict.
+    pub seed: u64,
+}
+
+impl Default for ValidationOptions {
+    /// About 1000 patches, 1024 rays and 1024 paths each, 4 million particles: some seconds, errors near 1 %.
+    fn default() -> Self {
+        ValidationOptions {
+            subdivision: Subdivision::Count(1000),
+            rays: 1024.0,
+            paths: 1024,
+            particles: 1 << 22,
+            solve: SolveOptions::default(),
+            seed: 0,
+        }
+    }
+}
+
+/// A scene solved at one patch size.
+#[derive(Debug)]
+pub struct Solved {
+    /// Its patches.
+    pub patches: Patches,
+    /// Their form factors.
+    pub form_factors: FormFactors,
+    /// The light.
+    pub solution: Solution,
+    /// Its sampling errors.
+    pub error_bars: ErrorBars,
+}
+
+impl Solved {
+    /// Cuts, casts, solves and estimates the errors.
+    ///
+    /// # Errors
+    /// As [`FormFactors::cast`] and [`solve()`].
+    pub fn new(
+        scene: &Scene,
+        tracer: &Tracer,
+        subdivision: &Subdivision,
+        cast: &CastOptions,
+        options: &SolveOptions,
+        progress: &Progress,
+    ) -> Result<Solved> {
+        let mut patches = Patches::subdivide(scene, subdivision);
+        let form_factors = FormFactors::cast(scene, tracer, &mut patches, cast, progress)?;
+        let solution = solve(&form_factors, &patches, options, progress)?;
+        let error_bars =
+            ErrorBars::of(&form_factors, &patches, &solution).expect("the form factors were sampled");
+        Ok(Solved { patches, form_factors, solution, error_bars })
+    }
+}
+
+/// Edge at which every triangle's quadtree is one level deeper than in `patches`.
+fn halved(patches: &Patches) -> Subdivision {
+    Subdivision::Edge(0.5 * patches.edge())
+}
+
+/// Radiosity as one side of the comparison: estimates for the front patches of `coarse`, with allowances for their
+/// size from `fine`, the same scene with edges half as long.
+///
+/// From `fine` on the error still left is between a third (if it falls with the square of the edge) and all (if it
+/// falls with the edge) of the change between the two. A patch's own estimate stays as it is, and its allowance is
+/// twice the change, its own or its neighbours', so far as it exceeds what sampling explains. The mean, where a small bias matters, is
+/// extrapolated by two thirds of the change, give or take a third.
+pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
+    let channels = coarse.solution.channels;
+    let n = coarse.patches.fronts();
+    let (mean_fine, error_fine) = aggregated(&coarse.patches, fine);
+    let irradiance = coarse.solution.irradiance[..n * channels].to_vec();
+    let standard_error = coarse.error_bars.standard_error[..n * channels].to_vec();
+    let excess: Vec<f64> = (0..n * channels)
+        .map(|q| (irradiance[q] - mean_fine[q]).powi(2) - standard_error[q].powi(2) - error_fine[q].powi(2))
+        .collect();
+    let allowance =
+        at_least_common(&coarse.patches, &excess).iter().map(|x| 2.0 * x.max(0.0).sqrt()).collect();
+    let total: f64 = (0..n).map(|i| coarse.patches.area(i)).sum();
+    let mean = (0..channels)
+        .map(|c| {
+            let mean_of = |values: &[f64]| {
+                (0..n).map(|i| coarse.patches.area(i) / total * values[i * channels + c]).sum::<f64>()
+            };
+            let (at_edge, at_half) = (mean_of(&irradiance), mean_of(&mean_fine));
+            let change = at_half - at_edge;
+            let noise =
+                (5.0 / 3.0 * fine.error_bars.of_mean[c]).hypot(2.0 / 3.0 * coarse.error_bars.of_mean[c]);
+            (at_half + 2.0 / 3.0 * change, noise.hypot(change / 3.0))
+        })
+        .collect();
+    let standard_error = share_luck(&coarse.patches, &standard_error);
+    Estimates { irradiance, standard_error, allowance, mean }
+}
+
+/// Irradiance of `fine` and its standard error, averaged over the front patches of `coarse`. The patches of a quadtree
+/// that lie in the same coarser one follow each other.
+fn aggregated(coarse: &Patches, fine: &Solved) -> (Vec<f64>, Vec<f64>) {
+    let channels = fine.solution.channels;
+    let n = coarse.fronts();
+    let (mut mean, mut variance) = (vec![0.0; n * channels], vec![0.0; n * channels]);
+    for j in 0..fine.patches.fronts() {
+        let t = fine.patches.triangle(j);
+        let deeper = fine.patches.level(t) - coarse.level(t);
+        let share = 0.25f64.powi(deeper.into());
+        let i = coarse.front(t, fine.patches.child(j) >> (2 * deeper));
+        for c in 0..channels {
+            mean[i * channels + c] += share * fine.solution.irradiance[j * channels + c];
+            variance[i * channels + c] += (share * fine.error_bars.standard_error[j * channels + c]).powi(2);
+        }
+    }
+    (mean, variance.into_iter().map(f64::sqrt).collect())
+}
+
+/// Path tracing as one side of the comparison, for the front patches.
+///
+/// # Errors
+/// [`Error::Stopped`](crate::Error::Stopped).
+pub fn path_traced(
+    scene: &Scene,
+    tracer: &Tracer,
+    patches: &Patches,
+    options: &ValidationOptions,
+    progress: &Progress,
+) -> Result<Estimates> {
+    let regions: Vec<Region> = (0..patches.fronts())
+        .map(|i| Region { triangle: patches.triangle(i), part: patches.corners(i), front: true })
+        .collect();
+    let effort = Effort { samples: options.paths, seed: options.seed, ..Effort::default() };
+    let found = PathTracer::new(scene, tracer, PathOptions::default())
+        .mean_irradiances(&regions, &effort, progress)?;
+    Ok(from_monte_carlo(&found, patches, |_| 1.0))
+}
+
+/// Light tracing as one side of the comparison, for the front patches.
+///
+/// # Errors
+/// [`Error::Stopped`](crate::Error::Stopped); [`Error::NoEquilibrium`](crate::Error::NoEquilibrium).
+pub fn light_traced(
+    scene: &Scene,
+    tracer: &Tracer,
+    patches: &Patches,
+    options: &ValidationOptions,
+    progress: &Progress,
+) -> Result<Estimates> {
+    let light = LightOptions { particles: options.particles, seed: options.seed, ..LightOptions::default() };
+    let front = |hit: &crate::trace::Hit| {
+        let patch = patches.at(hit.triangle, hit.barycentric, true)?;
+        hit.front.then_some(patch as usize)
+    };
+    let transport = LightTracer::new(scene, tracer, light).trace(patches.fronts(), front, progress)?;
+    Ok(from_monte_carlo(&transport.bins, patches, |i| 1.0 / patches.area(i)))
+}
+
+/// Standard errors no lower than the common one of a patch's block. Where light comes by rare paths, a patch that missed
+/// them has both too low a mean and too low an error; its neighbours know better.
+fn share_luck(patches: &Patches, standard_error: &[f64]) -> Vec<f64> {
+    let variance: Vec<f64> = standard_error.iter().map(|e| e * e).collect();
+    at_least_common(patches, &variance).into_iter().map(f64::sqrt).collect()
+}
+
+/// Values no lower than their mean over the block of up to 16 patches, two levels up the quadtree, that a patch lies in.
+fn at_least_common(patches: &Patches, values: &[f64]) -> Vec<f64> {
+    let channels = patches.channels();
+    let block = |i: usize| (patches.triangle(i), patches.child(i) >> 4);
+    let fronts: Vec<usize> = (0..patches.fronts()).collect();
+    let mut raised = values.to_vec();
+    for members in fronts.chunk_by(|&i, &j| block(i) == block(j)) {
+        for c in 0..channels {
+            let mean = members.iter().map(|i| values[i * channels + c]).sum::<f64>() / members.len() as f64;
+            for i in members {
+                let value = &mut raised[i * channels + c];
+                *value = value.max(mean);
+            }
+        }
+    }
+    raised
+}
+
+fn from_monte_carlo(found: &[Estimate], patches: &Patches, factor: impl Fn(usize) -> f64) -> Estimates {
+    let channels = patches.channels();
+    let values = |of: &dyn Fn(&Estimate) -> [f64; 3]| -> Vec<f64> {
+        found
+            .iter()
+            .enumerate()
+            .flat_map(|(i, e)| of(e).map(|x| x * factor(i)).into_iter().take(channels))
+            .collect()
+    };
+    let areas: Vec<f64> = (0..found.len()).map(|i| patches.area(i)).collect();
+    let mut estimates = Estimates::independent(values(&|e| e.mean), values(&|e| e.standard_error), &areas);
+    estimates.standard_error = share_luck(patches, &estimates.standard_error);
+    estimates
+}
+
+/// Everything that was looked at.
+#[derive(Debug)]
+pub struct Validation {
+    /// The solution under test.
+    pub solved: Solved,
+    /// Its energy ledger.
+    pub energy: EnergyLedger,
+    /// Area-weighted root mean square of the allowance for patch size, relative to the mean irradiance.
+    pub discretisation_relative: f64,
+    /// Radiosity against path tracing.
+    pub path: Comparison,
+    /// Radiosity against light tracing.
+    pub light: Comparison,
+    /// Path tracing against light tracing.
+    pub referees: Comparison,
+}
+
+impl Validation {
+    /// Solves the scene at two patch sizes, traces it from both ends, and compares.
+    ///
+    /// # Errors
+    /// As [`FormFactors::cast`], [`solve()`] and [`light_traced`].
+    pub fn of(scene: &Scene, options: &ValidationOptions, progress: &Progress) -> Result<Validation> {
+        let tracer = Tracer::new(scene);
+        let cast = CastOptions { rays: options.rays, seed: options.seed, ..CastOptions::default() };
+        let coarse = Solved::new(scene, &tracer, &options.subdivision, &cast, &options.solve, progress)?;
+        let finer = CastOptions { rays: 0.25 * options.rays, seed: options.seed + 1, ..cast };
+        let fine = Solved::new(scene, &tracer, &halved(&coarse.patches), &finer, &options.solve, progress)?;
+        let radiosity = radiosity_estimates(&coarse, &fine);
+        drop(fine);
+        let path = path_traced(scene, &tracer, &coarse.patches, options, progress)?;
+        let light = light_traced(scene, &tracer, &coarse.patches, options, progress)?;
+        let areas = &coarse.form_factors.areas()[..coarse.patches.fronts()];
+        Ok(Validation {
+            energy: EnergyLedger::of(&coarse.form_factors, &coarse.patches, &coarse.solution),
+            discretisation_relative: relative_rms(&radiosity.allowance, &radiosity.irradiance, areas),
+            path: Comparison::of(&radiosity, &path, areas),
+            light: Comparison::of(&radiosity, &light, areas),
+            referees: Comparison::of(&path, &light, areas),
+            solved: coarse,
+        })
+    }
+
+    /// Every check that failed, a sentence each; empty when the answer can be trusted.
+    pub fn objections(&self) -> Vec<String> {
+        let mut objections = Vec::new();
+        let mut limit = |what: &str, value: f64, limit: f64| {
+            // Negated, so that NaN objects.
+            if !(value.abs() <= limit) {
+                objections.push(format!("{what} is {value:.2e}, {limit:.0e} is allowed"));
+            }
+        };
+        limit("the energy imbalance", self.energy.imbalance(), 1e-9);
+        limit("the row sum deviation", self.solved.form_factors.row_sum_deviation().after, 1e-9);
+        limit("the reciprocity deviation", self.solved.form_factors.reciprocity_deviation().after, 1e-9);
+        for (name, comparison) in self.comparisons() {
+            objections.extend(comparison.objections().into_iter().map(|o| format!("{name}: {o}")));
+        }
+        objections
+    }
+
+    /// The comparisons with their names.
+    pub fn comparisons(&self) -> [(&'static str, &Comparison); 3] {
+        [
+            ("radiosity against path tracing", &self.path),
+            ("radiosity against light tracing", &self.light),
+            ("path tracing against light tracing", &self.referees),
+        ]
+    }
+}
