@@ -9,7 +9,7 @@ use radiosity::{
     accuracy::error_bars::ErrorBars,
     form_factor::{CastOptions, FormFactors},
     output::{
-        exposure::Exposure,
+        exposure,
         ply::{self, PlyOptions},
     },
     patch::{Patches, Subdivision},
@@ -38,7 +38,7 @@ fn main() -> Result<()> {
 
     // How far off the rays may be, patch by patch: the file carries it along.
     let errors = ErrorBars::of(&form_factors, &patches, &solution).map(|bars| bars.standard_error);
-    let exposure = Exposure::automatic(&patches, &solution.radiosity);
+    let exposure = exposure::of_radiosity(&patches, &solution.radiosity);
     let options =
         PlyOptions { standard_errors: errors.as_deref(), exposure: Some(exposure), ..PlyOptions::default() };
     ply::write(&output, &scene, &patches, &solution, &options)?;

@@ -6,7 +6,7 @@ pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 /// The share of what is lit that automatic exposure leaves at or below [`BRIGHT`].
 const PERCENTILE: f64 = 0.9;
 /// Linear brightness of that percentile: a well lit white wall, with room for what is brighter.
-const BRIGHT: f64 = 0.6;
+const BRIGHT: f64 = 0.8;
 
 /// How bright radiosity or radiance is shown: times a factor, clipped to white, encoded as sRGB. There is no other
 /// curve: below white the picture is proportional to the light.
@@ -22,7 +22,7 @@ impl Exposure {
         Exposure { scale: 1.0 / white }
     }
 
-    /// Shows 90 % of what is lit at a brightness of at most 0.6, from pairs of a luminance and its weight. What is dark
+    /// Shows 90 % of what is lit at a brightness of at most 0.8, from pairs of a luminance and its weight. What is dark
     /// has no say; where nothing is lit the exposure is 1.
     pub fn automatic(luminances: impl IntoIterator<Item = (f64, f64)>) -> Exposure {
         let mut lit: Vec<(f64, f64)> =
@@ -105,7 +105,7 @@ mod tests {
         // Of the weight 10 that is lit, 9 lies at 1 and 2.
         let exposure =
             Exposure::automatic([(0.0, 50.0), (3.0, 1.0), (1.0, 5.0), (2.0, 4.0), (f64::NAN, 9.0)]);
-        assert!((exposure.scale - 0.6 / 2.0).abs() < 1e-15);
+        assert!((exposure.scale - 0.8 / 2.0).abs() < 1e-15);
         assert_eq!(exposure.encode([1000.0, 0.0, -1.0]), [255, 0, 0]);
         let twice = exposure.brighter(1.0);
         assert_eq!(twice.scale, 2.0 * exposure.scale);

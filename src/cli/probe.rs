@@ -33,8 +33,8 @@ use super::{
 /// Compute the irradiance at given points, with its standard error
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity probe room.obj --points desk.txt -o desk-light.txt\n\n\
-    Each line of the points holds `x y z nx ny nz`; each line of the result `x y z nx ny nz Er Eg Eb SEr SEg SEb` in\n\
-    W/m2. By radiosity the standard error is that of the last bounce, not of the solution it reads.")]
+    A line of the points holds `x y z nx ny nz`, a line of the result `x y z nx ny nz Er Eg Eb SEr SEg SEb`: irradiance \
+    and its standard error in W/m2. By radiosity that is the error of the last bounce, not of the solution it reads.")]
 pub struct ProbeArgs {
     /// The scene: Wavefront .obj, its .mtl beside it
     scene: PathBuf,
@@ -57,13 +57,13 @@ pub struct ProbeArgs {
     /// Path tracing without looking at emitters: light counts only where a path runs into it
     #[arg(long)]
     no_next_event: bool,
-    #[command(flatten, next_help_heading = "With --method radiosity")]
-    cast: CastArgs,
     /// Another seed casts other rays; the same gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     #[command(flatten)]
     common: Common,
+    #[command(flatten, next_help_heading = "With --method radiosity")]
+    cast: CastArgs,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]

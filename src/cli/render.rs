@@ -32,8 +32,8 @@ use super::{
 /// Make a picture of a scene, by path tracing, light tracing or radiosity
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity render room.obj -o room.png --method path --spp 256\n\n\
-    A .png is multiplied by the exposure, clipped at white and encoded as sRGB; there is no other curve. The same\n\
-    --white makes pictures comparable. .exr and .hdr hold the radiance itself, W/(m2 sr).")]
+    In a .png radiance is multiplied by the exposure, clipped at white and encoded as sRGB; there is no other curve, \
+    and the same --white makes pictures comparable. A .exr or .hdr holds the radiance itself, W/(m2 sr).")]
 pub struct RenderArgs {
     /// The scene: Wavefront .obj, its .mtl beside it
     scene: PathBuf,
@@ -57,8 +57,6 @@ pub struct RenderArgs {
     final_gather: Option<u32>,
     #[command(flatten)]
     camera: CameraArgs,
-    #[command(flatten, next_help_heading = "With --method radiosity")]
-    cast: CastArgs,
     /// Make the picture brighter, by stops; negative is darker
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops)]
     exposure: f64,
@@ -70,6 +68,8 @@ pub struct RenderArgs {
     seed: u64,
     #[command(flatten)]
     common: Common,
+    #[command(flatten, next_help_heading = "With --method radiosity")]
+    cast: CastArgs,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]

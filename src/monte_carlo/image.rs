@@ -230,14 +230,14 @@ mod tests {
         pixels.push([900.0; 3]);
         let film = Film::from_pixels(12, 2, pixels);
         let exposure = film.automatic_exposure();
-        assert!((exposure.scale - 0.6 / 18.0).abs() < 1e-12);
+        assert!((exposure.scale - 0.8 / 18.0).abs() < 1e-12);
         let back = encoded(&film, PictureFormat::Png, exposure).to_rgb8();
         let value = |i: u32| back.get_pixel(i % 12, i / 12).0;
-        // By the standard: 255 (1.055 x^(1/2.4) - 0.055) is 203.4 for 0.6 and 51.2 for 0.6/18.
-        assert_eq!([value(0), value(4), value(21), value(23)], [[0; 3], [51; 3], [203; 3], [255; 3]]);
-        // 0.3: 148.9.
+        // By the standard: 255 (1.055 x^(1/2.4) - 0.055) is 231.1 for 0.8 and 59.5 for 0.8/18.
+        assert_eq!([value(0), value(4), value(21), value(23)], [[0; 3], [59; 3], [231; 3], [255; 3]]);
+        // 0.4: 169.6.
         let darker = encoded(&film, PictureFormat::Png, exposure.brighter(-1.0)).to_rgb8();
-        assert_eq!(darker.get_pixel(9, 1).0, [149; 3]);
+        assert_eq!(darker.get_pixel(9, 1).0, [170; 3]);
     }
 
     #[test]

@@ -49,13 +49,13 @@ mod tests {
         let mut radiosity = vec![1000.0, 0.0, 0.0, 0.0];
         radiosity.extend((1..=10).map(f64::from));
         let exposure = of_radiosity(&squares(14), &radiosity);
-        assert!((exposure.scale - 0.6 / 9.0).abs() < 1e-15);
+        assert!((exposure.scale - 0.8 / 9.0).abs() < 1e-15);
     }
 
     #[test]
     fn exposure_of_darkness_and_of_lamps_alone_is_finite() {
         assert_eq!(of_radiosity(&squares(3), &[0.0; 3]).encode([0.0; 3]), [0; 3]);
-        assert!((of_radiosity(&squares(1), &[5.0]).scale - 0.6 / 5.0).abs() < 1e-15);
+        assert!((of_radiosity(&squares(1), &[5.0]).scale - 0.8 / 5.0).abs() < 1e-15);
         assert!(of_radiosity(&squares(2), &[0.0, 1e-310]).scale.is_finite());
     }
 }
