@@ -27,9 +27,11 @@ fn cornell_box() -> Scene {
     Scene::load("meshes/cornell-box.obj").unwrap()
 }
 
-/// The same scene with other materials and only its first triangles.
-fn altered(scene: &Scene, triangles: usize, change: impl Fn(&mut Material)) -> Scene {
-    let corners: Vec<_> = (0..triangles).map(|t| (scene.corners(t), scene.triangles[t].material)).collect();
+/// The same scene with other materials, and with the triangles from `kept` on shrunk to next to nothing on the floor.
+fn altered(scene: &Scene, kept: usize, change: impl Fn(&mut Material)) -> Scene {
+    let shrunk = |t: usize| scene.corners(t).map(|p| if t < kept { p } else { 1e-3 * p });
+    let corners: Vec<_> =
+        (0..scene.triangles.len()).map(|t| (shrunk(t), scene.triangles[t].material)).collect();
     let mut materials = scene.materials.clone();
     materials.iter_mut().for_each(change);
     Scene::new(&corners, materials)

@@ -116,9 +116,13 @@ fn propagate<const C: usize>(
             .par_iter()
             .enumerate()
             .with_min_len(256)
-            .map(|(i, e)| sent(e, &local[i], &reflectance[i], &radiosity[i]))
+            .map(|(i, e)| sent(e, &local[i].scale, &reflectance[i], &radiosity[i]))
             .collect();
-        total = form_factors.gather_replicates(&sent);
+        total = form_factors.gather_replicates(
+            &sent,
+            |i| is_source(&local[i]),
+            |j| self::sent(&total[j], &link_scale(&local[j]), &reflectance[j], &radiosity[j]),
+        );
         total.par_iter_mut().zip(&local).for_each(|(total, local)| {
             for c in 0..C {
                 for k in 0..REPLICATES {
@@ -148,7 +152,8 @@ fn close<const C: usize>(form_factors: &FormFactors, local: &mut [Deviation<C>])
     let alone: Vec<Spectrum<1>> = local.iter().map(|d| [d.scale]).collect();
     for _ in 0..CLOSURE_ROUNDS {
         let scale: Vec<Spectrum<1>> = local.iter().map(|d| [d.scale]).collect();
-        let arriving = form_factors.gather_replicates(&scale);
+        let arriving =
+            form_factors.gather_replicates(&scale, |i| is_source(&local[i]), |j| [link_scale(&local[j])]);
         for (i, d) in local.iter_mut().enumerate() {
             for k in 0..REPLICATES {
                 d.scale[k] = 0.5 * (d.scale[k] + alone[i][0][k] - arriving[i][0][k]);
@@ -164,17 +169,27 @@ fn close<const C: usize>(form_factors: &FormFactors, local: &mut [Deviation<C>])
     }
 }
 
+/// All entries in the row of a source are links.
+fn is_source<const C: usize>(deviation: &Deviation<C>) -> bool {
+    deviation.link_yield == 1.0
+}
+
+/// How the closure scales the links of a patch.
+fn link_scale<const C: usize>(deviation: &Deviation<C>) -> [f32; REPLICATES] {
+    deviation.scale.map(|s| s * deviation.link_yield)
+}
+
 /// What the deviations of a patch send on: reflected irradiance, and radiosity through form factors that the closure
 /// scales.
 fn sent<const C: usize>(
     irradiance: &Spectrum<C>,
-    local: &Deviation<C>,
+    scale: &[f32; REPLICATES],
     reflectance: &[f64; C],
     radiosity: &[f64; C],
 ) -> Spectrum<C> {
     std::array::from_fn(|c| {
         let (rho, b) = (reflectance[c] as f32, radiosity[c] as f32);
-        std::array::from_fn(|k| rho * irradiance[c][k] + local.scale[k] * b)
+        std::array::from_fn(|k| rho * irradiance[c][k] + scale[k] * b)
     })
 }
 

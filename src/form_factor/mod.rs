@@ -5,6 +5,7 @@
 //! the closed forms that all of it is tested against.
 
 pub mod closure;
+mod escape;
 pub mod exact;
 pub mod hemisphere;
 pub mod reciprocity;
@@ -135,7 +136,13 @@ impl FormFactors {
                 escaped,
                 areas,
                 estimator,
-                samples: Some(Samples { hits, densities, spread: Spread::none(n), areas: relative }),
+                samples: Some(Samples {
+                    hits,
+                    densities,
+                    spread: Spread::none(n),
+                    escapes: Vec::new(),
+                    areas: relative,
+                }),
                 row_sum_deviation: BeforeAfter::default(),
                 reciprocity_deviation: BeforeAfter { before: one_way, after: one_way },
             },
@@ -143,13 +150,12 @@ impl FormFactors {
                 let mut matrix = reciprocity::pool(own, &hits, &densities);
                 let before = closure::row_sum_deviation(&matrix, &relative, &escaped);
                 let is_source: Vec<bool> = (0..n).map(|i| hits.sources.probability(i) > 0.0).collect();
-                // A patch none of whose rays landed may be hit by others all the same: it keeps half a ray for them.
-                let most = |i: usize| 1.0 - 0.5 / f64::from(hits.rays_of(i));
-                let escaped: Vec<f64> = escaped.iter().enumerate().map(|(i, e)| e.min(most(i))).collect();
+                let escapes = escape::refine(&escaped, &matrix, &hits, &densities, &relative);
+                let escaped: Vec<f64> = escapes.iter().map(|e| e.share).collect();
                 let spread = closure::spread(&mut matrix, &relative, &escaped, &is_source);
                 let mut form_factors = Self::from_exchange(matrix, relative.clone(), escaped);
                 form_factors.areas = areas;
-                form_factors.samples = Some(Samples { hits, densities, spread, areas: relative });
+                form_factors.samples = Some(Samples { hits, densities, spread, escapes, areas: relative });
                 form_factors.row_sum_deviation.before = before;
                 form_factors.reciprocity_deviation.before = one_way;
                 form_factors
@@ -295,20 +301,32 @@ impl FormFactors {
         gather(&self.matrix, &scaled, irradiance, |i, sums| sums.map(|sum| self.left[i] * sum));
     }
 
-    /// F z for a value a replicate and channel, in single precision: for error bars.
+    /// F z for a value a replicate and channel, in single precision: for error bars. Rows that `special` names take
+    /// their z from the function instead.
     pub(crate) fn gather_replicates<const C: usize>(
         &self,
         z: &[[[f32; REPLICATES]; C]],
+        special: impl Fn(usize) -> bool + Sync,
+        z_special: impl Fn(usize) -> [[f32; REPLICATES]; C] + Sync,
     ) -> Vec<[[f32; REPLICATES]; C]> {
         (0..self.len())
             .into_par_iter()
             .with_min_len(128)
             .map(|i| {
                 let mut sums = [[0f32; REPLICATES]; C];
+                let special = special(i);
                 let (columns, values) = row(&self.matrix, i);
                 for (&j, &s) in columns.iter().zip(values) {
-                    let factor = (self.left[i] * f64::from(s) * self.right[j as usize]) as f32;
-                    for (sums, z) in sums.iter_mut().zip(&z[j as usize]) {
+                    let j = j as usize;
+                    let factor = (self.left[i] * f64::from(s) * self.right[j]) as f32;
+                    let own;
+                    let z = if special {
+                        own = z_special(j);
+                        &own
+                    } else {
+                        &z[j]
+                    };
+                    for (sums, z) in sums.iter_mut().zip(z) {
                         for (sum, z) in sums.iter_mut().zip(z) {
                             *sum += factor * z;
                         }

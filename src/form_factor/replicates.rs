@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::{
     Estimator, FormFactors,
     closure::Spread,
+    escape::Escape,
     hemisphere::{ESCAPED, Hits, LINKED, REPLICATES},
     reciprocity::Densities,
 };
@@ -15,6 +16,8 @@ pub(super) struct Samples {
     pub(super) hits: Hits,
     pub(super) densities: Densities,
     pub(super) spread: Spread,
+    /// Of each patch; empty for one-way form factors, which need none.
+    pub(super) escapes: Vec<Escape>,
     /// Areas in the unit of `densities`.
     pub(super) areas: Vec<f64>,
 }
@@ -24,14 +27,22 @@ pub(super) struct Samples {
 struct Sums<const C: usize> {
     plain: f32,
     links: f32,
+    /// Shares of the hemisphere rays that escaped, and that connected with sources.
     escaped: f32,
+    linked: f32,
     plain_power: [f32; C],
     link_power: [f32; C],
 }
 
 impl<const C: usize> Sums<C> {
-    const ZERO: Self =
-        Sums { plain: 0.0, links: 0.0, escaped: 0.0, plain_power: [0.0; C], link_power: [0.0; C] };
+    const ZERO: Self = Sums {
+        plain: 0.0,
+        links: 0.0,
+        escaped: 0.0,
+        linked: 0.0,
+        plain_power: [0.0; C],
+        link_power: [0.0; C],
+    };
 
     #[inline]
     fn add_plain(&mut self, exchange: f64, radiosity: &[f64; C]) {
@@ -57,6 +68,8 @@ pub(crate) struct Deviation<const C: usize> {
     pub(crate) irradiance: [[f32; REPLICATES]; C],
     /// By how much the closure would scale the row if no other were scaled, d ln d.
     pub(crate) scale: [f32; REPLICATES],
+    /// The share of the row's scale that its links with sources take; 1 for sources.
+    pub(crate) link_yield: f32,
     /// What a change of the row's scale changes its irradiance by, dE / d ln d.
     pub(crate) response: [f32; C],
 }
@@ -102,14 +115,14 @@ impl Samples {
 
     fn pooled<const C: usize>(&self, replicate: usize, radiosity: &[[f64; C]]) -> Vec<Sums<C>> {
         let many = REPLICATES as f64;
-        let Samples { hits, densities, spread, areas } = self;
+        let Samples { hits, densities, spread, areas, .. } = self;
         let mut all = vec![Sums::<C>::ZERO; areas.len()];
         for i in 0..areas.len() {
             let targets = hits.of_replicate(i, replicate);
             for &j in targets {
                 match j {
-                    LINKED => {}
-                    ESCAPED => all[i].escaped += (areas[i] / targets.len() as f64) as f32,
+                    LINKED => all[i].linked += 1.0 / targets.len() as f32,
+                    ESCAPED => all[i].escaped += 1.0 / targets.len() as f32,
                     j => {
                         let j = j as usize;
                         let exchange = many * densities.hit(i, j) * spread.plain[i] * spread.plain[j];
@@ -142,15 +155,22 @@ impl Samples {
         let power = Spread::link_yield(self.hits.sources.probability(i) > 0.0);
         // A replicate whose row sums to more than the mean is scaled down by the closure.
         let stiffness = plain + power * links;
-        let sum = |s: &Sums<C>| s.plain + s.links + s.escaped;
-        let whole = mean(&sum);
-        let scale: [f64; REPLICATES] = std::array::from_fn(|k| match estimator {
-            Estimator::Pooled if stiffness > 0.0 => (whole - f64::from(sum(&replicates[k]))) / stiffness,
-            _ => 0.0,
-        });
+        let sum = |s: &Sums<C>| {
+            let Escape { by_rays, by_links, by_linked, .. } = self.escapes[i];
+            let links = f64::from(s.links) / self.areas[i];
+            let escaped = by_rays * f64::from(s.escaped) + by_links * links + by_linked * f64::from(s.linked);
+            f64::from(s.plain + s.links) + self.areas[i] * escaped
+        };
+        let mut scale = [0.0; REPLICATES];
+        if estimator == Estimator::Pooled && stiffness > 0.0 {
+            let sums: [f64; REPLICATES] = std::array::from_fn(|k| sum(&replicates[k]));
+            let whole = sums.iter().sum::<f64>() / REPLICATES as f64;
+            scale = sums.map(|sum| (whole - sum) / stiffness);
+        }
         let power_mean = |c: usize| (mean(&|s| s.plain_power[c]), mean(&|s| s.link_power[c]));
         Deviation {
             scale: scale.map(|s| s as f32),
+            link_yield: power as f32,
             response: std::array::from_fn(|c| {
                 let (plain, links) = power_mean(c);
                 ((plain + power * links) / self.areas[i]) as f32

@@ -58,7 +58,7 @@ impl Sources {
         let mut sources = Sources::default();
         let mut sum = 0.0;
         for (i, &power) in power.iter().enumerate() {
-            sources.probability.push((power / total) as f32);
+            sources.probability.push(if total > 0.0 { (power / total) as f32 } else { 0.0 });
             if power > 0.0 {
                 sum += power;
                 sources.patches.push(i as u32);
@@ -70,6 +70,11 @@ impl Sources {
 
     pub(super) fn is_empty(&self) -> bool {
         self.patches.is_empty()
+    }
+
+    /// The highest index of a source.
+    pub(super) fn most(&self) -> usize {
+        self.patches.last().map_or(0, |&i| i as usize)
     }
 
     /// Probability that a shadow ray goes to patch `i`; zero for all that are no sources.

@@ -1,0 +1,97 @@
+//! What escapes, refined by what shadow rays know.
+//!
+//! The share of a patch's hemisphere rays that leave the scene is all that tells what escapes, and where nearly all does,
+//! its noise is large beside what stays. But what goes to sources is known better from shadow rays, and all shares sum to
+//! one.
+
+use super::{
+    Matrix,
+    hemisphere::{Hits, LINKED, REPLICATES},
+    reciprocity::Densities,
+    row,
+};
+
+/// An escaped share, and how it responds to what it was made of.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Escape {
+    pub(super) share: f64,
+    /// To the share of hemisphere rays that escaped.
+    pub(super) by_rays: f64,
+    /// To the sum of the row's links over its area.
+    pub(super) by_links: f64,
+    /// To the share of hemisphere rays that connect with sources.
+    pub(super) by_linked: f64,
+}
+
+/// Escaped shares consistent with the exchange areas S_il of each row's links.
+///
+/// A patch that is no source has its other shares, escaped or landed, rescaled to what its links leave. A source has
+/// nothing but links: what they sum to and what escapes are two estimates of one number, taken together by their
+/// variances.
+pub(super) fn refine(
+    escaped: &[f64],
+    matrix: &Matrix,
+    hits: &Hits,
+    densities: &Densities,
+    areas: &[f64],
+) -> Vec<Escape> {
+    let is_source = |i: usize| hits.sources.probability(i) > 0.0;
+    let variance = if hits.sources.is_empty() { Vec::new() } else { link_variance(hits, densities, areas) };
+    (0..escaped.len())
+        .map(|i| {
+            let rays = f64::from(hits.rays_of(i));
+            let (columns, values) = row(matrix, i);
+            let links: f64 = columns
+                .iter()
+                .zip(values)
+                .filter(|&(&j, _)| is_source(i) || is_source(j as usize))
+                .map(|(_, &s)| f64::from(s))
+                .sum::<f64>()
+                / areas[i];
+            let e = escaped[i];
+            let mut escape = Escape { share: e, by_rays: 1.0, by_links: 0.0, by_linked: 0.0 };
+            if is_source(i) {
+                let (of_rays, of_links) = (e * (1.0 - e) / rays, variance[i]);
+                if of_rays > 0.0 {
+                    let trust = of_links / (of_rays + of_links);
+                    let share = trust * e + (1.0 - trust) * (1.0 - links);
+                    escape = Escape { share, by_rays: trust, by_links: trust - 1.0, by_linked: 0.0 };
+                }
+            } else {
+                let linked = hits.of(i).iter().filter(|&&j| j == LINKED).count() as f64 / rays;
+                if linked < 1.0 {
+                    let (left, known) = (1.0 - links, 1.0 - linked);
+                    escape = Escape {
+                        share: e * left / known,
+                        by_rays: left / known,
+                        by_links: -e / known,
+                        by_linked: e * left / (known * known),
+                    };
+                }
+            }
+            // A patch none of whose rays landed may be hit by others all the same: it keeps half a ray for them.
+            escape.share = escape.share.clamp(0.0, 1.0 - 0.5 / rays);
+            escape
+        })
+        .collect()
+}
+
+/// Variance of the sum of each source's links over its area, from the spread of the replicates.
+fn link_variance(hits: &Hits, densities: &Densities, areas: &[f64]) -> Vec<f64> {
+    let many = REPLICATES as f64;
+    let mut sums = vec![[0f64; REPLICATES]; hits.sources.most() + 1];
+    for link in &hits.links {
+        let exchange = many * densities.link(link);
+        for i in [link.from as usize, link.to as usize] {
+            if hits.sources.probability(i) > 0.0 {
+                sums[i][link.replicate as usize] += exchange / areas[i];
+            }
+        }
+    }
+    sums.iter()
+        .map(|replicates| {
+            let mean = replicates.iter().sum::<f64>() / many;
+            replicates.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (many * (many - 1.0))
+        })
+        .collect()
+}
