@@ -125,17 +125,13 @@ pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
     Estimates { irradiance, standard_error, allowance, mean }
 }
 
-/// Irradiance of `fine` and its standard error, averaged over the front patches of `coarse`. The patches of a quadtree
-/// that lie in the same coarser one follow each other.
+/// Irradiance of `fine` and its standard error, averaged over the front patches of `coarse`.
 fn aggregated(coarse: &Patches, fine: &Solved) -> (Vec<f64>, Vec<f64>) {
     let channels = fine.solution.channels;
     let n = coarse.fronts();
     let (mut mean, mut variance) = (vec![0.0; n * channels], vec![0.0; n * channels]);
     for j in 0..fine.patches.fronts() {
-        let t = fine.patches.triangle(j);
-        let deeper = fine.patches.level(t) - coarse.level(t);
-        let share = 0.25f64.powi(deeper.into());
-        let i = coarse.front(t, fine.patches.child(j) >> (2 * deeper));
+        let (i, share) = fine.patches.within(coarse, j);
         for c in 0..channels {
             mean[i * channels + c] += share * fine.solution.irradiance[j * channels + c];
             variance[i * channels + c] += (share * fine.error_bars.standard_error[j * channels + c]).powi(2);

@@ -172,6 +172,14 @@ impl Patches {
         (self.front_offsets[triangle] + child) as usize
     }
 
+    /// The front patch of `coarser`, a coarser subdivision of the same scene, in which front patch `i` lies, and the share
+    /// of its area that it covers. The patches of a quadtree that lie in the same coarser one follow each other.
+    pub fn within(&self, coarser: &Patches, i: usize) -> (usize, f64) {
+        let t = self.triangle(i);
+        let deeper = self.level(t) - coarser.level(t);
+        (coarser.front(t, self.child(i) >> (2 * deeper)), 0.25f64.powi(deeper.into()))
+    }
+
     /// The patch on the back of front patch `i`, where that is an unknown.
     pub fn back_of(&self, i: usize) -> Option<u32> {
         let offset = self.back_offsets[self.triangle(i)];
