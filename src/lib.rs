@@ -1,4 +1,10 @@
-//! How light spreads between Lambertian surfaces.
+//! How light spreads between Lambertian surfaces, and how right the answer is.
+//!
+//! The way from a scene to its light, each step a plain value: [`Scene::load`] → [`trace::Tracer`] →
+//! [`patch::Patches`] → [`form_factor::FormFactors`] → [`solve::Solution`] → [`energy::EnergyLedger`],
+//! [`accuracy::error_bars::ErrorBars`] and the files of [`output`]. [`monte_carlo`] is the referee: it follows light
+//! without form factors, and [`accuracy::validation`] compares. The README, whose example is tested with the
+//! documentation, shows it in ten lines.
 
 #![deny(missing_docs)]
 #![forbid(unsafe_code)]
@@ -21,3 +27,8 @@ pub use error::{Error, Result};
 pub use progress::Progress;
 pub use quality::Quality;
 pub use scene::Scene;
+
+/// The README's example, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -12,10 +12,10 @@ pub struct Quality {
 impl Quality {
     /// 1,000 patches with 64 rays: is the scene as it should be? Below a second.
     pub const DRAFT: Quality = Quality { patches: 1_000, rays: 64 };
-    /// 8,000 patches with 64 rays.
-    pub const MEDIUM: Quality = Quality { patches: 8_000, rays: 64 };
-    /// 32,000 patches with 256 rays.
-    pub const HIGH: Quality = Quality { patches: 32_000, rays: 256 };
+    /// 8,000 patches with 256 rays: a second or two for a room.
+    pub const MEDIUM: Quality = Quality { patches: 8_000, rays: 256 };
+    /// 32,000 patches with 512 rays.
+    pub const HIGH: Quality = Quality { patches: 32_000, rays: 512 };
     /// 100,000 patches with 1,024 rays: what other answers are compared with. A gigabyte or two.
     pub const REFERENCE: Quality = Quality { patches: 100_000, rays: 1_024 };
 }

@@ -25,9 +25,9 @@ pub struct CastArgs {
 enum QualityName {
     /// 1,000 patches, 64 rays
     Draft,
-    /// 8,000 patches, 64 rays
+    /// 8,000 patches, 256 rays
     Medium,
-    /// 32,000 patches, 256 rays
+    /// 32,000 patches, 512 rays
     High,
     /// 100,000 patches, 1,024 rays
     Reference,
