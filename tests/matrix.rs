@@ -168,3 +168,26 @@ fn backs_that_are_seen() {
     assert_eq!((stage.patches.fronts(), stage.patches.len()), (4, 6));
     assert_eq!([0, 1].map(|i| stage.patches.back_of(i)), [None; 2]);
 }
+
+/// A triangle that faces away from everything and that nothing sees has an empty row: what leaves it escapes, and the
+/// light of the others is what it is without it.
+#[test]
+fn a_patch_that_sees_nothing_loses_everything() {
+    let lit = |lonely: bool| {
+        let mut parts =
+            vec![part(level_square(1.0, 0.0, true), 0.5, 0.0), part(level_square(1.0, 1.0, false), 0.5, 1.0)];
+        if lonely {
+            parts.push(part(level_square(1.0, 3.0, true), 0.5, 0.0));
+        }
+        cast(scene(&parts), Subdivision::Edge(0.4), CastOptions::default())
+    };
+    let f = lit(true).form_factors;
+    let n = lit(false).form_factors.len();
+    for i in 0..n {
+        assert!(f.escaped()[i] < 1.0 && f.row(i).all(|(j, x)| j < n && x.is_finite()));
+    }
+    for i in n..f.len() {
+        assert_eq!((f.escaped()[i], f.row(i).count()), (1.0, 0));
+    }
+    assert!(f.row_sum_deviation().after <= 1e-12);
+}

@@ -119,6 +119,9 @@ fn rescale_row(
     i: usize,
 ) -> (f64, f64) {
     let (columns, values) = row(matrix, i);
+    if columns.is_empty() {
+        return (1.0, 0.0);
+    }
     let (mut plain, mut links) = (0.0, 0.0);
     for (&j, &s) in columns.iter().zip(values) {
         let j = j as usize;

@@ -52,8 +52,9 @@ pub(super) fn refine(
             let mut escape = Escape { share: e, by_rays: 1.0, by_links: 0.0, by_linked: 0.0 };
             if is_source(i) {
                 let (of_rays, of_links) = (e * (1.0 - e) / rays, variance[i]);
-                if of_rays > 0.0 {
-                    let trust = of_links / (of_rays + of_links);
+                // Of a source that no ray leaves the scene from, none does: closed rooms stay closed.
+                if e > 0.0 {
+                    let trust = if of_rays > 0.0 { of_links / (of_rays + of_links) } else { 0.0 };
                     let share = trust * e + (1.0 - trust) * (1.0 - links);
                     escape = Escape { share, by_rays: trust, by_links: trust - 1.0, by_linked: 0.0 };
                 }
@@ -69,8 +70,10 @@ pub(super) fn refine(
                     };
                 }
             }
-            // A patch none of whose rays landed may be hit by others all the same: it keeps half a ray for them.
-            escape.share = escape.share.clamp(0.0, 1.0 - 0.5 / rays);
+            // A patch none of whose rays landed may be hit by others all the same, and keeps half a ray for them. What
+            // sees nothing and is seen by nothing loses everything.
+            let keep = if links > 0.0 { f64::EPSILON } else { 0.5 / rays };
+            escape.share = if columns.is_empty() { 1.0 } else { escape.share.clamp(0.0, 1.0 - keep) };
             escape
         })
         .collect()

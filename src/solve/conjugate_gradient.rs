@@ -23,7 +23,9 @@ pub(super) fn solve<const C: usize>(
     loop {
         let irradiance = system.irradiance(&radiosity);
         let residual = system.relative_residual(&radiosity, &irradiance);
-        if residual <= options.tolerance || iterations >= options.max_iterations || residual > 0.5 * best {
+        // Negated, so that NaN ends it too.
+        let stalled = !(residual <= 0.5 * best);
+        if residual <= options.tolerance || iterations >= options.max_iterations || stalled {
             return Ok((radiosity, iterations));
         }
         best = residual;
