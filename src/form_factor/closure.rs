@@ -49,6 +49,11 @@ pub(super) fn close(matrix: &Matrix, areas: &[f64], escaped: &[f64]) -> Closed {
 /// 0.25, 9.2 % at 0.1, 9.1 % at 0.03. Not zero, so that a row which sees hardly anything but a lamp can close.
 const YIELD: f64 = 0.1;
 
+/// Rounds of [`spread`], which need not be exact.
+const SPREAD_ROUNDS: usize = 60;
+/// Largest |ln d| of [`spread`].
+const MOST_LOG: f64 = 3.0;
+
 /// What brought the rows near their sums.
 #[derive(Debug, Clone)]
 pub(super) struct Spread {
@@ -85,7 +90,7 @@ impl Spread {
 pub(super) fn spread(matrix: &mut Matrix, areas: &[f64], escaped: &[f64], is_source: &[bool]) -> Spread {
     let n = areas.len();
     let mut spread = Spread::none(n);
-    for _ in 0..MOST_ROUNDS {
+    for _ in 0..SPREAD_ROUNDS {
         let rows: Vec<(f64, f64)> = (0..n)
             .into_par_iter()
             .with_min_len(128)
@@ -138,11 +143,13 @@ fn rescale_row(
     let mut x = now;
     for _ in 0..8 {
         let (p, l) = (x.exp() * plain, (power * x).exp() * links);
-        x -= (p + l - target) / (p + power * l);
+        x = (x - (p + l - target) / (p + power * l)).clamp(-8.0, 8.0);
     }
     let sum = now.exp() * plain + (power * now).exp() * links;
     // Half the way, as in `close`: each pair is corrected from both its ends.
-    ((0.5 * (x + now)).exp(), (sum - target) / areas[i])
+    // Where patches see hardly more than each other, targets from few rays may contradict: `close`, in which what escapes
+    // yields too, settles what is left beyond this bound.
+    ((0.5 * (x + now)).clamp(-MOST_LOG, MOST_LOG).exp(), (sum - target) / areas[i])
 }
 
 /// Largest |row sum + escaped share - 1|.
