@@ -89,7 +89,8 @@ fn one_way_counts_keep_the_bounds() {
 /// Before the repairs: both figures recomputed from the rays alone.
 #[test]
 fn deviations_before_are_those_of_the_rays() {
-    let options = CastOptions { rays: 48.0, shadow_share: 0.0, seed: 2, ..CastOptions::default() };
+    let options =
+        CastOptions { rays: 48.0, shadow_share: 0.0, by_variance: false, seed: 2, ..CastOptions::default() };
     let cut = Subdivision::Edge(30.0);
     let pooled = cast(uneven(0.0), cut, options).form_factors;
     let one_way =

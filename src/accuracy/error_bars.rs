@@ -6,8 +6,9 @@
 //!   dE_k = dF_k B + F ρ dE_k
 //!
 //! The first term is summed from the rays of the replicate, its closure included; the second, the error that a patch
-//! inherits through the light of others, is a Neumann series. The spread of dE_k over the K replicates gives the
-//! standard error of their mean, sqrt(Σ dE_k² / (K (K - 1))), with K - 1 degrees of freedom.
+//! inherits through the light of others, is a Neumann series. The spread of dE_k over the K replicates would give
+//! the standard error of their mean, sqrt(Σ dE_k² / (K (K - 1))), were they independent; they are parts of one sequence,
+//! and together [better](stratification) than that.
 
 use rayon::prelude::*;
 
@@ -16,8 +17,6 @@ use crate::{
     solve::{Radiometry, Solution},
 };
 
-/// Rounds of the closure: what is left of the excess halves in each.
-const CLOSURE_ROUNDS: usize = 6;
 /// Terms of the Neumann series at most. Error bars need no more than a few percent of themselves.
 const MOST_BOUNCES: usize = 40;
 /// The series ends when a term changes the root mean square of the deviations by less than this share.
@@ -52,17 +51,17 @@ impl ErrorBars {
         let reflectance = radiometry.into().reflectance;
         assert_eq!(reflectance.len(), solution.radiosity.len(), "sizes disagree");
         match solution.channels {
-            1 => Self::spread::<1>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0),
-            _ => Self::spread::<3>(form_factors, reflectance.as_chunks().0, solution.radiosity.as_chunks().0),
+            1 => Self::spread::<1>(form_factors, reflectance.as_chunks().0, solution),
+            _ => Self::spread::<3>(form_factors, reflectance.as_chunks().0, solution),
         }
     }
 
     fn spread<const C: usize>(
         form_factors: &FormFactors,
         reflectance: &[[f64; C]],
-        radiosity: &[[f64; C]],
+        solution: &Solution,
     ) -> Option<ErrorBars> {
-        let deviations = propagate(form_factors, reflectance, radiosity)?;
+        let deviations = propagate(form_factors, reflectance, solution)?;
         let areas = form_factors.areas();
         let total: f64 = areas.iter().sum();
         let mut mean = [[0f64; REPLICATES]; C];
@@ -73,15 +72,77 @@ impl ErrorBars {
                 }
             }
         }
+        let stratified = stratification(&deviations, areas);
         Some(ErrorBars {
             channels: C,
-            standard_error: deviations
-                .iter()
-                .flat_map(|e| e.map(|c| standard_error(&c.map(f64::from))))
+            standard_error: smoothed_errors(form_factors, &deviations)
+                .into_iter()
+                .map(|error| stratified * error)
                 .collect(),
-            of_mean: mean.iter().map(standard_error).collect(),
+            of_mean: mean.iter().map(|deviations| stratified * standard_error(deviations)).collect(),
         })
     }
+}
+
+/// The standard errors of all patches and channels: the variance of a patch is taken together with the mean of its
+/// siblings, up to 16 patches of a triangle. By itself it has 15 degrees of freedom, and knows nothing of rare paths that
+/// its own rays have missed.
+fn smoothed_errors<const C: usize>(form_factors: &FormFactors, deviations: &[Deviation<C>]) -> Vec<f64> {
+    let own: Vec<[f64; C]> =
+        deviations.iter().map(|e| e.map(|c| standard_error(&c.map(f64::from)).powi(2))).collect();
+    let mut errors = Vec::with_capacity(C * own.len());
+    for siblings in form_factors.siblings() {
+        let many = siblings.len() as f64;
+        let mean: [f64; C] =
+            std::array::from_fn(|c| own[siblings.clone()].iter().map(|v| v[c]).sum::<f64>() / many);
+        for v in &own[siblings] {
+            errors.extend((0..C).map(|c| (0.5 * (v[c] + mean[c])).sqrt()));
+        }
+    }
+    errors
+}
+
+/// The standard error of the whole over what its parts would have, were they independent: at most 1.
+///
+/// The parts of a Sobol sequence complement each other. How well is told by the parts themselves: let D_b be the mean
+/// square of half the difference of two neighbouring runs of b parts. If the variance of a run is v b^-α (α = 1 when
+/// parts are independent), then D_b = v b^-α (1 - 2^-α); a line through ln D_b for b = 1, 2, 4, 8 gives α and v, and the
+/// variance of all 16. One patch could not tell, all together can.
+fn stratification<const C: usize>(deviations: &[Deviation<C>], areas: &[f64]) -> f64 {
+    const LEVELS: usize = REPLICATES.ilog2() as usize;
+    let mut halves = [0f64; LEVELS];
+    let mut spread = 0.0;
+    for (patch, area) in deviations.iter().zip(areas) {
+        for channel in patch {
+            let mut runs = channel.map(f64::from);
+            spread += area * standard_error(&runs).powi(2);
+            let mut count = REPLICATES / 2;
+            for half in &mut halves {
+                let mut sum = 0.0;
+                for k in 0..count {
+                    let (p, q) = (runs[2 * k], runs[2 * k + 1]);
+                    sum += (0.5 * (p - q)).powi(2);
+                    runs[k] = 0.5 * (p + q);
+                }
+                *half += area * sum / count as f64;
+                count /= 2;
+            }
+        }
+    }
+    if !(spread > 0.0) || halves.contains(&0.0) {
+        return 1.0;
+    }
+    // Least squares of ln D on level = log2 b, each level with as much weight as it has differences.
+    let points = || {
+        halves.iter().enumerate().map(|(level, half)| (level as f64, half.ln(), 0.5f64.powi(level as i32)))
+    };
+    let weight: f64 = points().map(|(_, _, w)| w).sum();
+    let (x, y) = points().fold((0.0, 0.0), |(x, y), (l, d, w)| (x + w * l / weight, y + w * d / weight));
+    let slope = points().map(|(l, d, w)| w * (l - x) * (d - y)).sum::<f64>()
+        / points().map(|(l, _, w)| w * (l - x).powi(2)).sum::<f64>();
+    let rate = (-slope / 2f64.ln()).max(1.0);
+    let all = (y - rate * 2f64.ln() * (LEVELS as f64 - x)).exp() / (1.0 - 0.5f64.powf(rate));
+    (all / spread).sqrt().min(1.0)
 }
 
 /// Area-weighted root mean square of `values`, interleaved channels a patch, relative to the area-weighted mean
@@ -98,36 +159,27 @@ pub fn relative_rms(values: &[f64], irradiance: &[f64], areas: &[f64]) -> f64 {
     if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
 }
 
-/// One value a replicate and channel.
-type Spectrum<const C: usize> = [[f32; REPLICATES]; C];
-
 /// The deviations dE_k of all patches.
 fn propagate<const C: usize>(
     form_factors: &FormFactors,
     reflectance: &[[f64; C]],
-    radiosity: &[[f64; C]],
-) -> Option<Vec<Spectrum<C>>> {
-    let mut local = form_factors.deviations(radiosity)?;
-    close(form_factors, &mut local);
-    let mut total: Vec<Spectrum<C>> = local.iter().map(|d| d.irradiance).collect();
+    solution: &Solution,
+) -> Option<Vec<Deviation<C>>> {
+    let local =
+        form_factors.deviations(solution.radiosity.as_chunks().0, solution.irradiance.as_chunks().0)?;
+    let mut total = local.clone();
     let mut size = root_mean_square(&total);
     for _ in 0..MOST_BOUNCES {
-        let sent: Vec<Spectrum<C>> = total
+        let reflected: Vec<Deviation<C>> = total
             .par_iter()
-            .enumerate()
+            .zip(reflectance)
             .with_min_len(256)
-            .map(|(i, e)| sent(e, &local[i].scale, &reflectance[i], &radiosity[i]))
+            .map(|(e, rho)| std::array::from_fn(|c| e[c].map(|e| rho[c] as f32 * e)))
             .collect();
-        total = form_factors.gather_replicates(
-            &sent,
-            |i| is_source(&local[i]),
-            |j| self::sent(&total[j], &link_scale(&local[j]), &reflectance[j], &radiosity[j]),
-        );
+        total = form_factors.gather_replicates(&reflected);
         total.par_iter_mut().zip(&local).for_each(|(total, local)| {
-            for c in 0..C {
-                for k in 0..REPLICATES {
-                    total[c][k] += local.irradiance[c][k];
-                }
+            for (total, local) in total.as_flattened_mut().iter_mut().zip(local.as_flattened()) {
+                *total += local;
             }
         });
         let before = size;
@@ -146,54 +198,7 @@ fn standard_error(deviations: &[f64; REPLICATES]) -> f64 {
     (squares / (many * (many - 1.0))).sqrt()
 }
 
-/// Solves for the scales that close all rows of each replicate together, (I + F) d ln d = -excess, by damped Jacobi
-/// iteration, and adds what each row's own scale does to its irradiance.
-fn close<const C: usize>(form_factors: &FormFactors, local: &mut [Deviation<C>]) {
-    let alone: Vec<Spectrum<1>> = local.iter().map(|d| [d.scale]).collect();
-    for _ in 0..CLOSURE_ROUNDS {
-        let scale: Vec<Spectrum<1>> = local.iter().map(|d| [d.scale]).collect();
-        let arriving =
-            form_factors.gather_replicates(&scale, |i| is_source(&local[i]), |j| [link_scale(&local[j])]);
-        for (i, d) in local.iter_mut().enumerate() {
-            for k in 0..REPLICATES {
-                d.scale[k] = 0.5 * (d.scale[k] + alone[i][0][k] - arriving[i][0][k]);
-            }
-        }
-    }
-    for d in local {
-        for c in 0..C {
-            for k in 0..REPLICATES {
-                d.irradiance[c][k] += d.scale[k] * d.response[c];
-            }
-        }
-    }
-}
-
-/// All entries in the row of a source are links.
-fn is_source<const C: usize>(deviation: &Deviation<C>) -> bool {
-    deviation.link_yield == 1.0
-}
-
-/// How the closure scales the links of a patch.
-fn link_scale<const C: usize>(deviation: &Deviation<C>) -> [f32; REPLICATES] {
-    deviation.scale.map(|s| s * deviation.link_yield)
-}
-
-/// What the deviations of a patch send on: reflected irradiance, and radiosity through form factors that the closure
-/// scales.
-fn sent<const C: usize>(
-    irradiance: &Spectrum<C>,
-    scale: &[f32; REPLICATES],
-    reflectance: &[f64; C],
-    radiosity: &[f64; C],
-) -> Spectrum<C> {
-    std::array::from_fn(|c| {
-        let (rho, b) = (reflectance[c] as f32, radiosity[c] as f32);
-        std::array::from_fn(|k| rho * irradiance[c][k] + scale[k] * b)
-    })
-}
-
-fn root_mean_square<const C: usize>(values: &[Spectrum<C>]) -> f64 {
+fn root_mean_square<const C: usize>(values: &[Deviation<C>]) -> f64 {
     let squares: f64 = values.iter().flatten().flatten().map(|&v| f64::from(v).powi(2)).sum();
     (squares / values.len() as f64).sqrt()
 }

@@ -1,5 +1,8 @@
 //! How right the answer is: error bars, and the comparison with the referee.
 
+pub mod bias;
 pub mod comparison;
+pub mod discretisation;
 pub mod error_bars;
+pub mod refinement;
 pub mod validation;

@@ -3,11 +3,12 @@
 //!
 //! Two dimensions of an Owen-scrambled Sobol sequence choose the point, two the direction. Rays from the centroid
 //! alone would not converge to the form factor of the patch, and independent random rays need about ten times as many.
-//! The rays of a patch come as [`REPLICATES`] independent scrambles, whose spread tells the standard error.
+//! A patch has one sequence, which more rays continue. Its [`REPLICATES`] equal parts, one after the other, tell the
+//! standard error by their spread.
 
 use rayon::prelude::*;
 
-use super::shadow::{self, Footprint, Link, Sources};
+use super::shadow::{self, Footprint, Found, Link, Sources};
 use crate::{
     Progress, Result,
     patch::Patches,
@@ -18,8 +19,8 @@ use crate::{
     },
 };
 
-/// Independent scrambles that the rays of each patch are divided into. The standard error then has 15 degrees of
-/// freedom; with 4 replicates intervals of two standard errors held only 85 % of patches, with 16 about 94 %.
+/// Parts that the rays of each patch are divided into. The standard error then has 15 degrees of freedom; with 4 parts
+/// intervals of two standard errors held only 85 % of patches, with 16 about 94 %.
 pub const REPLICATES: usize = 16;
 
 /// The target of a ray that left the scene.
@@ -31,27 +32,75 @@ pub const LINKED: u32 = u32::MAX - 1;
 /// While casting: the ray met the back of this front patch, which was no unknown yet.
 const BACK: u32 = 1 << 31;
 
-/// How many rays leave a patch in each replicate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// How many rays leave a patch: none, or at least [`REPLICATES`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Share {
     pub(super) hemisphere: u32,
     pub(super) shadow: u32,
+}
+
+/// The rays of a replicate: as many as of any other, or one more.
+fn part(rays: u32, replicate: usize) -> std::ops::Range<usize> {
+    let start = |k: usize| k * rays as usize / REPLICATES;
+    start(replicate)..start(replicate + 1)
 }
 
 /// What every ray met. Kept ray by ray: at 4 bytes a ray that is no more than counts would take, and it holds the
 /// replicates apart.
 #[derive(Debug, Clone)]
 pub struct Hits {
-    pub(super) shares: Vec<Share>,
+    shares: Vec<Share>,
     /// Where the hemisphere rays of patch `i` begin in `targets`.
     offsets: Vec<usize>,
     targets: Vec<u32>,
-    pub(super) links: Vec<Link>,
+    /// Where the links of patch `i` begin in `links`.
+    link_offsets: Vec<usize>,
+    links: Vec<Link>,
+    /// The mean kernel of each patch's shadow rays, were none blocked.
+    mean_kernels: Vec<f64>,
     pub(super) sources: Sources,
     back_hits: u64,
 }
 
 impl Hits {
+    /// No rays yet.
+    pub(super) fn none(sources: Sources) -> Hits {
+        Hits {
+            shares: Vec::new(),
+            offsets: vec![0],
+            targets: Vec::new(),
+            link_offsets: vec![0],
+            links: Vec::new(),
+            mean_kernels: Vec::new(),
+            sources,
+            back_hits: 0,
+        }
+    }
+
+    /// The first or second half of every patch's rays; `None` when some patch has less than two a replicate.
+    pub(super) fn half(&self, half: usize) -> Option<Hits> {
+        let few = |rays: u32| rays > 0 && rays < 2 * REPLICATES as u32;
+        let mut hits = Hits { mean_kernels: self.mean_kernels.clone(), ..Hits::none(self.sources.clone()) };
+        let of = |rays: u32| [0..rays / 2, rays / 2..rays][half].clone();
+        for (i, share) in self.shares.iter().enumerate() {
+            if few(share.hemisphere) || few(share.shadow) {
+                return None;
+            }
+            let (own, shadow) = (of(share.hemisphere), of(share.shadow));
+            hits.targets.extend_from_slice(&self.of(i)[own.start as usize..own.end as usize]);
+            hits.offsets.push(hits.targets.len());
+            for link in self.links_of(i) {
+                let range = if link.found == Found::Hemisphere { &own } else { &shadow };
+                if range.contains(&link.index) {
+                    hits.links.push(Link { index: link.index - range.start, ..*link });
+                }
+            }
+            hits.link_offsets.push(hits.links.len());
+            hits.shares.push(Share { hemisphere: own.len() as u32, shadow: shadow.len() as u32 });
+        }
+        Some(hits)
+    }
+
     /// Number of patches.
     pub fn len(&self) -> usize {
         self.shares.len()
@@ -64,8 +113,7 @@ impl Hits {
 
     /// All rays cast, hemisphere and shadow rays.
     pub fn rays(&self) -> u64 {
-        let shadow: u64 = self.shares.iter().map(|s| u64::from(s.shadow)).sum();
-        self.targets.len() as u64 + shadow * REPLICATES as u64
+        self.shares.iter().map(|s| u64::from(s.hemisphere) + u64::from(s.shadow)).sum()
     }
 
     /// Hemisphere rays that met the back of a surface.
@@ -75,19 +123,41 @@ impl Hits {
 
     /// Hemisphere rays that left patch `i`.
     pub fn rays_of(&self, i: usize) -> u32 {
-        self.shares[i].hemisphere * REPLICATES as u32
+        self.shares[i].hemisphere
     }
 
     /// Shadow rays that left patch `i`.
     pub fn shadow_rays_of(&self, i: usize) -> u32 {
-        self.shares[i].shadow * REPLICATES as u32
+        self.shares[i].shadow
     }
 
-    /// The links found from patch `i`. Patches are cast in order, so that links are sorted by where they come from.
+    /// The links found from patch `i`.
     pub(super) fn links_of(&self, i: usize) -> &[Link] {
-        let first = self.links.partition_point(|l| (l.from as usize) < i);
-        let length = self.links[first..].partition_point(|l| l.from as usize == i);
-        &self.links[first..first + length]
+        &self.links[self.link_offsets[i]..self.link_offsets[i + 1]]
+    }
+
+    /// The replicate that a link from patch `i` belongs to.
+    #[inline]
+    pub(super) fn replicate(&self, i: usize, link: &Link) -> usize {
+        let many = REPLICATES as u64;
+        ((many * u64::from(link.index) + many - 1) / u64::from(self.rays_like(i, link))) as usize
+    }
+
+    /// How many rays of the kind that found a link left patch `i`, as a multiple of those in its replicate.
+    #[inline]
+    pub(super) fn weight(&self, i: usize, link: &Link) -> f64 {
+        let rays = self.rays_like(i, link);
+        f64::from(rays) / part(rays, self.replicate(i, link)).len() as f64
+    }
+
+    fn rays_like(&self, i: usize, link: &Link) -> u32 {
+        let share = self.shares[i];
+        if link.found == Found::Hemisphere { share.hemisphere } else { share.shadow }
+    }
+
+    /// The mean kernel of patch `i`'s shadow rays, were none blocked; 1 where lamps are many.
+    pub(super) fn mean_kernel(&self, i: usize) -> f64 {
+        self.mean_kernels[i]
     }
 
     /// What the hemisphere rays of patch `i` met: patches, [`ESCAPED`] or [`LINKED`].
@@ -97,118 +167,167 @@ impl Hits {
 
     /// The same of one replicate.
     pub fn of_replicate(&self, i: usize, replicate: usize) -> &[u32] {
-        let n = self.shares[i].hemisphere as usize;
-        &self.of(i)[replicate * n..(replicate + 1) * n]
+        &self.of(i)[part(self.shares[i].hemisphere, replicate)]
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        4 * self.targets.len() + size_of::<Link>() * self.links.len() + 16 * self.shares.len()
+        4 * self.targets.len() + size_of::<Link>() * self.links.len() + 32 * self.shares.len()
     }
-}
 
-/// Casts rays from every patch, as many as `share` says. Backs that are hit become patches and cast rays too,
-/// until no new ones are found. The result depends on the seed alone, not on the number of threads.
-///
-/// # Errors
-/// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
-pub(super) fn cast(
-    scene: &Scene,
-    tracer: &Tracer,
-    patches: &mut Patches,
-    sources: Sources,
-    share: impl Fn(usize) -> Share,
-    seed: u64,
-    progress: &Progress,
-) -> Result<Hits> {
-    let mut hits = Hits {
-        shares: Vec::new(),
-        offsets: vec![0],
-        targets: Vec::new(),
-        links: Vec::new(),
-        sources,
-        back_hits: 0,
-    };
-    let mut first = 0;
-    while first < patches.len() {
-        let last = patches.len();
-        let done = hits.rays();
-        for i in first..last {
-            hits.shares.push(share(i));
-            hits.offsets.push(hits.offsets[i] + hits.rays_of(i) as usize);
+    /// Casts rays until every patch has as many as `wanted(i, mean kernel)` says; those cast already are kept. Backs that
+    /// are hit become patches and cast rays too, until no new ones are found. The result depends on the seed alone, not
+    /// on the number of threads.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
+    pub(super) fn extend(
+        &mut self,
+        scene: &Scene,
+        tracer: &Tracer,
+        patches: &mut Patches,
+        wanted: impl Fn(usize, f64) -> Share,
+        seed: u64,
+        progress: &Progress,
+    ) -> Result<()> {
+        let mut first = 0;
+        while first < patches.len() {
+            let last = patches.len();
+            let kernels: Vec<f64> = (self.mean_kernels.len()..last)
+                .into_par_iter()
+                .map(|i| self.sources.mean_kernel(&Footprint::new(tracer, patches, i)))
+                .collect();
+            self.mean_kernels.extend(kernels);
+            let before = self.rays();
+            let old = self.make_room(first..last, |i, kernel| wanted(i, kernel));
+            progress.begin(self.rays() - before);
+            self.cast(tracer, patches, first, &old, seed, progress)?;
+            let seen = backs_seen(patches, self);
+            patches.add_backs(scene, &seen);
+            first = last;
         }
-        hits.targets.resize(hits.offsets[last], 0);
-        progress.begin(hits.rays());
-        progress.advance(done);
-        cast_from(tracer, patches, first, &mut hits, seed, progress)?;
-        let seen = backs_seen(patches, &hits);
-        patches.add_backs(scene, &seen);
-        first = last;
+        name_backs(patches, self);
+        Ok(())
     }
-    name_backs(patches, &mut hits);
-    Ok(hits)
-}
 
-/// Casts the rays of the patches from `first` on.
-fn cast_from(
-    tracer: &Tracer,
-    patches: &Patches,
-    first: usize,
-    hits: &mut Hits,
-    seed: u64,
-    progress: &Progress,
-) -> Result<()> {
-    const BLOCK: usize = 32;
-    let Hits { shares, offsets, targets, links, sources, .. } = hits;
-    let mut rest = &mut targets[offsets[first]..];
-    let mut blocks = Vec::new();
-    for start in (first..patches.len()).step_by(BLOCK) {
-        let end = (start + BLOCK).min(patches.len());
-        let (block, tail) = rest.split_at_mut(offsets[end] - offsets[start]);
-        blocks.push((start..end, block));
-        rest = tail;
-    }
-    let found: Vec<Vec<Link>> = blocks
-        .into_par_iter()
-        .map(|(range, block)| {
-            progress.check()?;
-            let mut links = Vec::new();
-            let mut rest = block;
-            for i in range {
-                let share = shares[i];
-                let from = Footprint::new(tracer, patches, i);
-                for replicate in 0..REPLICATES as u32 {
-                    let seed = mix(&[seed, i as u64, u64::from(replicate)]);
-                    let (own, tail) = rest.split_at_mut(share.hemisphere as usize);
-                    cast_patch(tracer, patches, sources, &from, (i, replicate), seed, own, &mut links);
-                    rest = tail;
-                    let task = (i, replicate, share.shadow);
-                    shadow::cast_patch(tracer, patches, sources, &from, task, mix(&[seed, 1]), &mut links);
-                }
-                progress.advance(u64::from(share.hemisphere + share.shadow) * REPLICATES as u64);
+    /// Makes room for the rays that patches want, and returns how many each had.
+    fn make_room(
+        &mut self,
+        range: std::ops::Range<usize>,
+        wanted: impl Fn(usize, f64) -> Share,
+    ) -> Vec<Share> {
+        let old = self.shares.clone();
+        self.shares.resize(range.end, Share::default());
+        for i in range.clone() {
+            let want = wanted(i, self.mean_kernels[i]);
+            let have = &mut self.shares[i];
+            have.hemisphere = have.hemisphere.max(want.hemisphere);
+            have.shadow = have.shadow.max(want.shadow);
+        }
+        let mut offsets = vec![0];
+        for i in 0..range.end {
+            offsets.push(offsets[i] + self.rays_of(i) as usize);
+        }
+        // The rays of new patches follow those of old ones; those of old patches are moved apart.
+        let mut targets = std::mem::take(&mut self.targets);
+        if range.start > 0 || old.is_empty() {
+            targets.resize(offsets[range.end], ESCAPED);
+        } else {
+            let mut apart = vec![ESCAPED; offsets[range.end]];
+            for i in 0..old.len() {
+                let had = &targets[self.offsets[i]..self.offsets[i + 1]];
+                apart[offsets[i]..][..had.len()].copy_from_slice(had);
             }
-            Ok(links)
-        })
-        .collect::<Result<_>>()?;
-    links.reserve_exact(found.iter().map(Vec::len).sum());
-    links.extend(found.into_iter().flatten());
-    Ok(())
+            targets = apart;
+        }
+        (self.targets, self.offsets) = (targets, offsets);
+        let mut old = old;
+        old.resize(range.end, Share::default());
+        old
+    }
+
+    /// Casts the rays that patches from `first` on have not cast yet.
+    fn cast(
+        &mut self,
+        tracer: &Tracer,
+        patches: &Patches,
+        first: usize,
+        old: &[Share],
+        seed: u64,
+        progress: &Progress,
+    ) -> Result<()> {
+        const BLOCK: usize = 32;
+        let Hits { shares, offsets, targets, sources, .. } = self;
+        let mut rest = &mut targets[offsets[first]..];
+        let mut blocks = Vec::new();
+        for start in (first..patches.len()).step_by(BLOCK) {
+            let end = (start + BLOCK).min(patches.len());
+            let (block, tail) = rest.split_at_mut(offsets[end] - offsets[start]);
+            blocks.push((start..end, block));
+            rest = tail;
+        }
+        let found: Vec<Vec<Vec<Link>>> = blocks
+            .into_par_iter()
+            .map(|(range, mut rest)| {
+                progress.check()?;
+                let mut found = Vec::with_capacity(range.len());
+                for i in range {
+                    let (had, share) = (old[i], shares[i]);
+                    let (own, tail) = rest.split_at_mut(share.hemisphere as usize);
+                    rest = tail;
+                    let from = Footprint::new(tracer, patches, i);
+                    let mut links = Vec::new();
+                    let new = had.hemisphere..share.hemisphere;
+                    let seed = mix(&[seed, i as u64]);
+                    cast_patch(tracer, patches, sources, &from, i, (new, seed), own, &mut links);
+                    let new = had.shadow..share.shadow;
+                    shadow::cast_patch(tracer, sources, &from, new, mix(&[seed, 1]), &mut links);
+                    found.push(links);
+                    let before = had.hemisphere + had.shadow;
+                    progress.advance(u64::from(share.hemisphere + share.shadow - before));
+                }
+                Ok(found)
+            })
+            .collect::<Result<_>>()?;
+        self.add_links(first, found);
+        Ok(())
+    }
+
+    /// Adds the links found from the patches from `first` on behind those that each had.
+    fn add_links(&mut self, first: usize, found: Vec<Vec<Vec<Link>>>) {
+        let known = self.link_offsets.len() - 1;
+        let added: usize = found.iter().flatten().map(Vec::len).sum();
+        let old = std::mem::take(&mut self.links);
+        let old_offsets = std::mem::take(&mut self.link_offsets);
+        self.links.reserve_exact(old.len() + added);
+        self.links.extend_from_slice(&old[..old_offsets[first.min(known)]]);
+        self.link_offsets.extend_from_slice(&old_offsets[..=first.min(known)]);
+        for (k, links) in found.into_iter().flatten().enumerate() {
+            if first + k < known {
+                self.links.extend_from_slice(&old[old_offsets[first + k]..old_offsets[first + k + 1]]);
+            }
+            self.links.extend(links);
+            self.link_offsets.push(self.links.len());
+        }
+    }
 }
 
-/// Casts one replicate of the hemisphere rays of patch `i`.
+/// Casts the hemisphere rays of patch `i` with these indices; `targets` are those of all its rays.
 #[expect(clippy::too_many_arguments, reason = "the inner loop of the program, called once")]
 fn cast_patch(
     tracer: &Tracer,
     patches: &Patches,
     sources: &Sources,
     from: &Footprint,
-    (i, replicate): (usize, u32),
-    seed: u64,
+    i: usize,
+    (indices, seed): (std::ops::Range<u32>, u64),
     targets: &mut [u32],
     links: &mut Vec<Link>,
 ) {
-    for (index, target) in targets.iter_mut().enumerate() {
-        let [x, y, u, v] = sobol_4d(index as u32, seed);
+    for index in indices {
+        let target = &mut targets[index as usize];
+        // The first two dimensions are the better stratified.
+        let [u, v, x, y] = sobol_4d(index, seed);
         let lifted = square_to_cosine_hemisphere(u, v);
         let direction = around(from.normal, lifted);
         let Some(hit) = tracer.closest(Tracer::leave(from.point(x, y), from.normal), direction) else {
@@ -220,9 +339,12 @@ fn cast_patch(
         });
         let j = (*target & !BACK) as usize;
         if sources.concern(i, if *target & BACK == 0 { j } else { usize::MAX }) {
-            let cos = tracer.triangles()[hit.triangle as usize].normal.dot(direction).abs();
-            let kernel = lifted.z * cos / (std::f32::consts::PI * hit.t * hit.t);
-            links.push(Link { from: i as u32, to: *target, kernel, replicate, shadow: false });
+            // Lamps leave nothing to measure, but that backs were seen must be known.
+            if !sources.are_lamps() || !hit.front {
+                let cos = tracer.triangles()[hit.triangle as usize].normal.dot(direction).abs();
+                let kernel = lifted.z * cos / (std::f32::consts::PI * hit.t * hit.t);
+                links.push(Link { to: *target, kernel, index, found: Found::Hemisphere });
+            }
             *target = LINKED;
         }
     }

@@ -4,10 +4,13 @@
 //! S_ij = A_i F_ij ([`reciprocity`]), and a diagonal scaling makes every row sum to one ([`closure`]). [`exact`] holds
 //! the closed forms that all of it is tested against.
 
+mod allocation;
+mod calibration;
 pub mod closure;
 mod escape;
 pub mod exact;
 pub mod hemisphere;
+mod lamp;
 pub mod reciprocity;
 pub(crate) mod replicates;
 mod shadow;
@@ -16,10 +19,9 @@ use rayon::prelude::*;
 use sprs::CsMatI;
 
 use crate::{Progress, Result, patch::Patches, scene::Scene, trace::Tracer};
-use closure::Spread;
-use hemisphere::{Hits, REPLICATES, Share};
+use hemisphere::{Hits, REPLICATES};
 use reciprocity::Densities;
-use replicates::Samples;
+use replicates::{Deviation, Samples};
 use shadow::Sources;
 
 /// Sparse matrix with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns.
@@ -36,10 +38,6 @@ pub enum Estimator {
     Pooled,
 }
 
-/// Share of the hemisphere rays that leave the sources, by power. They alone tell how much of the emitted light goes
-/// straight out of the scene.
-const POWER_SHARE: f64 = 0.2;
-
 /// What to cast.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CastOptions {
@@ -51,12 +49,21 @@ pub struct CastOptions {
     pub seed: u64,
     /// Share of the rays that are shadow rays to emitters; the rest are hemisphere rays. Only for the pooled estimator.
     pub shadow_share: f64,
+    /// Whether half of the rays are cast evenly, and the other half where those say that they lower the error of
+    /// irradiance most; else all evenly. Only for the pooled estimator.
+    pub by_variance: bool,
 }
 
 impl Default for CastOptions {
-    /// 64 rays a patch, half of them shadow rays, pooled, seed 0.
+    /// 64 rays a patch, a quarter of them shadow rays, pooled, seed 0.
     fn default() -> Self {
-        CastOptions { rays: 64.0, estimator: Estimator::Pooled, seed: 0, shadow_share: 0.5 }
+        CastOptions {
+            rays: 64.0,
+            estimator: Estimator::Pooled,
+            seed: 0,
+            shadow_share: 0.25,
+            by_variance: true,
+        }
     }
 }
 
@@ -99,28 +106,53 @@ impl FormFactors {
     ) -> Result<FormFactors> {
         let sources = match options.estimator {
             Estimator::OneWay => Sources::default(),
-            Estimator::Pooled => Sources::emitters(patches),
+            Estimator::Pooled => Sources::emitters(tracer, patches),
         };
-        let shadow_rays = if sources.is_empty() { 0.0 } else { options.rays * options.shadow_share };
-        let hemisphere_rays = options.rays - shadow_rays;
-        let (power, even) = if sources.is_empty() { (0.0, 1.0) } else { (POWER_SHARE, 1.0 - POWER_SHARE) };
-        let fronts = patches.fronts() as f64;
-        let probability: Vec<f64> = (0..patches.fronts()).map(|i| sources.probability(i)).collect();
-        let per_replicate = |rays: f64| (rays / REPLICATES as f64).round().max(1.0) as u32;
-        let share = |i: usize| {
-            let by_power = power * fronts * probability.get(i).unwrap_or(&0.0);
-            Share {
-                hemisphere: per_replicate(hemisphere_rays * (even + by_power)),
-                shadow: if shadow_rays > 0.0 { per_replicate(shadow_rays) } else { 0 },
-            }
-        };
-        let hits = hemisphere::cast(scene, tracer, patches, sources, share, options.seed, progress)?;
-        let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
-        Ok(Self::from_hits(hits, areas, tracer.scale(), options.estimator))
+        let mut hits = Hits::none(sources);
+        let mut rays = options.rays;
+        if options.estimator == Estimator::Pooled && options.by_variance {
+            rays *= allocation::PILOT;
+        }
+        let share = allocation::even(options, rays, !hits.sources.is_empty());
+        hits.extend(scene, tracer, patches, share, options.seed, progress)?;
+        let form_factors = Self::from_hits(hits, tracer, patches, options);
+        if options.estimator == Estimator::Pooled && options.by_variance {
+            return form_factors.cast_more(scene, tracer, patches, options.rays, progress);
+        }
+        Ok(form_factors)
     }
 
-    fn from_hits(hits: Hits, areas: Vec<f64>, scale: f64, estimator: Estimator) -> FormFactors {
-        let n = areas.len();
+    /// Casts more rays, until there are `rays` a patch in the mean, where they lower the error of irradiance most; those
+    /// that were cast before are kept.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
+    ///
+    /// # Panics
+    /// When the form factors were not cast for these patches.
+    pub fn cast_more(
+        self,
+        scene: &Scene,
+        tracer: &Tracer,
+        patches: &mut Patches,
+        rays: f64,
+        progress: &Progress,
+    ) -> Result<FormFactors> {
+        let variances = self.variances(patches.channels());
+        let samples = self.samples.expect("only what was cast can be cast more of");
+        let n = samples.hits.len();
+        assert_eq!(n, patches.len(), "other patches");
+        let shares = allocation::by_variance(&samples.hits, &samples.areas, &variances, rays * n as f64);
+        let Samples { mut hits, options, .. } = samples;
+        let even = allocation::even(&options, rays, !hits.sources.is_empty());
+        let share = |i: usize, kernel: f64| shares.get(i).copied().unwrap_or_else(|| even(i, kernel));
+        hits.extend(scene, tracer, patches, share, options.seed, progress)?;
+        Ok(Self::from_hits(hits, tracer, patches, &options))
+    }
+
+    fn from_hits(hits: Hits, tracer: &Tracer, patches: &Patches, options: &CastOptions) -> FormFactors {
+        let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
+        let (n, scale, options, estimator) = (areas.len(), tracer.scale(), *options, options.estimator);
         // In units of the mean area no exchange area leaves the range of single precision.
         let mean = areas.iter().sum::<f64>() / n as f64;
         let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
@@ -139,9 +171,11 @@ impl FormFactors {
                 samples: Some(Samples {
                     hits,
                     densities,
-                    spread: Spread::none(n),
                     escapes: Vec::new(),
                     areas: relative,
+                    radiosity: Vec::new(),
+                    siblings: siblings(patches),
+                    options,
                 }),
                 row_sum_deviation: BeforeAfter::default(),
                 reciprocity_deviation: BeforeAfter { before: one_way, after: one_way },
@@ -149,13 +183,22 @@ impl FormFactors {
             Estimator::Pooled => {
                 let mut matrix = reciprocity::pool(own, &hits, &densities);
                 let before = closure::row_sum_deviation(&matrix, &relative, &escaped);
-                let is_source: Vec<bool> = (0..n).map(|i| hits.sources.probability(i) > 0.0).collect();
                 let escapes = escape::refine(&escaped, &matrix, &hits, &densities, &relative);
                 let escaped: Vec<f64> = escapes.iter().map(|e| e.share).collect();
-                let spread = closure::spread(&mut matrix, &relative, &escaped, &is_source);
-                let mut form_factors = Self::from_exchange(matrix, relative.clone(), escaped);
+                let radiosity =
+                    calibration::calibrate(&mut matrix, &hits, &densities, &relative, &escaped, patches);
+                let mut form_factors =
+                    Self::closed(matrix, relative.clone(), escaped, |i| 0.5 / f64::from(hits.rays_of(i)));
                 form_factors.areas = areas;
-                form_factors.samples = Some(Samples { hits, densities, spread, escapes, areas: relative });
+                form_factors.samples = Some(Samples {
+                    hits,
+                    densities,
+                    escapes,
+                    areas: relative,
+                    radiosity,
+                    siblings: siblings(patches),
+                    options,
+                });
                 form_factors.row_sum_deviation.before = before;
                 form_factors.reciprocity_deviation.before = one_way;
                 form_factors
@@ -169,12 +212,21 @@ impl FormFactors {
     /// # Panics
     /// When the sizes disagree.
     pub fn from_exchange(matrix: Matrix, areas: Vec<f64>, escaped: Vec<f64>) -> FormFactors {
+        Self::closed(matrix, areas, escaped, |_| 0.0)
+    }
+
+    fn closed(
+        matrix: Matrix,
+        areas: Vec<f64>,
+        escaped: Vec<f64>,
+        spare: impl Fn(usize) -> f64,
+    ) -> FormFactors {
         let n = areas.len();
         assert_eq!((matrix.rows(), matrix.cols(), escaped.len()), (n, n, n), "sizes disagree");
-        let closed = closure::close(&matrix, &areas, &escaped);
+        let closed = closure::close(&matrix, &areas, &escaped, spare);
         let mut form_factors = FormFactors {
             left: closed.scale.iter().zip(&areas).map(|(d, a)| d / a).collect(),
-            escaped: closed.scale.iter().zip(&escaped).map(|(d, e)| d * e).collect(),
+            escaped: closed.scale.iter().zip(&closed.escaped).map(|(d, e)| d * e).collect(),
             right: closed.scale,
             matrix,
             areas,
@@ -188,6 +240,66 @@ impl FormFactors {
         let after = form_factors.measure_reciprocity();
         form_factors.reciprocity_deviation = BeforeAfter { before: after, after };
         form_factors
+    }
+
+    /// The form factors of patches that are put together: those with equal numbers in `parents`, which start at 0 and
+    /// increase by one at most. Nothing tells how they were sampled.
+    ///
+    /// # Panics
+    /// When the sizes disagree.
+    pub(crate) fn merged(&self, parents: &[u32]) -> FormFactors {
+        assert_eq!(parents.len(), self.len(), "one parent a patch is wanted");
+        let count = parents.last().map_or(0, |&last| last as usize + 1);
+        let (mut areas, mut escaped) = (vec![0.0; count], vec![0.0; count]);
+        for (i, &p) in parents.iter().enumerate() {
+            areas[p as usize] += self.areas[i];
+            escaped[p as usize] += self.areas[i] * self.escaped[i];
+        }
+        escaped.iter_mut().zip(&areas).for_each(|(e, a)| *e /= a);
+        let mean = areas.iter().sum::<f64>() / count as f64;
+        let children: Vec<&[u32]> = parents.chunk_by(|a, b| a == b).collect();
+        let mut first = 0;
+        let ranges: Vec<std::ops::Range<usize>> = children
+            .iter()
+            .map(|c| {
+                first += c.len();
+                first - c.len()..first
+            })
+            .collect();
+        let rows: Vec<Vec<(u32, f64)>> = ranges
+            .into_par_iter()
+            .with_min_len(64)
+            .map(|range| {
+                let entry = |i: usize| self.row(i).map(move |(j, f)| (parents[j], self.areas[i] * f / mean));
+                let mut entries: Vec<(u32, f64)> = range.flat_map(entry).collect();
+                entries.sort_by_key(|&(j, _)| j);
+                entries.chunk_by(|a, b| a.0 == b.0).map(|e| (e[0].0, e.iter().map(|e| e.1).sum())).collect()
+            })
+            .collect();
+        let mut starts = vec![0];
+        rows.iter().for_each(|row| starts.push(starts[starts.len() - 1] + row.len()));
+        let (columns, values) = rows.into_iter().flatten().map(|(j, s)| (j, s as f32)).unzip();
+        let matrix = Matrix::new((count, count), starts, columns, values);
+        let mut merged = Self::from_exchange(matrix, areas.iter().map(|a| a / mean).collect(), escaped);
+        merged.areas = areas;
+        merged.estimator = self.estimator;
+        merged
+    }
+
+    /// The form factors from the first or second half of every patch's rays; `None` when they are too few or unknown.
+    pub(crate) fn half(&self, half: usize, tracer: &Tracer, patches: &Patches) -> Option<FormFactors> {
+        let samples = self.samples.as_ref()?;
+        let hits = samples.hits.half(half)?;
+        Some(Self::from_hits(hits, tracer, patches, &samples.options))
+    }
+
+    /// Neighbours in the plane: runs of up to 16 patches of one triangle's side, in the order of the patches.
+    pub(crate) fn siblings(&self) -> impl Iterator<Item = std::ops::Range<usize>> + '_ {
+        let ends = self.samples.as_ref().map_or(&[][..], |samples| &samples.siblings[..]);
+        std::iter::once(0)
+            .chain(ends.iter().copied())
+            .zip(ends.iter().copied())
+            .map(|(start, end)| start..end)
     }
 
     /// Number of patches.
@@ -301,40 +413,23 @@ impl FormFactors {
         gather(&self.matrix, &scaled, irradiance, |i, sums| sums.map(|sum| self.left[i] * sum));
     }
 
-    /// F z for a value a replicate and channel, in single precision: for error bars. Rows that `special` names take
-    /// their z from the function instead.
-    pub(crate) fn gather_replicates<const C: usize>(
-        &self,
-        z: &[[[f32; REPLICATES]; C]],
-        special: impl Fn(usize) -> bool + Sync,
-        z_special: impl Fn(usize) -> [[f32; REPLICATES]; C] + Sync,
-    ) -> Vec<[[f32; REPLICATES]; C]> {
-        (0..self.len())
-            .into_par_iter()
-            .with_min_len(128)
-            .map(|i| {
-                let mut sums = [[0f32; REPLICATES]; C];
-                let special = special(i);
-                let (columns, values) = row(&self.matrix, i);
-                for (&j, &s) in columns.iter().zip(values) {
-                    let j = j as usize;
-                    let factor = (self.left[i] * f64::from(s) * self.right[j]) as f32;
-                    let own;
-                    let z = if special {
-                        own = z_special(j);
-                        &own
-                    } else {
-                        &z[j]
-                    };
-                    for (sums, z) in sums.iter_mut().zip(z) {
-                        for (sum, z) in sums.iter_mut().zip(z) {
-                            *sum += factor * z;
-                        }
+    /// F z for a value a replicate and channel, in single precision: for error bars.
+    pub(crate) fn gather_replicates<const C: usize>(&self, z: &[Deviation<C>]) -> Vec<Deviation<C>> {
+        let of_row = |i: usize| {
+            let mut sums = [[0f32; REPLICATES]; C];
+            let (columns, values) = row(&self.matrix, i);
+            for (&j, &s) in columns.iter().zip(values) {
+                let j = j as usize;
+                let factor = (self.left[i] * f64::from(s) * self.right[j]) as f32;
+                for (sums, z) in sums.iter_mut().zip(&z[j]) {
+                    for (sum, z) in sums.iter_mut().zip(z) {
+                        *sum += factor * z;
                     }
                 }
-                sums
-            })
-            .collect()
+            }
+            sums
+        };
+        (0..self.len()).into_par_iter().with_min_len(128).map(of_row).collect()
     }
 
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j), by visiting every pair.
@@ -348,6 +443,12 @@ impl FormFactors {
     pub(crate) fn scaling(&self) -> (&Matrix, &[f64], &[f64]) {
         (&self.matrix, &self.left, &self.right)
     }
+}
+
+/// Where runs of patches end that lie in one quadrangle of 16 of their triangle's quadtree.
+fn siblings(patches: &Patches) -> Vec<usize> {
+    let block = |i: usize| (patches.triangle(i), patches.is_front(i), patches.child(i) >> 4);
+    (1..=patches.len()).filter(|&i| i == patches.len() || block(i) != block(i - 1)).collect()
 }
 
 /// Columns and values of a row.

@@ -1,20 +1,25 @@
 //! Shadow rays: bright form factors measured between points on both patches.
 //!
-//! Hemisphere rays find a small lamp rarely, and most of the sampling error of a solution is in its direct light. From
-//! every patch, rays therefore also go to points on the *sources* (the patches that emit), chosen by power.
+//! Hemisphere rays find a small lamp rarely, and most of the sampling error of a solution would be in its direct light.
+//! From every patch, rays therefore also go to points on the *sources* (the patches that emit), chosen by power.
 //!
-//! Both techniques sample pairs of points (x on i, y on j). A hemisphere ray from i does so with density
-//! (R_i / A_i) g(x, y), where g = cos θ cos θ' / (π r²), a shadow ray with density N_i p_j / (A_i A_j). The balance
-//! heuristic (Veach and Guibas, SIGGRAPH 95) combines every sample of a pair, whichever technique found it and from
-//! whichever end, into one unbiased exchange area
+//! A shadow ray samples pairs of points (x on i, y on j) with density N_i p_j / (A_i A_j), and its kernel is
+//! g = cos θ cos θ' / (π r²). Where [lamps are few](super::lamp), the kernels' mean G_i, blocked ones included, is known,
+//! and the exchange area of i with source j is the ratio estimate
 //!
-//!   S_ij = Σ g / ((R_i/A_i + R_j/A_j) g + (N_i p_j + N_j p_i) / (A_i A_j)).
+//!   S_ij = G_i / (Σ g / N_i) · Σ_visible g A_i A_j / (N_i p_j + N_j p_i).
 //!
-//! No term exceeds A_i A_j / (R_i A_j + R_j A_i), so that lamps close to walls need no special case; without shadow rays
-//! it is the pooling rule of [`reciprocity`](super::reciprocity).
+//! Where they are many, hemisphere rays, with density (R_i / A_i) g, help: the balance heuristic (Veach and Guibas,
+//! SIGGRAPH 95) combines every sample of a pair, whichever technique found it and from whichever end,
+//!
+//!   S_ij = Σ w g / (h (R_i/A_i + R_j/A_j) g + (N_i p_j + N_j p_i) / (A_i A_j)),  w = 1 for shadow rays, h for hemisphere rays,
+//!
+//! where h is [how far](super::reciprocity) the latter are trusted. No term exceeds w / (h (R_i/A_i + R_j/A_j)), so that
+//! lamps close to walls need no special case.
 
 use glam::Vec3A;
 
+use super::lamp::{self, Lamp};
 use crate::{
     patch::Patches,
     trace::{
@@ -23,33 +28,43 @@ use crate::{
     },
 };
 
-/// A sample of a pair of which at least one patch is a source: a hemisphere ray that connects them, or an unoccluded
-/// shadow ray.
+/// How a link was found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Found {
+    /// By a hemisphere ray.
+    Hemisphere,
+    /// By a shadow ray.
+    Shadow,
+    /// By a shadow ray that something stopped.
+    Blocked,
+}
+
+/// A sample of a pair of which at least one patch is a source.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Link {
-    /// The patch the ray left.
-    pub(super) from: u32,
-    /// The patch it reached.
+    /// The patch it goes to.
     pub(super) to: u32,
     /// The kernel cos θ cos θ' / (π r²), lengths in unit space.
     pub(super) kernel: f32,
-    /// The replicate it belongs to.
-    pub(super) replicate: u32,
-    /// Whether a shadow ray found it.
-    pub(super) shadow: bool,
+    /// Which of the rays of its kind that left the patch it is.
+    pub(super) index: u32,
+    /// How it was found.
+    pub(super) found: Found,
 }
 
 /// The patches that shadow rays go to.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Sources {
     patches: Vec<u32>,
+    footprints: Vec<Footprint>,
     cumulative: Vec<f64>,
     probability: Vec<f32>,
+    lamps: Option<Vec<Lamp>>,
 }
 
 impl Sources {
     /// All front patches that emit, by power.
-    pub(super) fn emitters(patches: &Patches) -> Sources {
+    pub(super) fn emitters(tracer: &Tracer, patches: &Patches) -> Sources {
         let channels = patches.channels();
         let power: Vec<f64> = (0..patches.fronts())
             .map(|i| patches.area(i) * patches.emission()[i * channels..][..channels].iter().sum::<f64>())
@@ -62,9 +77,11 @@ impl Sources {
             if power > 0.0 {
                 sum += power;
                 sources.patches.push(i as u32);
+                sources.footprints.push(Footprint::new(tracer, patches, i));
                 sources.cumulative.push(sum / total);
             }
         }
+        sources.lamps = lamp::few(tracer, patches, &sources);
         sources
     }
 
@@ -72,9 +89,28 @@ impl Sources {
         self.patches.is_empty()
     }
 
-    /// The highest index of a source.
-    pub(super) fn most(&self) -> usize {
-        self.patches.last().map_or(0, |&i| i as usize)
+    /// The sources, in order.
+    pub(super) fn patches(&self) -> &[u32] {
+        &self.patches
+    }
+
+    /// Whether the light of all sources is known but for shadows, so that hemisphere rays need not measure it.
+    pub(super) fn are_lamps(&self) -> bool {
+        self.lamps.is_some()
+    }
+
+    /// The mean kernel of the shadow rays of a patch, were none blocked; 1 where that is not known.
+    pub(super) fn mean_kernel(&self, from: &Footprint) -> f64 {
+        let mean = |lamps: &Vec<Lamp>| {
+            lamp::mean_kernel(lamps, from.corners.map(|c| c.as_dvec3()), from.normal.as_dvec3())
+        };
+        self.lamps.as_ref().map_or(1.0, mean)
+    }
+
+    /// Whether patch `i` is a source.
+    #[inline]
+    pub(super) fn contains(&self, i: usize) -> bool {
+        self.probability.get(i).is_some_and(|&p| p > 0.0)
     }
 
     /// Probability that a shadow ray goes to patch `i`; zero for all that are no sources.
@@ -86,20 +122,21 @@ impl Sources {
     /// Whether either patch is a source: then the pair is measured by links.
     #[inline]
     pub(super) fn concern(&self, i: usize, j: usize) -> bool {
-        self.probability(i) > 0.0 || self.probability(j) > 0.0
+        self.contains(i) || self.contains(j)
     }
 
-    /// The source for a number in \[0, 1), and what is left of the number, stretched to \[0, 1) again.
+    /// Index of the source for a number in \[0, 1), and what is left of the number, stretched to \[0, 1) again.
     fn choose(&self, u: f32) -> (usize, f32) {
         let u = f64::from(u);
         let k = self.cumulative.partition_point(|&c| c <= u).min(self.patches.len() - 1);
         let below = if k > 0 { self.cumulative[k - 1] } else { 0.0 };
         let rest = ((u - below) / (self.cumulative[k] - below)) as f32;
-        (self.patches[k] as usize, rest.clamp(0.0, 1.0 - f32::EPSILON))
+        (k, rest.clamp(0.0, 1.0 - f32::EPSILON))
     }
 }
 
 /// Where rays leave a patch: its corners, inset from the triangle's edges, and its normal, in unit space.
+#[derive(Debug, Clone)]
 pub(super) struct Footprint {
     corners: [Vec3A; 3],
     pub(super) normal: Vec3A,
@@ -122,20 +159,20 @@ impl Footprint {
     }
 }
 
-/// Sends `count` shadow rays of one replicate from patch `i` and calls `link` for each that arrives.
+/// Sends the shadow rays of a patch with these indices, and appends those whose kernel is positive to `links`: of lamps
+/// all, else only those that arrive.
 pub(super) fn cast_patch(
     tracer: &Tracer,
-    patches: &Patches,
     sources: &Sources,
     from: &Footprint,
-    (i, replicate, count): (usize, u32, u32),
+    indices: std::ops::Range<u32>,
     seed: u64,
     links: &mut Vec<Link>,
 ) {
-    for index in 0..count {
+    for index in indices {
         let [x, y, u, v] = sobol_4d(index, seed);
-        let (j, u) = sources.choose(u);
-        let to = Footprint::new(tracer, patches, j);
+        let (source, u) = sources.choose(u);
+        let to = &sources.footprints[source];
         let (p, q) = (from.point(x, y), to.point(u, v));
         let path = q - p;
         let squared = path.length_squared();
@@ -144,8 +181,12 @@ pub(super) fn cast_patch(
             continue;
         }
         let kernel = cos_p * cos_q / (std::f32::consts::PI * squared * squared);
-        if kernel > 0.0 && tracer.visible(Tracer::leave(p, from.normal), Tracer::leave(q, to.normal)) {
-            links.push(Link { from: i as u32, to: j as u32, kernel, replicate, shadow: true });
+        if kernel > 0.0 {
+            let visible = tracer.visible(Tracer::leave(p, from.normal), Tracer::leave(q, to.normal));
+            if visible || sources.are_lamps() {
+                let found = if visible { Found::Shadow } else { Found::Blocked };
+                links.push(Link { to: sources.patches[source], kernel, index, found });
+            }
         }
     }
 }

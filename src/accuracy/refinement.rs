@@ -1,0 +1,170 @@
+//! Sampling in rounds, until the error is low enough or the time is up.
+//!
+//! Every round keeps all rays cast before, and sends more where they lower the error of irradiance most. How many more is
+//! told by [`Plan`]s, which look at the rounds so far and at nothing else.
+
+use std::time::Instant;
+
+use crate::{
+    Progress, Result,
+    accuracy::{
+        error_bars::{ErrorBars, relative_rms},
+        validation::Solved,
+    },
+    form_factor::{CastOptions, FormFactors},
+    patch::Patches,
+    scene::Scene,
+    solve::{SolveOptions, solve},
+    trace::Tracer,
+};
+
+/// Rays a patch in the first round.
+pub const FIRST_RAYS: f64 = 64.0;
+/// A round has at most this many times the rays of the one before,
+const MOST_GROWTH: f64 = 4.0;
+/// and at least this many times, since each assembles and solves everything anew.
+const LEAST_GROWTH: f64 = 1.2;
+/// Share of the target that is aimed at, so that luck does not call for one more round.
+const AIM: f64 = 0.97;
+/// The error falls with this power of the number of rays, at least and at most. Independent rays give 1/2.
+const RATES: (f64, f64) = (0.5, 0.75);
+
+/// What a round reached.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Round {
+    /// Mean number of rays a patch, all rounds together.
+    pub rays: f64,
+    /// Estimated RMS error of irradiance from sampling, relative to its mean.
+    pub error: f64,
+    /// Seconds since the first round began.
+    pub elapsed: f64,
+}
+
+/// When to stop. Without any limit, after the first round.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Plan {
+    /// Stop when the error is at most this.
+    pub error: Option<f64>,
+    /// Stop after so many seconds: the next round is begun only if it should end by then.
+    pub seconds: Option<f64>,
+    /// Never more rays a patch than this: what memory holds.
+    pub most_rays: Option<f64>,
+}
+
+impl Plan {
+    /// How many rays a patch there should be after the next round; `None` to stop.
+    ///
+    /// # Panics
+    /// When there was no round yet.
+    pub fn next(&self, rounds: &[Round]) -> Option<f64> {
+        let last = rounds.last().expect("at least one round");
+        let reached = self.error.is_some_and(|target| last.error <= target);
+        if reached || (self.error.is_none() && self.seconds.is_none()) {
+            return None;
+        }
+        let mut growth = MOST_GROWTH;
+        if let Some(target) = self.error {
+            growth = growth.min((last.error / (AIM * target)).powf(1.0 / rate(rounds)).max(LEAST_GROWTH));
+        }
+        if let Some(seconds) = self.seconds {
+            // A round costs about in proportion to the rays it ends with: it assembles and solves with all of them.
+            let before = rounds.len().checked_sub(2).map_or(0.0, |k| rounds[k].elapsed);
+            let left = seconds - last.elapsed;
+            growth = growth.min(left / (last.elapsed - before).max(1e-9));
+        }
+        let rays = self.most_rays.unwrap_or(f64::INFINITY).min(growth * last.rays);
+        (rays >= LEAST_GROWTH * last.rays).then_some(rays)
+    }
+
+    /// Rays a patch that the error will take, as far as the rounds tell.
+    pub fn forecast(&self, rounds: &[Round]) -> Option<f64> {
+        let (target, last) = (self.error?, rounds.last()?);
+        Some(last.rays * (last.error / target).max(1.0).powf(1.0 / rate(rounds)))
+    }
+}
+
+/// The power of the number of rays that the error falls with.
+fn rate(rounds: &[Round]) -> f64 {
+    let [.., before, last] = rounds else { return RATES.0 };
+    let observed = (before.error / last.error).ln() / (last.rays / before.rays).ln();
+    if observed.is_finite() { observed.clamp(RATES.0, RATES.1) } else { RATES.0 }
+}
+
+/// Casts and solves in rounds as `plan` says, calls `tell` after each with all rounds so far, and returns the last solution.
+/// The first round has the rays of `cast`.
+///
+/// # Errors
+/// As [`FormFactors::cast`] and [`solve()`].
+#[expect(clippy::too_many_arguments, reason = "all stages of a solution")]
+pub fn refine(
+    scene: &Scene,
+    tracer: &Tracer,
+    mut patches: Patches,
+    cast: &CastOptions,
+    options: &SolveOptions,
+    plan: &Plan,
+    mut tell: impl FnMut(&[Round]),
+    progress: &Progress,
+) -> Result<(Solved, Vec<Round>)> {
+    let start = Instant::now();
+    let mut rounds = Vec::new();
+    let mut form_factors = FormFactors::cast(scene, tracer, &mut patches, cast, progress)?;
+    loop {
+        let solution = solve(&form_factors, &patches, options, progress)?;
+        let error_bars = ErrorBars::of(&form_factors, &patches, &solution).expect("rays were cast");
+        let rays = form_factors.hits().map_or(0, |hits| hits.rays()) as f64;
+        rounds.push(Round {
+            rays: rays / patches.len() as f64,
+            error: relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas()),
+            elapsed: start.elapsed().as_secs_f64(),
+        });
+        tell(&rounds);
+        let Some(rays) = plan.next(&rounds) else {
+            return Ok((Solved { patches, form_factors, solution, error_bars }, rounds));
+        };
+        drop((solution, error_bars));
+        form_factors = form_factors.cast_more(scene, tracer, &mut patches, rays, progress)?;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn round(rays: f64, error: f64, elapsed: f64) -> Round {
+        Round { rays, error, elapsed }
+    }
+
+    /// Errors that fall like 1/sqrt(rays) reach the target in as few rounds as growth allows, and overshoot by what is
+    /// aimed below the target and no more.
+    #[test]
+    fn an_error_is_reached_and_not_by_far() {
+        let plan = Plan { error: Some(0.01), ..Plan::default() };
+        let mut rounds = vec![round(64.0, 0.08, 1.0)];
+        while let Some(rays) = plan.next(&rounds) {
+            rounds.push(round(rays, 0.08 * (64.0 / rays).sqrt(), 1.0));
+        }
+        let last = rounds.last().unwrap();
+        assert!(last.error <= 0.01 && last.error >= 0.0096, "{rounds:?}");
+        // 64 times the rays and a little more are four rounds of four times.
+        assert_eq!(rounds.len(), 5);
+        assert!((plan.forecast(&rounds[..1]).unwrap() / 4096.0 - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn no_round_begins_that_would_end_too_late() {
+        let plan = Plan { seconds: Some(10.0), ..Plan::default() };
+        assert_eq!(plan.next(&[round(64.0, 0.1, 1.0)]), Some(256.0));
+        // 4 seconds for the last round, 5 left: a quarter more.
+        assert_eq!(plan.next(&[round(64.0, 0.1, 1.0), round(256.0, 0.05, 5.0)]), Some(320.0));
+        assert_eq!(plan.next(&[round(64.0, 0.1, 1.0), round(256.0, 0.05, 6.0)]), None);
+    }
+
+    #[test]
+    fn memory_is_a_limit_and_no_wish_is_one_round() {
+        let plan = Plan { error: Some(1e-6), most_rays: Some(100.0), ..Plan::default() };
+        assert_eq!(plan.next(&[round(64.0, 0.1, 1.0)]), Some(100.0));
+        assert_eq!(plan.next(&[round(100.0, 0.1, 1.0)]), None);
+        assert_eq!(Plan::default().next(&[round(64.0, 0.1, 1.0)]), None);
+    }
+}

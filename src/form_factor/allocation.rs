@@ -1,0 +1,62 @@
+//! Which patch casts how many rays.
+//!
+//! The area-weighted mean square error of irradiance is Σ A_i (V_i / R_i + W_i / N_i), with V_i the variance that one
+//! hemisphere ray of patch i has, and W_i that of a shadow ray. For a given sum of all rays it is least with R_i in
+//! proportion to sqrt(A_i V_i), and N_i to sqrt(A_i W_i) (Neyman, "On the Two Different Aspects of the Representative
+//! Method", JRSS 97, 1934). A part of the rays is cast evenly first and tells the variances.
+
+use super::{
+    CastOptions,
+    hemisphere::{Hits, REPLICATES, Share},
+};
+
+/// Share of the rays that are cast evenly.
+pub(super) const PILOT: f64 = 0.5;
+/// Share of a variance that is taken to be the mean of all, since single ones are uncertain and may miss what is rare.
+const COMMON: f64 = 0.25;
+/// A patch gets at most this many times as many rays of a kind as it has.
+const MOST_GROWTH: f64 = 4.0;
+
+/// The same for all patches, but shadow rays for those alone which lamps could reach.
+pub(super) fn even(options: &CastOptions, rays: f64, sources: bool) -> impl Fn(usize, f64) -> Share {
+    let shadow = if sources { options.shadow_share } else { 0.0 };
+    let whole = |rays: f64| (rays.round() as u32).max(REPLICATES as u32);
+    let (hemisphere, shadow) =
+        (whole(rays * (1.0 - shadow)), if shadow > 0.0 { whole(rays * shadow) } else { 0 });
+    move |_, kernel| Share { hemisphere, shadow: if kernel > 0.0 { shadow } else { 0 } }
+}
+
+/// Shares of `rays` in all for every patch, given the variances (V_i / R_i, W_i / N_i) that its irradiance has now.
+pub(super) fn by_variance(hits: &Hits, areas: &[f64], variances: &[[f64; 2]], rays: f64) -> Vec<Share> {
+    let now = |i: usize| [hits.rays_of(i), hits.shadow_rays_of(i)].map(f64::from);
+    // Per ray, and what remains of it where rays are many.
+    let mut of_ray: Vec<[f64; 2]> =
+        (0..areas.len()).map(|i| std::array::from_fn(|kind| variances[i][kind] * now(i)[kind])).collect();
+    let total: f64 = areas.iter().sum();
+    let mean: f64 = (0..areas.len()).map(|i| areas[i] * of_ray[i][0]).sum::<f64>() / total;
+    for v in &mut of_ray {
+        v[0] = (1.0 - COMMON) * v[0] + COMMON * mean;
+    }
+    let wanted = |i: usize, level: f64| -> [f64; 2] {
+        std::array::from_fn(|kind| {
+            let now = now(i)[kind];
+            (level * (areas[i] * of_ray[i][kind]).sqrt()).clamp(now, MOST_GROWTH * now).round()
+        })
+    };
+    let sum = |level: f64| (0..areas.len()).map(|i| wanted(i, level).iter().sum::<f64>()).sum::<f64>();
+    // The number of rays grows with the level: bisect its logarithm.
+    let scale =
+        (0..areas.len()).map(|i| (areas[i] * of_ray[i][0].max(of_ray[i][1])).sqrt()).fold(0.0, f64::max);
+    let (mut low, mut high) = (-60.0f64, 60.0f64);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if sum(middle.exp() / scale) > rays { high = middle } else { low = middle }
+    }
+    let level = if scale > 0.0 { low.exp() / scale } else { 0.0 };
+    (0..areas.len())
+        .map(|i| {
+            let [hemisphere, shadow] = wanted(i, level).map(|rays| rays as u32);
+            Share { hemisphere, shadow }
+        })
+        .collect()
+}
