@@ -2,4 +2,5 @@
 
 pub mod comparison;
 pub mod error_bars;
+pub mod survey;
 pub mod validation;

@@ -5,6 +5,7 @@
 
 mod camera;
 mod forecast;
+mod inspect;
 mod options;
 mod outputs;
 mod pipeline;
@@ -44,6 +45,7 @@ enum Command {
     Validate(validate::ValidateArgs),
     Render(render::RenderArgs),
     Probe(probe::ProbeArgs),
+    Inspect(inspect::InspectArgs),
 }
 
 /// Options of every command.
@@ -86,6 +88,7 @@ pub fn run() -> ExitCode {
         Command::Validate(args) => validate::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Probe(args) => probe::run(&args),
+        Command::Inspect(args) => inspect::run(&args),
     };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

@@ -23,10 +23,10 @@ use std::path::Path;
 
 use glam::{DVec2, DVec3};
 
-use self::material::{DEFAULT_REFLECTANCE, Materials};
+use self::material::Materials;
 use self::mtl::{Libraries, Origin};
 use self::scan::{Face, Scan};
-use super::{Scene, SceneBuilder, triangulate};
+use super::{LoadOptions, Scene, SceneBuilder, triangulate};
 use crate::{Error, Result};
 
 /// Reads `path` and the material libraries it names.
@@ -34,25 +34,37 @@ use crate::{Error, Result};
 /// # Errors
 /// [`Error::Io`] when `path` cannot be read; [`Error::Input`], with the line where there is one, when what it or its
 /// libraries say cannot be used. Missing libraries and textures are warnings.
-pub fn load(path: &Path) -> Result<Scene> {
+pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
     let mut scan = scan::scan(path, &text::decode(bytes))?;
     if scan.faces.is_empty() {
         return Err(Error::input(path, None, "no faces")
             .with_hint("an OBJ file needs lines like `f 1 2 3`; points and lines have no area to light"));
     }
-    let mut libraries = Libraries::read(path, &scan);
+    let mut libraries = Libraries::read(path, &scan, options);
     let (models, definitions) = parse(path, &scan, &libraries)?;
     scan.text = String::new();
 
-    let mut assembly = Assembly { path, materials: Materials::default(), builder: SceneBuilder::default() };
+    let mut assembly =
+        Assembly { path, materials: Materials::new(*options), builder: SceneBuilder::default() };
     assembly.add(&models, &scan.faces, &definitions, &libraries.origins)?;
     let Assembly { mut materials, builder, .. } = assembly;
 
     let mut warnings = scan.warnings;
-    warnings.append(&mut libraries.warnings);
-    warnings.append(&mut materials.warnings);
-    let scene = builder.finish(materials.materials, materials.textures, warnings);
+    warnings.append(libraries.warnings);
+    warnings.append(materials.warnings);
+    let mut scene = builder.finish();
+    if !materials.materials.iter().any(|m| m.reflectance_map.is_some() || m.emission_map.is_some()) {
+        scene.texcoords = Vec::new();
+    }
+    scene.materials = materials.materials;
+    scene.textures = materials.textures;
+    scene.warnings = warnings.into_sentences();
+    scene.files = vec![path.to_owned()];
+    scene.files.append(&mut libraries.files);
+    scene.files.append(&mut materials.files);
+    scene.missing = libraries.missing;
+    scene.missing.append(&mut materials.missing);
     if scene.triangles.is_empty() {
         return Err(Error::input(path, None, "every face has zero area")
             .with_hint("check that the vertices of the faces are at different places"));
@@ -112,8 +124,9 @@ impl Assembly<'_> {
         assert!(faces.next().is_none(), "tobj and the layer before it agree on the faces");
         if let Some(line) = without_material {
             self.materials.warnings.push(format!(
-                "{}:{line}: faces without a material get reflectance {DEFAULT_REFLECTANCE}",
-                self.path.display()
+                "{}:{line}: faces without a material get {}",
+                self.path.display(),
+                self.materials.options.default_in_words()
             ));
         }
         Ok(())
