@@ -5,6 +5,8 @@
 
 pub mod inspection;
 pub mod obj;
+mod ply;
+mod text;
 mod texture;
 mod triangulate;
 mod warnings;
@@ -103,7 +105,7 @@ impl LoadOptions {
 }
 
 impl Scene {
-    /// Reads a scene; the format is told by the file's extension (`.obj` with its `.mtl`).
+    /// Reads a scene; the format is told by the file's extension (`.obj` with its `.mtl`, `.ply`).
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] with file and line when it cannot be used.
@@ -125,8 +127,9 @@ impl Scene {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
         match extension.as_deref() {
             Some("obj") => obj::load(path, options),
+            Some("ply") => ply::load(path, options),
             _ => Err(Error::input(path, None, "unknown kind of scene")
-                .with_hint("the program reads Wavefront .obj files")),
+                .with_hint("the program reads Wavefront .obj and .ply files")),
         }
     }
 

@@ -17,7 +17,6 @@ mod map_line;
 mod material;
 mod mtl;
 mod scan;
-mod text;
 
 use std::path::Path;
 
@@ -26,7 +25,7 @@ use glam::{DVec2, DVec3};
 use self::material::Materials;
 use self::mtl::{Libraries, Origin};
 use self::scan::{Face, Scan};
-use super::{LoadOptions, Scene, SceneBuilder, triangulate};
+use super::{LoadOptions, Scene, SceneBuilder, text, triangulate};
 use crate::{Error, Result};
 
 /// Reads `path` and the material libraries it names.

@@ -7,8 +7,8 @@ use glam::DVec2;
 
 use super::map_line;
 use super::mtl::Origin;
-use super::text::find_file;
 use crate::Result;
+use crate::scene::text::find_file;
 use crate::scene::{LoadOptions, Material, Texture, TextureMap, warnings::Warnings};
 
 /// Makes the materials that faces use, each once, in the order of their first use.

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use super::scan::{Scan, UNNAMED};
-use super::text::{self, find_as_named, find_file, split_keyword, without_comment};
+use crate::scene::text::{self, find_as_named, find_file, split_keyword, without_comment};
 use crate::scene::{LoadOptions, warnings::Warnings};
 use crate::{Error, Result};
 

@@ -4,7 +4,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::text::{self, split_keyword, without_comment};
+use crate::scene::text::{self, split_keyword, without_comment};
 use crate::scene::warnings::Warnings;
 use crate::{Error, Result};
 

@@ -37,6 +37,12 @@ pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
     })
 }
 
+/// Lines as they are in the file.
+pub(super) fn physical_lines(text: &str) -> impl Iterator<Item = &str> {
+    let mut rest = text;
+    std::iter::from_fn(move || (!rest.is_empty()).then(|| physical_line(&mut rest)))
+}
+
 fn physical_line<'a>(rest: &mut &'a str) -> &'a str {
     let end = rest.find(['\n', '\r']).unwrap_or(rest.len());
     let (line, tail) = rest.split_at(end);
