@@ -79,6 +79,19 @@ fn backs_that_no_ray_happened_to_meet_are_estimated() {
     assert!((seen.back_area - 1.0).abs() < 0.3, "{}", seen.back_area);
 }
 
+/// In single precision a triangle 10¹¹ times as long as wide has no area, but its rays are cast; and so are those of
+/// triangles of any size.
+#[test]
+fn slivers_and_giants_are_surveyed() {
+    for [b, c] in
+        [[DVec3::X, DVec3::Y * 1e11], [DVec3::X * 1e-150, DVec3::Y * 1e-150], [DVec3::X * 1e153, DVec3::Z]]
+    {
+        let seen = survey(&scene(&[black(vec![[DVec3::ZERO, b, c]])]));
+        assert_eq!(seen.all, Seen { rays: RAYS, fronts: 0, backs: 0, escaped: RAYS }, "{b} {c}");
+        assert_eq!(seen.lamps.rays, 0);
+    }
+}
+
 const ROOM: &str = "mtllib scene.mtl\nusemtl wall
 v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1
 f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n";

@@ -58,10 +58,10 @@ impl Survey {
         let all: Vec<usize> = (0..scene.triangles.len()).collect();
         let lamps: Vec<usize> = all.iter().copied().filter(|&t| scene.emits(t)).collect();
         let mut backs_of = vec![0; scene.materials.len()];
-        let (seen, met) = cast(tracer, &all, rays, mix(&[seed, 0]));
+        let (seen, met) = cast(scene, tracer, &all, rays, mix(&[seed, 0]));
         met.iter().for_each(|&t| backs_of[scene.triangles[t as usize].material as usize] += 1);
         let back_area = back_area(scene, met);
-        let (lamps, _) = cast(tracer, &lamps, rays / 4, mix(&[seed, 1]));
+        let (lamps, _) = cast(scene, tracer, &lamps, rays / 4, mix(&[seed, 1]));
         Survey { all: seen, lamps, backs_of, back_area }
     }
 }
@@ -87,16 +87,16 @@ fn back_area(scene: &Scene, mut met: Vec<u32>) -> f64 {
 }
 
 /// What `rays` from these triangles met, and each triangle met from behind.
-fn cast(tracer: &Tracer, from: &[usize], rays: u64, seed: u64) -> (Seen, Vec<u32>) {
+fn cast(scene: &Scene, tracer: &Tracer, from: &[usize], rays: u64, seed: u64) -> (Seen, Vec<u32>) {
+    // Areas may overflow when summed, and vanish in the single precision of unit space.
+    let largest = from.iter().map(|&t| scene.area(t)).fold(0.0, f64::max);
     let mut below = Vec::with_capacity(from.len());
     let mut total = 0.0;
     for &t in from {
-        // Unit space: areas of the file's own unit may overflow when summed.
-        let [a, b, c] = tracer.triangles()[t].corners.map(|p| p.as_dvec3());
-        total += (b - a).cross(c - a).length();
+        total += scene.area(t) / largest;
         below.push(total);
     }
-    if !(total > 0.0) {
+    if from.is_empty() {
         return (Seen::default(), Vec::new());
     }
     let blocks: Vec<(Seen, Vec<u32>)> = (0..rays.div_ceil(BLOCK))

@@ -35,7 +35,13 @@ use crate::{Error, Result};
 /// libraries say cannot be used. Missing libraries and textures are warnings.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
-    let mut scan = scan::scan(path, &text::decode(bytes))?;
+    let text = text::decode(bytes);
+    let mut scan = scan::scan(path, &text)?;
+    if scan.faces.is_empty() && text.contains('\0') {
+        return Err(Error::input(path, None, "not an OBJ file: it is no text")
+            .with_hint("the name ends in .obj, but what is in the file is of another kind"));
+    }
+    drop(text);
     if scan.faces.is_empty() {
         return Err(Error::input(path, None, "no faces")
             .with_hint("an OBJ file needs lines like `f 1 2 3`; points and lines have no area to light"));
@@ -116,7 +122,7 @@ impl Assembly<'_> {
                 if mesh.material_id.is_none() {
                     without_material.get_or_insert(face.line);
                 }
-                self.polygon(mesh, start..start + arity, face.textured, material);
+                self.polygon(mesh, start..start + arity, face, material)?;
                 start += arity;
             }
         }
@@ -131,20 +137,29 @@ impl Assembly<'_> {
         Ok(())
     }
 
-    fn polygon(&mut self, mesh: &tobj::Mesh, corners: std::ops::Range<usize>, textured: bool, material: u32) {
+    fn polygon(
+        &mut self,
+        mesh: &tobj::Mesh,
+        corners: std::ops::Range<usize>,
+        face: &Face,
+        material: u32,
+    ) -> Result<()> {
         let points: Vec<DVec3> = mesh.indices[corners.clone()]
             .iter()
             .map(|&i| DVec3::from_slice(&mesh.positions[3 * i as usize..]))
             .collect();
-        let uv: Option<Vec<DVec2>> = textured.then(|| {
+        let uv: Option<Vec<DVec2>> = face.textured.then(|| {
             mesh.texcoord_indices[corners]
                 .iter()
                 .map(|&i| DVec2::from_slice(&mesh.texcoords[2 * i as usize..]))
                 .collect()
         });
-        for triangle in triangulate::polygon(&points) {
+        let triangles = triangulate::polygon(&points)
+            .ok_or_else(|| Error::input(self.path, Some(face.line), triangulate::TOO_MANY))?;
+        for triangle in triangles {
             let uv = uv.as_ref().map(|uv| triangle.map(|i| uv[i]));
             self.builder.push(triangle.map(|i| points[i]), material, uv);
         }
+        Ok(())
     }
 }

@@ -307,8 +307,9 @@ impl Mesh<'_> {
             return Err(error(format!("radiance {bad} is not a finite number of 0 or more")));
         }
         let points: Vec<DVec3> = corners.iter().map(|(p, _)| *p).collect();
+        let triangles = triangulate::polygon(&points).ok_or_else(|| error(triangulate::TOO_MANY.into()))?;
         let material = self.material(reflectance, emission);
-        for triangle in triangulate::polygon(&points) {
+        for triangle in triangles {
             self.builder.push(triangle.map(|i| points[i]), material, None);
         }
         Ok(())
