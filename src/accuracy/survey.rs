@@ -1,5 +1,7 @@
 //! What surfaces see, told by a few rays before anything is computed: fronts, backs, or the outside.
 
+use std::time::Instant;
+
 use rayon::prelude::*;
 
 use crate::{
@@ -49,6 +51,8 @@ pub struct Survey {
     pub backs_of: Vec<u64>,
     /// Share of the area whose backs are seen, estimated: these will be patches too.
     pub back_area: f64,
+    /// Time that all the rays took.
+    pub seconds: f64,
 }
 
 impl Survey {
@@ -58,11 +62,12 @@ impl Survey {
         let all: Vec<usize> = (0..scene.triangles.len()).collect();
         let lamps: Vec<usize> = all.iter().copied().filter(|&t| scene.emits(t)).collect();
         let mut backs_of = vec![0; scene.materials.len()];
-        let (seen, met) = cast(scene, tracer, &all, rays, mix(&[seed, 0]));
+        let mut seconds = 0.0;
+        let (seen, met) = cast(scene, tracer, &all, rays, mix(&[seed, 0]), &mut seconds);
         met.iter().for_each(|&t| backs_of[scene.triangles[t as usize].material as usize] += 1);
         let back_area = back_area(scene, met);
-        let (lamps, _) = cast(scene, tracer, &lamps, rays / 4, mix(&[seed, 1]));
-        Survey { all: seen, lamps, backs_of, back_area }
+        let (lamps, _) = cast(scene, tracer, &lamps, rays / 4, mix(&[seed, 1]), &mut seconds);
+        Survey { all: seen, lamps, backs_of, back_area, seconds }
     }
 }
 
@@ -86,8 +91,15 @@ fn back_area(scene: &Scene, mut met: Vec<u32>) -> f64 {
     (area / total * (kinds + missing) / kinds).min(1.0)
 }
 
-/// What `rays` from these triangles met, and each triangle met from behind.
-fn cast(scene: &Scene, tracer: &Tracer, from: &[usize], rays: u64, seed: u64) -> (Seen, Vec<u32>) {
+/// What `rays` from these triangles met, and each triangle met from behind. Adds the time that they took.
+fn cast(
+    scene: &Scene,
+    tracer: &Tracer,
+    from: &[usize],
+    rays: u64,
+    seed: u64,
+    seconds: &mut f64,
+) -> (Seen, Vec<u32>) {
     // Areas may overflow when summed, and vanish in the single precision of unit space.
     let largest = from.iter().map(|&t| scene.area(t)).fold(0.0, f64::max);
     let mut below = Vec::with_capacity(from.len());
@@ -99,6 +111,7 @@ fn cast(scene: &Scene, tracer: &Tracer, from: &[usize], rays: u64, seed: u64) ->
     if from.is_empty() {
         return (Seen::default(), Vec::new());
     }
+    let start = Instant::now();
     let blocks: Vec<(Seen, Vec<u32>)> = (0..rays.div_ceil(BLOCK))
         .into_par_iter()
         .map(|block| {
@@ -123,6 +136,7 @@ fn cast(scene: &Scene, tracer: &Tracer, from: &[usize], rays: u64, seed: u64) ->
             (seen, backs)
         })
         .collect();
+    *seconds += start.elapsed().as_secs_f64();
     blocks.into_iter().fold((Seen::default(), Vec::new()), |(mut sum, mut met), (seen, mut backs)| {
         sum.rays += seen.rays;
         sum.fronts += seen.fronts;

@@ -48,8 +48,8 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     let (inspection, _) = watch.stage("mesh", || Ok(Inspection::of(&scene)))?;
     let (tracer, _) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
     let (bookkeeping, _) = watch.stage("pace", || bookkeeping(watch.progress()))?;
-    let (survey, seconds) = watch.stage("rays", || Ok(Survey::of(&scene, &tracer, RAYS, 0)))?;
-    let a_ray = seconds / (survey.all.rays + survey.lamps.rays).max(1) as f64 + bookkeeping;
+    let (survey, _) = watch.stage("rays", || Ok(Survey::of(&scene, &tracer, RAYS, 0)))?;
+    let a_ray = survey.seconds / (survey.all.rays + survey.lamps.rays).max(1) as f64 + bookkeeping;
 
     let file = args.scene.path.display().to_string();
     let report = InspectionReport::new(&file, &scene, &inspection, &survey, |quality: Quality| {
@@ -81,9 +81,8 @@ fn bookkeeping(progress: &Progress) -> Result<f64> {
     let grey = |name, emission| Material::new(name, [0.5; 3], emission);
     let room = Scene::new(&triangles, vec![grey("wall", [0.0; 3]), grey("lamp", [1.0; 3])]);
     let tracer = Tracer::new(&room);
-    let start = Instant::now();
     let survey = Survey::of(&room, &tracer, RAYS, 0);
-    let tracing = start.elapsed().as_secs_f64() / (survey.all.rays + survey.lamps.rays) as f64;
+    let tracing = survey.seconds / (survey.all.rays + survey.lamps.rays) as f64;
     let start = Instant::now();
     let mut patches = Patches::subdivide(&room, &Subdivision::Count(2000));
     let cast = CastOptions { rays: f64::from(Quality::DRAFT.rays), ..CastOptions::default() };

@@ -276,7 +276,7 @@ fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<Stri
     });
     add(!scene.missing.is_empty(), &|| {
         let missing: Vec<&str> = scene.missing.iter().map(String::as_str).collect();
-        format!("{} files are missing or cannot be read: {}", missing.len(), names(&missing))
+        format!("missing, or cannot be read: {}", names(&missing))
     });
     add(all.escaped_share() > 0.0 && all.escaped_share() < 0.01, &|| {
         let share = all.escaped_share();

@@ -119,15 +119,17 @@ fn weld(scene: &Scene, [low, high]: [DVec3; 2]) -> (Vec<u32>, usize) {
     let extent = (high * 0.5 - low * 0.5).max_element();
     let mut cells: HashMap<[i32; 3], Vec<u32>> = HashMap::new();
     let unit = |v: DVec3| (v * 0.5 - low * 0.5) / extent;
-    let cell = |p: DVec3| (p / (2.0 * WELD)).floor().to_array().map(|x| x as i32);
+    let cell = |p: DVec3| (p / (8.0 * WELD)).floor().to_array().map(|x| x as i32);
     let mut near = 0;
     let names = scene.vertices.iter().enumerate().map(|(i, &v)| {
         let p = unit(v);
-        // A cell is twice as wide as what counts as near: eight cells hold everything near.
+        // A cell is four times as wide as what counts as near: mostly one cell holds everything near, and no cell
+        // holds many vertices that are not.
         let (from, to) = (cell(p - WELD), cell(p + WELD));
-        let found = (0..8).find_map(|k| {
-            let pick = |axis: usize| if k >> axis & 1 == 0 { from[axis] } else { to[axis] };
-            let others = cells.get(&[pick(0), pick(1), pick(2)])?;
+        let near_cells = (from[0]..=to[0])
+            .flat_map(|x| (from[1]..=to[1]).flat_map(move |y| (from[2]..=to[2]).map(move |z| [x, y, z])));
+        let found = near_cells.into_iter().find_map(|key| {
+            let others = cells.get(&key)?;
             others.iter().copied().find(|&o| unit(scene.vertices[o as usize]).distance(p) <= WELD)
         });
         match found {
