@@ -438,9 +438,21 @@ fn cli_objection(program: &Path, folder: &Path, words: &[String]) -> Option<Stri
     }
     let names = fs::read_dir(folder).expect("the folder is there").flatten().map(|e| e.file_name());
     let partial = names.into_iter().find(|name| name.to_string_lossy().ends_with(".part"));
-    let written = ["scene.obj", "scene.mtl", "scene.ply", "t.png", "points", "dark.obj"]
-        .into_iter()
-        .find(|name| fs::read(folder.join(name)).ok() != fs::read(folder.join("kept").join(name)).ok());
+    let kept = folder.join("kept");
+    let written =
+        ["scene.obj", "scene.mtl", "scene.ply", "t.png", "points", "dark.obj"].into_iter().find(|name| {
+            let changed = fs::read(folder.join(name)).ok() != fs::read(kept.join(name)).ok();
+            if changed {
+                let _ = fs::copy(kept.join(name), folder.join(name));
+            }
+            // The texture is of one scene alone and the points are of one command; to others they are files like any.
+            let foreign = match *name {
+                "t.png" => words[1] != "scene.obj",
+                "points" => words[0] != "probe",
+                _ => false,
+            };
+            changed && !foreign
+        });
     match (partial, written) {
         (Some(name), _) => Some(format!("left {}", name.to_string_lossy())),
         (_, Some(name)) => Some(format!("wrote over {name}")),

@@ -7,10 +7,11 @@ use radiosity::{
     Result,
     accuracy::validation::{Validation, ValidationOptions},
     output::{report::Seconds, validation_report::ValidationReport},
+    patch::Patches,
 };
 
 use super::{
-    Common, Outcome,
+    Common, Outcome, forecast,
     options::{CastArgs, SceneArgs},
     outputs, pipeline, to_stdout,
     watch::Watch,
@@ -65,6 +66,11 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         seed: args.seed,
         ..defaults
     };
+    // It solves with edges half as long, too.
+    let patches = 4.0 * Patches::forecast(&scene, &options.subdivision);
+    if let Some(warning) = forecast::check(patches, options.rays)? {
+        watch.warn(&warning);
+    }
     let (validation, _) = watch.stage("validating", || {
         Validation::of(&scene, &tracer, &options, watch.progress())
             .map_err(|error| pipeline::blame(&args.scene.path, error))

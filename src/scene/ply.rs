@@ -14,15 +14,16 @@
 //!
 //! Elements are read one by one and become triangles at once, so that nothing is allocated because a header says so.
 
+mod element;
+
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use glam::DVec3;
 use ply_rs::parser::{Parser, Reader};
-use ply_rs::ply::{
-    ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType,
-};
+use ply_rs::ply::{ElementDef, Encoding, Header, PropertyAccess, PropertyType};
 
+use self::element::{Face, INDICES, Ignored, Vertex};
 use super::warnings::Warnings;
 use super::{LoadOptions, Material, Scene, SceneBuilder, text, triangulate};
 use crate::{Error, Result, tone};
@@ -367,148 +368,4 @@ fn mean(corners: &[&(DVec3, Option<[f64; 3]>)]) -> Option<[f64; 3]> {
         (0..3).for_each(|c| sum[c] += colour[c]);
     }
     Some(sum.map(|s| s / corners.len() as f64))
-}
-
-/// Names of the list of a face's corners.
-const INDICES: [&str; 2] = ["vertex_indices", "vertex_index"];
-
-/// Three channels, of which some may be absent.
-#[derive(Default)]
-struct Channels([Option<f64>; 3]);
-
-impl Channels {
-    /// Takes `value` if `name` is one of `names`.
-    fn take(&mut self, names: [&str; 3], name: &str, value: f64) {
-        if let Some(c) = names.iter().position(|&n| n == name) {
-            self.0[c] = Some(value);
-        }
-    }
-
-    fn given(&self) -> Option<[f64; 3]> {
-        match self.0 {
-            [Some(r), Some(g), Some(b)] => Some([r, g, b]),
-            _ => None,
-        }
-    }
-
-    /// Decoded from sRGB.
-    fn linear(&self) -> std::result::Result<Option<[f64; 3]>, String> {
-        match self.given() {
-            Some(rgb) => match rgb.iter().find(|c| !(0.0..=1.0).contains(*c)) {
-                Some(_) => Err("a colour is out of range".into()),
-                None => Ok(Some(rgb.map(tone::linear))),
-            },
-            None => Ok(None),
-        }
-    }
-}
-
-const COLOUR: [&str; 3] = ["red", "green", "blue"];
-
-#[derive(Default)]
-struct Vertex {
-    position: [f64; 3],
-    colour: Channels,
-}
-
-impl PropertyAccess for Vertex {
-    fn new() -> Self {
-        Self::default()
-    }
-
-    fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
-        match (name, number(&property)) {
-            ("x", Some(x)) => self.position[0] = x,
-            ("y", Some(y)) => self.position[1] = y,
-            ("z", Some(z)) => self.position[2] = z,
-            (_, Some(value)) => self.colour.take(COLOUR, name, value / full(&property)),
-            _ => return PropertyAccessResult::Ignored,
-        }
-        PropertyAccessResult::Set
-    }
-}
-
-#[derive(Default)]
-struct Face {
-    indices: Vec<i64>,
-    colour: Channels,
-    reflectance: Channels,
-    emission: Channels,
-    side: f64,
-}
-
-impl PropertyAccess for Face {
-    fn new() -> Self {
-        Self::default()
-    }
-
-    fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
-        if INDICES.contains(&name) {
-            return match integers(property) {
-                Some(indices) => {
-                    self.indices = indices;
-                    PropertyAccessResult::Set
-                }
-                None => PropertyAccessResult::UnsupportedType,
-            };
-        }
-        if let Some(value) = number(&property) {
-            self.colour.take(COLOUR, name, value / full(&property));
-            self.reflectance.take(["reflectance_r", "reflectance_g", "reflectance_b"], name, value);
-            self.emission.take(["emission_r", "emission_g", "emission_b"], name, value);
-            if name == "side" {
-                self.side = value;
-            }
-        }
-        PropertyAccessResult::Set
-    }
-}
-
-/// An element that has no say.
-struct Ignored;
-
-impl PropertyAccess for Ignored {
-    fn new() -> Self {
-        Ignored
-    }
-}
-
-/// The value of a scalar.
-fn number(property: &Property) -> Option<f64> {
-    Some(match *property {
-        Property::Char(x) => x.into(),
-        Property::UChar(x) => x.into(),
-        Property::Short(x) => x.into(),
-        Property::UShort(x) => x.into(),
-        Property::Int(x) => x.into(),
-        Property::UInt(x) => x.into(),
-        Property::Float(x) => x.into(),
-        Property::Double(x) => x,
-        _ => return None,
-    })
-}
-
-/// The value of a colour that means 1.
-fn full(property: &Property) -> f64 {
-    match property {
-        Property::Float(_) | Property::Double(_) => 1.0,
-        Property::UShort(_) => 65535.0,
-        _ => 255.0,
-    }
-}
-
-/// The values of a list of integers.
-fn integers(property: Property) -> Option<Vec<i64>> {
-    fn all<T: Into<i64>>(list: Vec<T>) -> Option<Vec<i64>> {
-        Some(list.into_iter().map(Into::into).collect())
-    }
-    match property {
-        Property::ListChar(list) => all(list),
-        Property::ListUChar(list) => all(list),
-        Property::ListShort(list) => all(list),
-        Property::ListUShort(list) => all(list),
-        Property::ListInt(list) => all(list),
-        Property::ListUInt(list) => all(list),
-        _ => None,
-    }
 }
