@@ -156,6 +156,20 @@ fn lines_end_and_continue_in_all_ways() {
 }
 
 #[test]
+fn text_in_utf_16_and_what_is_no_text() {
+    let utf_16 = |text: &str| -> Vec<u8> {
+        ["\u{feff}", text].concat().encode_utf16().flat_map(u16::to_le_bytes).collect()
+    };
+    let text = format!("mtllib s.mtl\r\n{TRIANGLE}usemtl grün\r\nf 1 2 3\r\n");
+    let scene =
+        Folder::new().with("s.obj", utf_16(&text)).with("s.mtl", utf_16("newmtl grün\r\nKd 0.25\r\n")).load();
+    assert_eq!((scene.material(0).reflectance, scene.warnings.len()), ([0.25; 3], 0));
+    let error = Folder::new().with("s.obj", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR").error();
+    assert_eq!(error, "s.obj: not an OBJ file: it is no text");
+    assert_eq!(obj("v 0 0 0\0\n").error(), "s.obj:1: vertex coordinate `0\0` is not a number");
+}
+
+#[test]
 fn latin_1_names_are_told_apart() {
     let text = format!("mtllib s.mtl\n{TRIANGLE}").into_bytes();
     let text = [&text[..], b"usemtl gr\xfcn\nf 1 2 3\nusemtl gr\xf6n\nf 3 2 1\n"].concat();

@@ -5,4 +5,5 @@ pub mod comparison;
 pub mod discretisation;
 pub mod error_bars;
 pub mod refinement;
+pub mod survey;
 pub mod validation;

@@ -5,6 +5,7 @@
 
 mod camera;
 mod forecast;
+mod inspect;
 mod options;
 mod outputs;
 mod pipeline;
@@ -44,6 +45,7 @@ enum Command {
     Validate(validate::ValidateArgs),
     Render(render::RenderArgs),
     Probe(probe::ProbeArgs),
+    Inspect(inspect::InspectArgs),
 }
 
 /// Options of every command.
@@ -86,6 +88,7 @@ pub fn run() -> ExitCode {
         Command::Validate(args) => validate::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Probe(args) => probe::run(&args),
+        Command::Inspect(args) => inspect::run(&args),
     };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
@@ -113,18 +116,36 @@ fn say_error(what: &dyn Display) {
 
 /// Prints a line. Nobody reading is no reason to panic, which `eprintln!` would.
 fn to_stderr(line: impl Display) {
-    let _ = writeln!(io::stderr().lock(), "{line}");
+    let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()));
 }
 
 /// Prints text that ends its own lines, to whoever reads it.
 fn to_stdout(text: &str) {
-    let _ = io::stdout().lock().write_all(text.as_bytes());
+    let _ = io::stdout().lock().write_all(printable(text).as_bytes());
+}
+
+/// The text with control characters spelt out. Names come from files, and a terminal would obey them.
+fn printable(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '\n' => shown.push(c),
+            c if c.is_control() => shown.extend(c.escape_default()),
+            c => shown.push(c),
+        }
+    }
+    shown
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use clap::CommandFactory;
+
+    #[test]
+    fn terminals_are_not_told_what_to_do_by_names_in_files() {
+        assert_eq!(printable("a\u{1b}[31mé\tb\n\0\u{9b}"), "a\\u{1b}[31mé\\tb\n\\u{0}\\u{9b}");
+    }
 
     #[test]
     fn the_commands_are_consistent_and_each_help_has_an_example() {

@@ -1,8 +1,53 @@
 //! Options that several commands share.
 
+use std::path::PathBuf;
+
 use clap::{Args, ValueEnum};
 use glam::DVec3;
-use radiosity::{Quality, patch::Subdivision};
+use radiosity::{Error, Quality, Result as RadiosityResult, Scene, patch::Subdivision, scene::LoadOptions};
+
+/// The scene, and what its file does not say: arguments of every command.
+#[derive(Args)]
+pub struct SceneArgs {
+    /// The scene: Wavefront .obj with its .mtl beside it, or .ply
+    #[arg(value_name = "SCENE")]
+    pub path: PathBuf,
+    /// Reflectance of surfaces that the file gives none: a number or R,G,B [default: 0.5]
+    #[arg(long, value_name = "R[,G,B]", value_parser = reflectance)]
+    reflectance: Option<[f64; 3]>,
+    /// Let a material emit radiance, W/(m2 sr), as in 10@lamp or 9,8,5@lamp; without @ all of them. A .ply names its
+    /// materials by their colours, as in 10@#ffcc00. May be given several times
+    #[arg(long, value_name = "L[,M,N][@MATERIAL]", value_parser = emission)]
+    emit: Vec<Emission>,
+}
+
+/// Who shall emit what.
+#[derive(Debug, Clone, PartialEq)]
+struct Emission {
+    radiance: [f64; 3],
+    material: Option<String>,
+}
+
+impl SceneArgs {
+    /// Reads the scene and lights the materials that were told to emit.
+    pub fn load(&self) -> RadiosityResult<Scene> {
+        let mut scene = Scene::load_with(&self.path, &LoadOptions { reflectance: self.reflectance })?;
+        for Emission { radiance, material } in &self.emit {
+            if scene.emit(material.as_deref(), *radiance) == 0 {
+                let name = material.as_deref().unwrap_or_default();
+                let mut names: Vec<&str> = scene.materials.iter().map(|m| m.name.as_str()).collect();
+                names.dedup();
+                let (shown, more) = (names.len().min(10), names.len().saturating_sub(10));
+                let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+                return Err(Error::Usage {
+                    message: format!("--emit: no face of {} has material `{name}`", self.path.display()),
+                    hint: Some(format!("its materials are {}{rest}", names[..shown].join(", "))),
+                });
+            }
+        }
+        Ok(scene)
+    }
+}
 
 /// How finely to cut the scene and how many rays to cast: options of every command that solves for radiosity.
 #[derive(Args)]
@@ -106,6 +151,36 @@ pub fn white(text: &str) -> Result<f64, String> {
     parse(text, |x| (1e-100..=1e100).contains(&x), "a radiance above 0 is wanted")
 }
 
+/// One number, which stands for three, or three.
+fn colour(text: &str) -> Option<[f64; 3]> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|word| word.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[grey]) => Some([grey; 3]),
+        Some(&[r, g, b]) => Some([r, g, b]),
+        _ => None,
+    }
+}
+
+fn reflectance(text: &str) -> Result<[f64; 3], String> {
+    let good = |c: &[f64; 3]| c.iter().all(|r| (0.0..=1.0).contains(r));
+    colour(text).filter(good).ok_or("one number or three, R,G,B, between 0 and 1 are wanted".into())
+}
+
+fn emission(text: &str) -> Result<Emission, String> {
+    let (radiance, material) = match text.split_once('@') {
+        Some((radiance, name)) => (radiance, Some(name.to_owned())),
+        None => (text, None),
+    };
+    let good = |c: &[f64; 3]| c.iter().all(|l| l.is_finite() && *l >= 0.0);
+    match colour(radiance).filter(good) {
+        Some(radiance) => Ok(Emission { radiance, material }),
+        None => {
+            Err("one number or three of 0 or more are wanted, then perhaps @ and the name of a material"
+                .into())
+        }
+    }
+}
+
 /// `x,y,z`.
 pub fn point(text: &str) -> Result<DVec3, String> {
     let numbers: Option<Vec<f64>> =
@@ -118,4 +193,27 @@ pub fn point(text: &str) -> Result<DVec3, String> {
 
 fn parse(text: &str, good: impl Fn(f64) -> bool, wanted: &str) -> Result<f64, String> {
     text.parse().ok().filter(|&x| good(x)).ok_or_else(|| wanted.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn emission_is_radiance_and_perhaps_a_name() {
+        let of = |radiance, name: Option<&str>| Ok(Emission { radiance, material: name.map(String::from) });
+        assert_eq!(emission("10"), of([10.0; 3], None));
+        assert_eq!(emission("1,0,2.5@my lamp@2"), of([1.0, 0.0, 2.5], Some("my lamp@2")));
+        assert_eq!(emission("3@#ffcc00"), of([3.0; 3], Some("#ffcc00")));
+        for wrong in ["", "@lamp", "1,2@lamp", "-1", "inf", "nan", "1,2,3,4", "lamp"] {
+            assert!(emission(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn reflectance_is_a_share() {
+        assert_eq!(reflectance("0.25"), Ok([0.25; 3]));
+        assert_eq!(reflectance("0,1, 0.5"), Ok([0.0, 1.0, 0.5]));
+        assert!(["1.1", "-0.1", "nan", "0.5,0.5", ""].iter().all(|wrong| reflectance(wrong).is_err()));
+    }
 }

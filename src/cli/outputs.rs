@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use radiosity::{Error, Result, monte_carlo::PictureFormat, output::file::OutputFile};
 
-/// Kinds of files that scenes are made of. No output takes the place of one: it might be a material library or a
-/// texture of this very scene.
+/// Kinds of files that scenes are made of. No text takes the place of one: it might be of another scene. Those of this
+/// scene are compared with each output once they are known (`pipeline::read`).
 const INPUT_KINDS: [&str; 13] =
     ["obj", "mtl", "gltf", "glb", "bin", "png", "jpg", "jpeg", "tga", "bmp", "exr", "hdr", "dds"];
 

@@ -5,30 +5,46 @@ use std::path::Path;
 use radiosity::{
     Error, Result, Scene,
     form_factor::{CastOptions, Estimator, FormFactors},
-    output::report::Seconds,
+    output::{file::OutputFile, report::Seconds},
     patch::Patches,
     solve::{self, Solution, SolveOptions},
     trace::Tracer,
 };
 
-use super::{forecast, options::CastArgs, watch::Watch};
+use super::{
+    forecast,
+    options::{CastArgs, SceneArgs},
+    watch::Watch,
+};
 
-/// A scene that emits, ready for rays.
-pub fn load(path: &Path, watch: &Watch, times: &mut Seconds) -> Result<(Scene, Tracer)> {
+/// A scene that emits, ready for rays. None of its files may be one of `outputs`.
+pub fn load(
+    args: &SceneArgs,
+    outputs: &[&OutputFile],
+    watch: &Watch,
+    times: &mut Seconds,
+) -> Result<(Scene, Tracer)> {
     let (scene, tracer);
-    (scene, times.load) = watch.stage("reading", || Scene::load(path))?;
-    for warning in &scene.warnings {
-        watch.warn(warning);
-    }
+    let path = &args.path;
+    (scene, times.load) = watch.stage("reading", || read(args, outputs, watch))?;
     if scene.degenerate > 0 {
         watch.warn(&format!("{}: left out {} triangles without area", path.display(), scene.degenerate));
     }
     if !scene.has_emitter() {
-        return Err(Error::input(path, None, "nothing emits light: there is nothing to compute")
-            .with_hint("give a material an emitted radiance, a line like `Ke 10 10 10` in the .mtl file"));
+        return Err(Error::input(path, None, "nothing emits light: there is nothing to compute").with_hint(
+            "give a material an emitted radiance, by --emit or a line like `Ke 10 10 10` in the .mtl file",
+        ));
     }
     (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
     Ok((scene, tracer))
+}
+
+/// A scene, with what its reader has to say. None of its files may be one of `outputs`.
+pub fn read(args: &SceneArgs, outputs: &[&OutputFile], watch: &Watch) -> Result<Scene> {
+    let scene = args.load()?;
+    outputs.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
+    scene.warnings.iter().for_each(|warning| watch.warn(warning));
+    Ok(scene)
 }
 
 /// How a scene shall be solved.

@@ -23,7 +23,7 @@ use radiosity::{
 
 use super::{
     Common, Outcome,
-    options::CastArgs,
+    options::{CastArgs, SceneArgs},
     outputs,
     pipeline::{self, Job, Solved},
     summary, to_stdout,
@@ -36,8 +36,8 @@ use super::{
     A line of the points holds `x y z nx ny nz`, a line of the result `x y z nx ny nz Er Eg Eb SEr SEg SEb`: irradiance \
     and its standard error in W/m2. By radiosity that is the error of the last bounce, not of the solution it reads.")]
 pub struct ProbeArgs {
-    /// The scene: Wavefront .obj, its .mtl beside it
-    scene: PathBuf,
+    #[command(flatten)]
+    scene: SceneArgs,
     /// The points and the directions they face, a line `x y z nx ny nz` each
     #[arg(long, value_name = "FILE")]
     points: PathBuf,
@@ -100,17 +100,18 @@ impl ProbeArgs {
 pub fn run(args: &ProbeArgs) -> Result<Outcome> {
     let start = Instant::now();
     args.check()?;
-    let inputs = [args.scene.as_path(), &args.points];
+    let inputs = [args.scene.path.as_path(), &args.points];
     let text = |path: &PathBuf, what| outputs::text(path, &inputs, what);
     let file = args.output.as_ref().map(|path| text(path, "a table of irradiance")).transpose()?;
     let report_file = args.report.as_ref().map(|path| text(path, "a report")).transpose()?;
-    outputs::check_distinct(&[&file, &report_file].into_iter().flatten().collect::<Vec<_>>())?;
+    let files: Vec<_> = [&file, &report_file].into_iter().flatten().collect();
+    outputs::check_distinct(&files)?;
     let probes = read_probes(&args.points)?;
     args.common.start_threads()?;
 
     let watch = Watch::new(args.common.quiet);
     let mut times = SamplingSeconds::default();
-    let (scene, tracer) = pipeline::load(&args.scene, &watch, &mut times.stages)?;
+    let (scene, tracer) = pipeline::load(&args.scene, &files, &watch, &mut times.stages)?;
     let (estimates, patches) = estimate(args, &probes, &scene, &tracer, &watch, &mut times)?;
 
     watch.begin_writing();
@@ -121,7 +122,7 @@ pub fn run(args: &ProbeArgs) -> Result<Outcome> {
     times.stages.total = seconds(start.elapsed());
     let report = SamplingReport {
         version: env!("CARGO_PKG_VERSION"),
-        scene: args.scene.display().to_string(),
+        scene: args.scene.path.display().to_string(),
         triangles: scene.triangles.len(),
         method: args.method.name(),
         samples: args.spp,
@@ -171,7 +172,7 @@ fn estimate(
         }
         Method::Radiosity => {
             let job = Job {
-                file: &args.scene,
+                file: &args.scene.path,
                 cast: &args.cast,
                 estimator: Estimator::default(),
                 options: SolveOptions::default(),

@@ -22,7 +22,7 @@ use super::{
     Common, Outcome,
     camera::{self, CameraArgs},
     forecast,
-    options::{CastArgs, stops, white},
+    options::{CastArgs, SceneArgs, stops, white},
     outputs,
     pipeline::{self, Job, Solved},
     summary, to_stdout,
@@ -35,8 +35,8 @@ use super::{
     In a .png radiance is multiplied by the exposure, clipped at white and encoded as sRGB; there is no other curve, \
     and the same --white makes pictures comparable. A .exr or .hdr holds the radiance itself, W/(m2 sr).")]
 pub struct RenderArgs {
-    /// The scene: Wavefront .obj, its .mtl beside it
-    scene: PathBuf,
+    #[command(flatten)]
+    scene: SceneArgs,
     /// Write the picture: .png, .exr or .hdr
     #[arg(short, long, value_name = "OUT.png|.exr|.hdr")]
     output: PathBuf,
@@ -117,7 +117,7 @@ impl RenderArgs {
 
     fn job(&self) -> Job<'_> {
         Job {
-            file: &self.scene,
+            file: &self.scene.path,
             cast: &self.cast,
             estimator: Estimator::default(),
             options: SolveOptions::default(),
@@ -148,14 +148,15 @@ impl RenderArgs {
 pub fn run(args: &RenderArgs) -> Result<Outcome> {
     let start = Instant::now();
     args.check()?;
-    let (file, format) = outputs::picture(&args.output, &args.scene)?;
-    let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene)).transpose()?;
-    outputs::check_distinct(&std::iter::once(&file).chain(&report_file).collect::<Vec<_>>())?;
+    let (file, format) = outputs::picture(&args.output, &args.scene.path)?;
+    let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
+    let files: Vec<_> = std::iter::once(&file).chain(&report_file).collect();
+    outputs::check_distinct(&files)?;
     args.common.start_threads()?;
 
     let watch = Watch::new(args.common.quiet);
     let mut times = SamplingSeconds::default();
-    let (scene, tracer) = pipeline::load(&args.scene, &watch, &mut times.stages)?;
+    let (scene, tracer) = pipeline::load(&args.scene, &files, &watch, &mut times.stages)?;
     let camera = args.camera.camera(&scene, &tracer)?;
     args.check_size(&camera)?;
     camera::check(&camera, &scene, &tracer, &watch)?;
@@ -170,7 +171,7 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
     times.stages.total = seconds(start.elapsed());
     let report = SamplingReport {
         version: env!("CARGO_PKG_VERSION"),
-        scene: args.scene.display().to_string(),
+        scene: args.scene.path.display().to_string(),
         triangles: scene.triangles.len(),
         method: args.method.name(),
         samples: args.spp,
@@ -219,7 +220,7 @@ fn picture(
             let options = LightOptions { particles, seed: args.seed, ..LightOptions::default() };
             let light = LightTracer::new(scene, tracer, options);
             let made = watch.stage("particles", || {
-                light.image(camera, watch.progress()).map_err(|e| pipeline::blame(&args.scene, e))
+                light.image(camera, watch.progress()).map_err(|e| pipeline::blame(&args.scene.path, e))
             });
             let image;
             (image, times.sampling) = made?;

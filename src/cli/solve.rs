@@ -21,7 +21,7 @@ use radiosity::{
 
 use super::{
     Common, Outcome,
-    options::{CastArgs, below_one, stops},
+    options::{CastArgs, SceneArgs, below_one, stops},
     outputs,
     pipeline::{self, Job, Solved},
     summary, to_stdout,
@@ -35,8 +35,8 @@ const ROUNDING: f64 = 1e-9;
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity solve room.obj -o room.ply --report room.json --quality high")]
 pub struct SolveArgs {
-    /// The scene: Wavefront .obj, its .mtl beside it
-    scene: PathBuf,
+    #[command(flatten)]
+    scene: SceneArgs,
     /// Write a coloured mesh, binary PLY
     #[arg(short, long, value_name = "OUT.ply")]
     output: Option<PathBuf>,
@@ -126,14 +126,15 @@ struct Computed {
 pub fn run(args: &SolveArgs) -> Result<Outcome> {
     let start = Instant::now();
     args.check()?;
-    let mesh = args.output.as_ref().map(|path| outputs::mesh(path, &args.scene)).transpose()?;
-    let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene)).transpose()?;
-    outputs::check_distinct(&[&mesh, &report_file].into_iter().flatten().collect::<Vec<_>>())?;
+    let mesh = args.output.as_ref().map(|path| outputs::mesh(path, &args.scene.path)).transpose()?;
+    let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
+    let files: Vec<_> = [&mesh, &report_file].into_iter().flatten().collect();
+    outputs::check_distinct(&files)?;
     args.common.start_threads()?;
 
     let watch = Watch::new(args.common.quiet);
     let mut times = Seconds::default();
-    let computed = compute(args, &watch, &mut times)?;
+    let computed = compute(args, &files, &watch, &mut times)?;
     let Computed { scene, patches, form_factors, solution, energy, error_bars } = &computed;
 
     let exposure = exposure::of_radiosity(patches, &solution.radiosity).brighter(args.exposure);
@@ -151,7 +152,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
         seed: args.seed,
         white: exposure.white(),
     };
-    let file = args.scene.display().to_string();
+    let file = args.scene.path.display().to_string();
     let mut report = SolveReport::new(&file, scene, patches, form_factors, solution, energy, options);
     report.error.rms_relative =
         Some(relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas()));
@@ -172,15 +173,20 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     Ok(verdict(args, &report))
 }
 
-fn compute(args: &SolveArgs, watch: &Watch, times: &mut Seconds) -> Result<Computed> {
+fn compute(
+    args: &SolveArgs,
+    outputs: &[&OutputFile],
+    watch: &Watch,
+    times: &mut Seconds,
+) -> Result<Computed> {
     let job = Job {
-        file: &args.scene,
+        file: &args.scene.path,
         cast: &args.cast,
         estimator: args.estimator(),
         options: args.solve_options(),
         seed: args.seed,
     };
-    let (scene, tracer) = pipeline::load(&args.scene, watch, times)?;
+    let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
     job.check(&scene, watch)?;
     let Solved { patches, form_factors, solution } = job.solve(&scene, &tracer, watch, times)?;
     let ((energy, error_bars), seconds) = watch.stage("error bars", || {

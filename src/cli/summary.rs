@@ -109,7 +109,7 @@ pub fn probes(report: &SamplingReport, written: &str) -> String {
     finish(text, report, written)
 }
 
-fn row(text: &mut String, name: &str, value: &str) {
+pub fn row(text: &mut String, name: &str, value: &str) {
     let _ = writeln!(text, "{name:<13} {value}");
 }
 
@@ -140,7 +140,7 @@ fn finish(mut text: String, report: &SamplingReport, written: &str) -> String {
 }
 
 /// A number of bytes for people.
-fn memory(bytes: f64) -> String {
+pub fn memory(bytes: f64) -> String {
     let units = ["bytes", "KiB", "MiB", "GiB", "TiB"];
     let mut unit = 0;
     let mut value = bytes;

@@ -7,9 +7,15 @@ use radiosity::{
     Result,
     accuracy::validation::{Validation, ValidationOptions},
     output::{report::Seconds, validation_report::ValidationReport},
+    patch::Patches,
 };
 
-use super::{Common, Outcome, options::CastArgs, outputs, pipeline, to_stdout, watch::Watch};
+use super::{
+    Common, Outcome, forecast,
+    options::{CastArgs, SceneArgs},
+    outputs, pipeline, to_stdout,
+    watch::Watch,
+};
 
 /// Check whether the answer can be trusted: energy ledger, closure, reciprocity, and radiosity against path tracing and
 /// light tracing
@@ -18,8 +24,8 @@ use super::{Common, Outcome, options::CastArgs, outputs, pipeline, to_stdout, wa
     Solves the scene at two patch sizes, follows light from both ends, and compares the irradiance of every patch in\n\
     units of the combined standard errors. Exit status 1 when a check fails.")]
 pub struct ValidateArgs {
-    /// The scene: Wavefront .obj, its .mtl beside it
-    scene: PathBuf,
+    #[command(flatten)]
+    scene: SceneArgs,
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
@@ -42,10 +48,15 @@ pub struct ValidateArgs {
 
 /// Runs the command.
 pub fn run(args: &ValidateArgs) -> Result<Outcome> {
-    let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene)).transpose()?;
+    let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
     args.common.start_threads()?;
     let watch = Watch::new(args.common.quiet);
-    let (scene, tracer) = pipeline::load(&args.scene, &watch, &mut Seconds::default())?;
+    let (scene, tracer) = pipeline::load(
+        &args.scene,
+        &report_file.iter().collect::<Vec<_>>(),
+        &watch,
+        &mut Seconds::default(),
+    )?;
     let defaults = ValidationOptions::default();
     let options = ValidationOptions {
         subdivision: args.cast.given_subdivision().unwrap_or(defaults.subdivision),
@@ -55,11 +66,16 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         seed: args.seed,
         ..defaults
     };
+    // It solves with edges half as long, too.
+    let patches = 4.0 * Patches::forecast(&scene, &options.subdivision);
+    if let Some(warning) = forecast::check(patches, options.rays)? {
+        watch.warn(&warning);
+    }
     let (validation, _) = watch.stage("validating", || {
         Validation::of(&scene, &tracer, &options, watch.progress())
-            .map_err(|error| pipeline::blame(&args.scene, error))
+            .map_err(|error| pipeline::blame(&args.scene.path, error))
     })?;
-    let report = ValidationReport::new(&args.scene.display().to_string(), &scene, &validation);
+    let report = ValidationReport::new(&args.scene.path.display().to_string(), &scene, &validation);
     watch.begin_writing();
     if let Some(file) = report_file {
         file.write(|out| report.write(out))?.commit()?;

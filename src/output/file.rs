@@ -54,18 +54,32 @@ impl OutputFile {
             Err(e) if e.kind() == io::ErrorKind::NotFound => Some(path.to_owned()),
             Err(e) => return Err(failed(e)),
         };
-        let is_input = |input: &&Path| fs::canonicalize(input).is_ok_and(|input| Some(input) == target);
-        if inputs.iter().any(is_input) {
-            return Err(Error::Usage {
-                message: format!("{}: the output would replace the input", path.display()),
-                hint: Some("give the output another name".into()),
-            });
-        }
         let output = OutputFile { path: path.to_owned(), target };
+        output.check_inputs(inputs)?;
         if output.target.is_some() {
             output.temporary()?;
         }
         Ok(output)
+    }
+
+    /// Checks that it is none of `inputs`: for those that are known only once others have been read.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when it is.
+    pub fn check_inputs(&self, inputs: &[impl AsRef<Path>]) -> Result<()> {
+        // A place where there is no file yet cannot be a file that was read.
+        let is_input = |input: &Path| fs::canonicalize(input).is_ok_and(|input| Some(input) == self.target);
+        match inputs.iter().map(AsRef::as_ref).find(|input| is_input(input)) {
+            None => Ok(()),
+            Some(input) => Err(Error::Usage {
+                message: format!(
+                    "{}: the output would replace the input {}",
+                    self.path.display(),
+                    input.display()
+                ),
+                hint: Some("give the output another name".into()),
+            }),
+        }
     }
 
     /// The path as it was given.

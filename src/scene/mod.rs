@@ -3,11 +3,15 @@
 //! Everything is kept as the file says it: lengths in the file's unit and double precision, `Ke` as radiance,
 //! `Kd` as reflectance. Whoever casts rays recentres and rescales ([`crate::trace`]).
 
+pub mod inspection;
 pub mod obj;
+mod ply;
+mod text;
 mod texture;
 mod triangulate;
+mod warnings;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
 
@@ -69,20 +73,63 @@ pub struct Scene {
     pub degenerate: usize,
     /// What the reader left out or assumed, a sentence each.
     pub warnings: Vec<String>,
+    /// Files that were read: the mesh, then material libraries and textures; empty for a scene made in memory.
+    pub files: Vec<PathBuf>,
+    /// Material libraries and textures that the files name and that could not be read, by these names.
+    pub missing: Vec<String>,
+}
+
+/// What to take where a file says nothing.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct LoadOptions {
+    /// Reflectance of surfaces that the file gives none, R G B in \[0, 1\]; [`DEFAULT_REFLECTANCE`] where `None`.
+    pub reflectance: Option<[f64; 3]>,
+}
+
+/// Reflectance of whatever neither the file nor [`LoadOptions`] give one: grey plaster.
+pub const DEFAULT_REFLECTANCE: f64 = 0.5;
+
+impl LoadOptions {
+    /// The reflectance of what has none.
+    fn default_reflectance(&self) -> [f64; 3] {
+        self.reflectance.unwrap_or([DEFAULT_REFLECTANCE; 3])
+    }
+
+    /// The same in words, for warnings.
+    fn default_in_words(&self) -> String {
+        match self.default_reflectance() {
+            [r, g, b] if r == g && g == b => format!("reflectance {r}"),
+            [r, g, b] => format!("reflectance {r} {g} {b}"),
+        }
+    }
 }
 
 impl Scene {
-    /// Reads a scene; the format is told by the file's extension (`.obj` with its `.mtl`).
+    /// Reads a scene; the format is told by the file's extension (`.obj` with its `.mtl`, `.ply`).
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] with file and line when it cannot be used.
     pub fn load(path: impl AsRef<Path>) -> Result<Scene> {
+        Scene::load_with(path, &LoadOptions::default())
+    }
+
+    /// Reads a scene as [`Scene::load`] does, with a word on what files may leave open.
+    ///
+    /// # Errors
+    /// Those of [`Scene::load`].
+    ///
+    /// # Panics
+    /// When a reflectance given is outside 0 to 1.
+    pub fn load_with(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Scene> {
         let path = path.as_ref();
+        let given = options.default_reflectance();
+        assert!(given.iter().all(|r| (0.0..=1.0).contains(r)), "a reflectance is outside 0 to 1");
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
         match extension.as_deref() {
-            Some("obj") => obj::load(path),
+            Some("obj") => obj::load(path, options),
+            Some("ply") => ply::load(path, options),
             _ => Err(Error::input(path, None, "unknown kind of scene")
-                .with_hint("the program reads Wavefront .obj files")),
+                .with_hint("the program reads Wavefront .obj and .ply files")),
         }
     }
 
@@ -98,7 +145,7 @@ impl Scene {
             assert!((*material as usize) < materials.len(), "material index out of range");
             builder.push(*corners, *material, None);
         }
-        builder.finish(materials, Vec::new(), Vec::new())
+        Scene { materials, ..builder.finish() }
     }
 
     /// The corners of triangle `t`.
@@ -130,6 +177,23 @@ impl Scene {
     /// Whether any triangle emits.
     pub fn has_emitter(&self) -> bool {
         (0..self.triangles.len()).any(|t| self.emits(t))
+    }
+
+    /// Lets the material of this name emit `radiance`, W/(m² sr), from the front of all its triangles, or every material
+    /// where no name is given; textures of emission no longer count. Tells how many materials that were: names need
+    /// not be unique.
+    ///
+    /// # Panics
+    /// When the radiance is negative or not finite.
+    pub fn emit(&mut self, material: Option<&str>, radiance: [f64; 3]) -> usize {
+        assert!(radiance.iter().all(|&l| l.is_finite() && l >= 0.0), "not a radiance");
+        let mut found = 0;
+        for m in self.materials.iter_mut().filter(|m| material.is_none_or(|name| m.name == name)) {
+            m.emission = radiance;
+            m.emission_map = None;
+            found += 1;
+        }
+        found
     }
 
     /// 1 when every material and texture is grey, so that one channel describes the scene; else 3.
@@ -244,20 +308,15 @@ impl SceneBuilder {
             })
         });
         self.scene.triangles.push(Triangle { vertices, material, source });
-        self.scene.texcoords.push(texcoords.unwrap_or_default());
+        // Those before the first triangle with some are filled in; those of a scene without any are not kept at all.
+        if texcoords.is_some() || !self.scene.texcoords.is_empty() {
+            self.scene.texcoords.resize(self.scene.triangles.len() - 1, Default::default());
+            self.scene.texcoords.push(texcoords.unwrap_or_default());
+        }
     }
 
-    /// The scene. Texture coordinates are kept only where a material has a texture.
-    pub(crate) fn finish(
-        self,
-        materials: Vec<Material>,
-        textures: Vec<Texture>,
-        warnings: Vec<String>,
-    ) -> Scene {
-        let mut scene = self.scene;
-        if !materials.iter().any(|m| m.reflectance_map.is_some() || m.emission_map.is_some()) {
-            scene.texcoords = Vec::new();
-        }
-        Scene { materials, textures, warnings, ..scene }
+    /// The triangles and their corners, as yet without materials.
+    pub(crate) fn finish(self) -> Scene {
+        self.scene
     }
 }

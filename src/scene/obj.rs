@@ -17,16 +17,15 @@ mod map_line;
 mod material;
 mod mtl;
 mod scan;
-mod text;
 
 use std::path::Path;
 
 use glam::{DVec2, DVec3};
 
-use self::material::{DEFAULT_REFLECTANCE, Materials};
+use self::material::Materials;
 use self::mtl::{Libraries, Origin};
 use self::scan::{Face, Scan};
-use super::{Scene, SceneBuilder, triangulate};
+use super::{LoadOptions, Scene, SceneBuilder, text, triangulate};
 use crate::{Error, Result};
 
 /// Reads `path` and the material libraries it names.
@@ -34,25 +33,43 @@ use crate::{Error, Result};
 /// # Errors
 /// [`Error::Io`] when `path` cannot be read; [`Error::Input`], with the line where there is one, when what it or its
 /// libraries say cannot be used. Missing libraries and textures are warnings.
-pub fn load(path: &Path) -> Result<Scene> {
+pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
-    let mut scan = scan::scan(path, &text::decode(bytes))?;
+    let text = text::decode(bytes);
+    let mut scan = scan::scan(path, &text)?;
+    if scan.faces.is_empty() && text.contains('\0') {
+        return Err(Error::input(path, None, "not an OBJ file: it is no text")
+            .with_hint("the name ends in .obj, but what is in the file is of another kind"));
+    }
+    drop(text);
     if scan.faces.is_empty() {
         return Err(Error::input(path, None, "no faces")
             .with_hint("an OBJ file needs lines like `f 1 2 3`; points and lines have no area to light"));
     }
-    let mut libraries = Libraries::read(path, &scan);
+    let mut libraries = Libraries::read(path, &scan, options);
     let (models, definitions) = parse(path, &scan, &libraries)?;
     scan.text = String::new();
 
-    let mut assembly = Assembly { path, materials: Materials::default(), builder: SceneBuilder::default() };
+    let mut assembly =
+        Assembly { path, materials: Materials::new(*options), builder: SceneBuilder::default() };
     assembly.add(&models, &scan.faces, &definitions, &libraries.origins)?;
     let Assembly { mut materials, builder, .. } = assembly;
 
     let mut warnings = scan.warnings;
-    warnings.append(&mut libraries.warnings);
-    warnings.append(&mut materials.warnings);
-    let scene = builder.finish(materials.materials, materials.textures, warnings);
+    warnings.append(libraries.warnings);
+    warnings.append(materials.warnings);
+    let mut scene = builder.finish();
+    if !materials.materials.iter().any(|m| m.reflectance_map.is_some() || m.emission_map.is_some()) {
+        scene.texcoords = Vec::new();
+    }
+    scene.materials = materials.materials;
+    scene.textures = materials.textures;
+    scene.warnings = warnings.into_sentences();
+    scene.files = vec![path.to_owned()];
+    scene.files.append(&mut libraries.files);
+    scene.files.append(&mut materials.files);
+    scene.missing = libraries.missing;
+    scene.missing.append(&mut materials.missing);
     if scene.triangles.is_empty() {
         return Err(Error::input(path, None, "every face has zero area")
             .with_hint("check that the vertices of the faces are at different places"));
@@ -105,34 +122,44 @@ impl Assembly<'_> {
                 if mesh.material_id.is_none() {
                     without_material.get_or_insert(face.line);
                 }
-                self.polygon(mesh, start..start + arity, face.textured, material);
+                self.polygon(mesh, start..start + arity, face, material)?;
                 start += arity;
             }
         }
         assert!(faces.next().is_none(), "tobj and the layer before it agree on the faces");
         if let Some(line) = without_material {
             self.materials.warnings.push(format!(
-                "{}:{line}: faces without a material get reflectance {DEFAULT_REFLECTANCE}",
-                self.path.display()
+                "{}:{line}: faces without a material get {}",
+                self.path.display(),
+                self.materials.options.default_in_words()
             ));
         }
         Ok(())
     }
 
-    fn polygon(&mut self, mesh: &tobj::Mesh, corners: std::ops::Range<usize>, textured: bool, material: u32) {
+    fn polygon(
+        &mut self,
+        mesh: &tobj::Mesh,
+        corners: std::ops::Range<usize>,
+        face: &Face,
+        material: u32,
+    ) -> Result<()> {
         let points: Vec<DVec3> = mesh.indices[corners.clone()]
             .iter()
             .map(|&i| DVec3::from_slice(&mesh.positions[3 * i as usize..]))
             .collect();
-        let uv: Option<Vec<DVec2>> = textured.then(|| {
+        let uv: Option<Vec<DVec2>> = face.textured.then(|| {
             mesh.texcoord_indices[corners]
                 .iter()
                 .map(|&i| DVec2::from_slice(&mesh.texcoords[2 * i as usize..]))
                 .collect()
         });
-        for triangle in triangulate::polygon(&points) {
+        let triangles = triangulate::polygon(&points)
+            .ok_or_else(|| Error::input(self.path, Some(face.line), triangulate::TOO_MANY))?;
+        for triangle in triangles {
             let uv = uv.as_ref().map(|uv| triangle.map(|i| uv[i]));
             self.builder.push(triangle.map(|i| points[i]), material, uv);
         }
+        Ok(())
     }
 }

@@ -7,17 +7,25 @@ use glam::{DVec2, DVec3};
 /// How far a corner may turn the wrong way and still count as straight, as the sine of an angle.
 const STRAIGHT: f64 = 1e-9;
 
+/// Ear clipping takes time with the square of the corners: a concave polygon of 100,000 took a minute and a half, one of
+/// 10,000 a tenth of a second. More are refused, so that time stays in proportion to the file.
+const MOST_CORNERS: usize = 10_000;
+
+/// What to say of a polygon that [`polygon`] refuses.
+pub(super) const TOO_MANY: &str = "a concave face of more than 10000 corners cannot be cut into triangles";
+
 /// The triangles of a polygon of at least three points as indices into `points`: always two fewer than points, with
-/// the polygon's winding. Degenerate polygons, and those that cross themselves, become a fan.
-pub(super) fn polygon(points: &[DVec3]) -> Vec<[usize; 3]> {
+/// the polygon's winding. Degenerate polygons, and those that cross themselves, become a fan; `None` where there are too
+/// many corners.
+pub(super) fn polygon(points: &[DVec3]) -> Option<Vec<[usize; 3]>> {
     if points.len() == 3 {
-        return fan(3);
+        return Some(fan(3));
     }
-    let Some(plane) = flatten(points) else { return fan(points.len()) };
+    let Some(plane) = flatten(points) else { return Some(fan(points.len())) };
     if is_convex(&plane) {
-        return fan(points.len());
+        return Some(fan(points.len()));
     }
-    clip_ears(&plane).unwrap_or_else(|| fan(points.len()))
+    (points.len() <= MOST_CORNERS).then(|| clip_ears(&plane).unwrap_or_else(|| fan(points.len())))
 }
 
 fn fan(n: usize) -> Vec<[usize; 3]> {
@@ -128,23 +136,35 @@ mod tests {
     fn convex_is_a_fan_from_the_first_vertex() {
         let ring: Vec<[f64; 2]> =
             (0..6).map(|i| (f64::from(i)).to_radians() * 60.0).map(|a| [a.cos(), a.sin()]).collect();
-        assert_eq!(polygon(&in_3d(&ring, 1.0)), [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]);
+        assert_eq!(polygon(&in_3d(&ring, 1.0)).unwrap(), [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]);
     }
 
     #[test]
     fn a_point_on_a_straight_edge_stays() {
         let l = [[0., 0.], [1., 0.], [2., 0.], [2., 1.], [1., 1.], [1., 2.], [0., 2.], [0., 1.], [0., 0.5]];
-        let area = check(&l, &polygon(&in_3d(&l, 1.0)));
+        let area = check(&l, &polygon(&in_3d(&l, 1.0)).unwrap());
         assert!((area - 6.0).abs() < 1e-12);
     }
 
     #[test]
     fn degenerate_polygons_are_fans() {
         let line: Vec<DVec3> = (0..5).map(|i| DVec3::X * f64::from(i)).collect();
-        assert_eq!(polygon(&line).len(), 3);
-        assert_eq!(polygon(&[DVec3::ONE; 4]).len(), 2);
+        assert_eq!(polygon(&line).unwrap().len(), 3);
+        assert_eq!(polygon(&[DVec3::ONE; 4]).unwrap().len(), 2);
         let bow_tie = [[0., 0.], [1., 1.], [1., 0.], [0., 1.]];
-        assert_eq!(polygon(&in_3d(&bow_tie, 1.0)), fan(4));
+        assert_eq!(polygon(&in_3d(&bow_tie, 1.0)).unwrap(), fan(4));
+    }
+
+    #[test]
+    fn time_does_not_grow_with_the_square_of_a_file() {
+        // A circle of any number of corners is a fan; with a dent it is too much.
+        let mut ring: Vec<[f64; 2]> = (0..20_000)
+            .map(|i| std::f64::consts::TAU * f64::from(i) / 20_000.0)
+            .map(|a| [a.cos(), a.sin()])
+            .collect();
+        assert_eq!(polygon(&in_3d(&ring, 1.0)).unwrap().len(), 19_998);
+        ring[7] = [0.5, 0.0];
+        assert!(polygon(&in_3d(&ring, 1.0)).is_none());
     }
 
     proptest! {
@@ -168,9 +188,9 @@ mod tests {
                     p[1] = -p[1];
                 }
                 ring.reverse();
-                polygon(&back)
+                polygon(&back).unwrap()
             } else {
-                polygon(&points)
+                polygon(&points).unwrap()
             };
             let area = check(&ring, &triangles);
             prop_assert!((area - doubled_area(&ring)).abs() < 1e-9);

@@ -1,6 +1,6 @@
 //! The value of `map_Kd` and `map_Ke`: options, then a file name that may contain blanks. tobj leaves it one string.
 
-use super::text::split_keyword;
+use crate::scene::text::split_keyword;
 
 /// What the reader uses of a texture statement.
 #[derive(Debug, PartialEq)]

@@ -7,19 +7,20 @@ use glam::DVec2;
 
 use super::map_line;
 use super::mtl::Origin;
-use super::text::find_file;
 use crate::Result;
-use crate::scene::{Material, Texture, TextureMap};
-
-/// Reflectance of whatever the file gives none for.
-pub(super) const DEFAULT_REFLECTANCE: f64 = 0.5;
+use crate::scene::text::find_file;
+use crate::scene::{LoadOptions, Material, Texture, TextureMap, warnings::Warnings};
 
 /// Makes the materials that faces use, each once, in the order of their first use.
-#[derive(Default)]
 pub(super) struct Materials {
+    pub(super) options: LoadOptions,
     pub(super) materials: Vec<Material>,
     pub(super) textures: Vec<Texture>,
-    pub(super) warnings: Vec<String>,
+    pub(super) warnings: Warnings,
+    /// Textures that were read.
+    pub(super) files: Vec<PathBuf>,
+    /// Names of textures that could not be read.
+    pub(super) missing: Vec<String>,
     /// By tobj's index and whether textures apply.
     made: HashMap<(Option<usize>, bool), u32>,
     read: HashMap<PathBuf, Option<usize>>,
@@ -27,6 +28,20 @@ pub(super) struct Materials {
 }
 
 impl Materials {
+    pub(super) fn new(options: LoadOptions) -> Self {
+        Materials {
+            options,
+            materials: Vec::new(),
+            textures: Vec::new(),
+            warnings: Warnings::default(),
+            files: Vec::new(),
+            missing: Vec::new(),
+            made: HashMap::new(),
+            read: HashMap::new(),
+            absent: HashMap::new(),
+        }
+    }
+
     /// The index of the material `id` for a face that has texture coordinates or not.
     pub(super) fn index(
         &mut self,
@@ -47,7 +62,7 @@ impl Materials {
                 let first = !self.made.contains_key(&(id, !key.1));
                 self.convert(&definitions[i], &origins[i], key.1, first)?
             }
-            None => Material::new("(none)", [DEFAULT_REFLECTANCE; 3], [0.0; 3]),
+            None => Material::new("(none)", self.options.default_reflectance(), [0.0; 3]),
         };
         let index = self.materials.len() as u32;
         self.materials.push(material);
@@ -78,7 +93,7 @@ impl Materials {
             return Err(origin.error("Ke", message));
         }
         if first {
-            self.warnings.extend(origin.notes.iter().cloned());
+            origin.notes.iter().for_each(|note| self.warnings.push(note.clone()));
             self.warn_left_out(definition, origin);
         }
         let maps = ["map_Kd", "map_Ke"].map(|statement| {
@@ -88,23 +103,19 @@ impl Materials {
         });
         let [reflectance_map, emission_map] = maps;
         if !textured {
-            self.warnings.push(format!(
-                "{}: faces of material `{name}` have no texture coordinates; they go without its texture",
-                origin.file.display()
-            ));
+            let after = " have no texture coordinates; they go without its texture";
+            self.warnings.repeat(origin.file.display().to_string(), "faces of material", name, after);
         }
-        let plain = if reflectance_map.is_some() { 1.0 } else { DEFAULT_REFLECTANCE };
+        let plain = if reflectance_map.is_some() { [1.0; 3] } else { self.options.default_reflectance() };
         let told = map_of(definition, "map_Kd").is_some() || !origin.notes.is_empty() || !origin.defined;
         if definition.diffuse.is_none() && !told {
-            self.warnings.push(format!(
-                "{}: material `{name}` has no Kd; reflectance {DEFAULT_REFLECTANCE} is used",
-                origin.place("newmtl")
-            ));
+            let after = format!(" has no Kd; {} is used", self.options.default_in_words());
+            self.warnings.repeat(origin.place("newmtl"), "material", name, &after);
         }
         let dark = if emission_map.is_some() { 1.0 } else { 0.0 };
         Ok(Material {
             name: name.clone(),
-            reflectance: definition.diffuse.unwrap_or([plain; 3]),
+            reflectance: definition.diffuse.unwrap_or(plain),
             emission: definition.emissive.unwrap_or([dark; 3]),
             reflectance_map,
             emission_map,
@@ -146,13 +157,15 @@ impl Materials {
         let folder = origin.file.parent().unwrap_or(Path::new(""));
         let instead = match (statement, factor) {
             ("map_Kd", Some(_)) => "plain Kd is used".to_string(),
-            ("map_Kd", None) => format!("reflectance {DEFAULT_REFLECTANCE} is used"),
+            ("map_Kd", None) => format!("{} is used", self.options.default_in_words()),
             (_, Some(_)) => "plain Ke is used".to_string(),
             (_, None) => "the material does not emit".to_string(),
         };
         let Some(path) = find_file(folder, name) else {
             if self.absent.insert((folder.into(), name.into()), ()).is_none() {
-                self.warnings.push(format!("{place}: texture `{name}` not found; {instead}"));
+                let after = format!(" not found; {instead}");
+                self.warnings.repeat(place.into(), "texture", name, &after);
+                self.missing.push(name.into());
             }
             return None;
         };
@@ -163,10 +176,13 @@ impl Materials {
         let index = match Texture::load(&path) {
             Ok(texture) => {
                 self.textures.push(texture);
+                self.files.push(path.clone());
                 Some(self.textures.len() - 1)
             }
             Err(why) => {
-                self.warnings.push(format!("{place}: texture `{name}` cannot be read: {why}; {instead}"));
+                let after = format!(" cannot be read: {why}; {instead}");
+                self.warnings.repeat(place.into(), "texture", name, &after);
+                self.missing.push(name.into());
                 None
             }
         };
@@ -177,12 +193,8 @@ impl Materials {
     fn warn_left_out(&mut self, definition: &tobj::Material, origin: &Origin) {
         let left_out = not_lambertian(definition);
         if !left_out.is_empty() {
-            self.warnings.push(format!(
-                "{}: material `{}` is taken as purely diffuse; left out: {}",
-                origin.place("newmtl"),
-                definition.name,
-                left_out.join(", ")
-            ));
+            let after = format!(" is taken as purely diffuse; left out: {}", left_out.join(", "));
+            self.warnings.repeat(origin.place("newmtl"), "material", &definition.name, &after);
         }
     }
 }

@@ -6,7 +6,8 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use super::scan::{Scan, UNNAMED};
-use super::text::{self, find_as_named, find_file, split_keyword, without_comment};
+use crate::scene::text::{self, find_as_named, find_file, split_keyword, without_comment};
+use crate::scene::{LoadOptions, warnings::Warnings};
 use crate::{Error, Result};
 
 /// Statements under the spelling that tobj knows; exporters vary the case.
@@ -55,7 +56,13 @@ pub(super) struct Libraries {
     /// One text for tobj.
     pub(super) text: String,
     pub(super) origins: Vec<Origin>,
-    pub(super) warnings: Vec<String>,
+    pub(super) warnings: Warnings,
+    /// Libraries that were read.
+    pub(super) files: Vec<PathBuf>,
+    /// Names of libraries that could not be read.
+    pub(super) missing: Vec<String>,
+    /// Reflectance of what is not defined, in words.
+    default: String,
     names: HashSet<String>,
     /// Whether the statements read now belong to a second definition, which does not count.
     skipping: bool,
@@ -63,9 +70,9 @@ pub(super) struct Libraries {
 
 impl Libraries {
     /// Reads the libraries that `scan` of `obj` names, and defines what is used but in none of them.
-    pub(super) fn read(obj: &Path, scan: &Scan) -> Libraries {
+    pub(super) fn read(obj: &Path, scan: &Scan, options: &LoadOptions) -> Libraries {
         let folder = obj.parent().unwrap_or(Path::new(""));
-        let mut libraries = Libraries::default();
+        let mut libraries = Libraries { default: options.default_in_words(), ..Libraries::default() };
         let mut seen = HashSet::new();
         for (line, value) in &scan.libraries {
             for name in library_names(folder, value) {
@@ -76,20 +83,26 @@ impl Libraries {
                     .ok_or_else(|| "not found".to_string())
                     .and_then(|path| std::fs::read(&path).map(|b| (path, b)).map_err(|e| e.to_string()));
                 match read {
-                    Ok((path, bytes)) => libraries.parse(&path, &text::decode(bytes)),
-                    Err(why) => libraries.warnings.push(format!(
-                        "{}:{line}: material library `{name}`: {why}; its materials get reflectance 0.5",
-                        obj.display()
-                    )),
+                    Ok((path, bytes)) => {
+                        libraries.parse(&path, &text::decode(bytes));
+                        libraries.files.push(path);
+                    }
+                    Err(why) => {
+                        libraries.warnings.push(format!(
+                            "{}:{line}: material library `{name}`: {why}; its materials get {}",
+                            obj.display(),
+                            libraries.default
+                        ));
+                        libraries.missing.push(name);
+                    }
                 }
             }
         }
         for (line, name) in &scan.used {
             if !libraries.names.contains(name) {
-                libraries.warnings.push(format!(
-                    "{}:{line}: material `{name}` is not defined; it gets reflectance 0.5",
-                    obj.display()
-                ));
+                let place = format!("{}:{line}", obj.display());
+                let after = format!(" is not defined; it gets {}", libraries.default);
+                libraries.warnings.repeat(place, "material", name, &after);
                 libraries.define(obj, *line, name, false);
             }
         }
@@ -114,10 +127,8 @@ impl Libraries {
     fn define(&mut self, file: &Path, line: usize, name: &str, defined: bool) {
         self.skipping = !self.names.insert(name.into());
         if self.skipping {
-            self.warnings.push(format!(
-                "{}:{line}: material `{name}` is defined again; the first definition counts",
-                file.display()
-            ));
+            let place = format!("{}:{line}", file.display());
+            self.warnings.repeat(place, "material", name, " is defined again; the first definition counts");
             return;
         }
         let _ = writeln!(self.text, "newmtl {name}");
@@ -138,7 +149,7 @@ impl Libraries {
                 Ok(rgb) => Some(format!("{:e} {:e} {:e}", rgb[0], rgb[1], rgb[2])),
                 Err(Unread::Spectral) if matches!(statement, "Kd" | "Ke") => {
                     let place = format!("{}:{number}", origin.file.display());
-                    let default = if statement == "Kd" { "reflectance 0.5" } else { "no emission" };
+                    let default = if statement == "Kd" { &self.default } else { "no emission" };
                     origin.notes.push(format!(
                         "{place}: `{statement} spectral` is not supported; {default} is used instead"
                     ));

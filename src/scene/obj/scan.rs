@@ -4,7 +4,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::text::{self, split_keyword, without_comment};
+use crate::scene::text::{self, split_keyword, without_comment};
+use crate::scene::warnings::Warnings;
 use crate::{Error, Result};
 
 /// What a material without a name is called.
@@ -27,7 +28,7 @@ pub(super) struct Scan {
     pub(super) libraries: Vec<(usize, String)>,
     /// Names after `usemtl`, each with the line where a face first needed it.
     pub(super) used: Vec<(usize, String)>,
-    pub(super) warnings: Vec<String>,
+    pub(super) warnings: Warnings,
 }
 
 struct Scanner<'a> {
@@ -83,7 +84,7 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
             faces: Vec::new(),
             libraries: Vec::new(),
             used: Vec::new(),
-            warnings: Vec::new(),
+            warnings: Warnings::default(),
         },
     };
     for (number, line) in text::lines(text) {

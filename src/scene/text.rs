@@ -3,9 +3,19 @@
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
-/// The file as text. What is not UTF-8 is taken as Latin-1, which keeps different names different (a replacement
-/// character would not).
+/// The file as text: UTF-16 where a byte order mark says so, else UTF-8. What is not UTF-8 is taken as Latin-1, which
+/// keeps different names different (a replacement character would not).
 pub(super) fn decode(bytes: Vec<u8>) -> String {
+    let utf_16 = |pair: fn([u8; 2]) -> u16| {
+        let units: Vec<u16> = bytes[2..].as_chunks().0.iter().map(|&two| pair(two)).collect();
+        String::from_utf16_lossy(&units)
+    };
+    if bytes.starts_with(b"\xff\xfe") {
+        return utf_16(u16::from_le_bytes);
+    }
+    if bytes.starts_with(b"\xfe\xff") {
+        return utf_16(u16::from_be_bytes);
+    }
     let text =
         String::from_utf8(bytes).unwrap_or_else(|e| e.into_bytes().into_iter().map(char::from).collect());
     match text.strip_prefix('\u{feff}') {
@@ -35,6 +45,12 @@ pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
         }
         Some((first, line))
     })
+}
+
+/// Lines as they are in the file.
+pub(super) fn physical_lines(text: &str) -> impl Iterator<Item = &str> {
+    let mut rest = text;
+    std::iter::from_fn(move || (!rest.is_empty()).then(|| physical_line(&mut rest)))
 }
 
 fn physical_line<'a>(rest: &mut &'a str) -> &'a str {
@@ -104,5 +120,15 @@ mod tests {
     fn latin_1_names_stay_different() {
         assert_ne!(decode(b"gr\xfcn".to_vec()), decode(b"gr\xf6n".to_vec()));
         assert_eq!(decode("\u{feff}v".into()), "v");
+    }
+
+    #[test]
+    fn utf_16_is_told_by_its_mark() {
+        for swap in [u16::to_le_bytes, u16::to_be_bytes] {
+            let bytes = "\u{feff}v 1 ü𝄞\n".encode_utf16().flat_map(swap).collect();
+            assert_eq!(decode(bytes), "v 1 ü𝄞\n");
+        }
+        // Half of a pair at the end is dropped.
+        assert_eq!(decode(b"\xff\xfev\0w".to_vec()), "v");
     }
 }

@@ -1,0 +1,148 @@
+//! What surfaces see, told by a few rays before anything is computed: fronts, backs, or the outside.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use crate::{
+    scene::Scene,
+    trace::{
+        Tracer,
+        sampling::{around, mix, sobol_4d, square_to_cosine_hemisphere, square_to_triangle},
+    },
+};
+
+/// Rays that a thread casts at a time.
+const BLOCK: u64 = 4096;
+
+/// What rays from some surfaces met, counted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Seen {
+    /// Rays cast.
+    pub rays: u64,
+    /// Of them, those that met the front of a surface,
+    pub fronts: u64,
+    /// its back,
+    pub backs: u64,
+    /// or nothing.
+    pub escaped: u64,
+}
+
+impl Seen {
+    /// Share of the rays that met something, and met it from behind; 0 where nothing is met.
+    pub fn back_share(&self) -> f64 {
+        self.backs as f64 / (self.fronts + self.backs).max(1) as f64
+    }
+
+    /// Share of the rays that left the scene.
+    pub fn escaped_share(&self) -> f64 {
+        self.escaped as f64 / self.rays.max(1) as f64
+    }
+}
+
+/// What rays from the fronts of a scene meet.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Survey {
+    /// From all fronts, as many as an area deserves.
+    pub all: Seen,
+    /// From the fronts that emit.
+    pub lamps: Seen,
+    /// How many of all rays met the back of each material of the scene.
+    pub backs_of: Vec<u64>,
+    /// Share of the area whose backs are seen, estimated: these will be patches too.
+    pub back_area: f64,
+    /// Time that all the rays took.
+    pub seconds: f64,
+}
+
+impl Survey {
+    /// Casts `rays` cosine-distributed rays from all fronts, and a quarter as many from those that emit. The same seed
+    /// gives the same counts for any number of threads.
+    pub fn of(scene: &Scene, tracer: &Tracer, rays: u64, seed: u64) -> Survey {
+        let all: Vec<usize> = (0..scene.triangles.len()).collect();
+        let lamps: Vec<usize> = all.iter().copied().filter(|&t| scene.emits(t)).collect();
+        let mut backs_of = vec![0; scene.materials.len()];
+        let mut seconds = 0.0;
+        let (seen, met) = cast(scene, tracer, &all, rays, mix(&[seed, 0]), &mut seconds);
+        met.iter().for_each(|&t| backs_of[scene.triangles[t as usize].material as usize] += 1);
+        let back_area = back_area(scene, met);
+        let (lamps, _) = cast(scene, tracer, &lamps, rays / 4, mix(&[seed, 1]), &mut seconds);
+        Survey { all: seen, lamps, backs_of, back_area, seconds }
+    }
+}
+
+/// The share of the area that the triangles met from behind have, and those that more rays would meet: of a sample that
+/// holds f1 kinds once and f2 twice, at least f1² / 2 f2 kinds are missing (Chao, Scandinavian Journal of Statistics 11,
+/// 1984).
+fn back_area(scene: &Scene, mut met: Vec<u32>) -> f64 {
+    met.sort_unstable();
+    let (mut area, mut kinds, mut once, mut twice) = (0.0, 0.0, 0.0, 0.0);
+    for same in met.chunk_by(|a, b| a == b) {
+        area += scene.area(same[0] as usize);
+        kinds += 1.0;
+        once += f64::from(same.len() == 1);
+        twice += f64::from(same.len() == 2);
+    }
+    if kinds == 0.0 {
+        return 0.0;
+    }
+    let missing = once * (once - 1.0) / (2.0 * (twice + 1.0));
+    let total: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
+    (area / total * (kinds + missing) / kinds).min(1.0)
+}
+
+/// What `rays` from these triangles met, and each triangle met from behind. Adds the time that they took.
+fn cast(
+    scene: &Scene,
+    tracer: &Tracer,
+    from: &[usize],
+    rays: u64,
+    seed: u64,
+    seconds: &mut f64,
+) -> (Seen, Vec<u32>) {
+    // Areas may overflow when summed, and vanish in the single precision of unit space.
+    let largest = from.iter().map(|&t| scene.area(t)).fold(0.0, f64::max);
+    let mut below = Vec::with_capacity(from.len());
+    let mut total = 0.0;
+    for &t in from {
+        total += scene.area(t) / largest;
+        below.push(total);
+    }
+    if from.is_empty() {
+        return (Seen::default(), Vec::new());
+    }
+    let start = Instant::now();
+    let blocks: Vec<(Seen, Vec<u32>)> = (0..rays.div_ceil(BLOCK))
+        .into_par_iter()
+        .map(|block| {
+            let (mut seen, mut backs) = (Seen::default(), Vec::new());
+            for k in block * BLOCK..((block + 1) * BLOCK).min(rays) {
+                let at = (k as f64 + 0.5) / rays as f64 * total;
+                let t = from[below.partition_point(|&b| b < at).min(from.len() - 1)];
+                let triangle = &tracer.triangles()[t];
+                let [x, y, u, v] = sobol_4d(k as u32, seed);
+                let origin = Tracer::leave(triangle.point(square_to_triangle(x, y)), triangle.normal);
+                let direction = around(triangle.normal, square_to_cosine_hemisphere(u, v));
+                seen.rays += 1;
+                match tracer.closest(origin, direction) {
+                    None => seen.escaped += 1,
+                    Some(hit) if hit.front => seen.fronts += 1,
+                    Some(hit) => {
+                        seen.backs += 1;
+                        backs.push(hit.triangle);
+                    }
+                }
+            }
+            (seen, backs)
+        })
+        .collect();
+    *seconds += start.elapsed().as_secs_f64();
+    blocks.into_iter().fold((Seen::default(), Vec::new()), |(mut sum, mut met), (seen, mut backs)| {
+        sum.rays += seen.rays;
+        sum.fronts += seen.fronts;
+        sum.backs += seen.backs;
+        sum.escaped += seen.escaped;
+        met.append(&mut backs);
+        (sum, met)
+    })
+}

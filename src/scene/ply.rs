@@ -1,0 +1,371 @@
+//! PLY meshes, ASCII and binary, through [ply-rs](https://docs.rs/ply-rs-bw).
+//!
+//! The format knows neither materials nor light. What its elements may be called is convention, and this is read:
+//!
+//! - `vertex`: `x y z`; `red green blue`, integers of 0 to 255 (`ushort` to 65535) or floats of 0 to 1, sRGB-encoded.
+//! - `face`: a list `vertex_indices` or `vertex_index` of any integer type; the same colours, which count before those
+//!   of the vertices; `reflectance_r reflectance_g reflectance_b`, linear, which count before any colour; `emission_r
+//!   emission_g emission_b`, radiance in W/(m² sr).
+//!
+//! A face has the mean of its vertices' colours as its reflectance, taken of the linear values. Materials are named by
+//! their reflectance as a colour, `#rrggbb`; faces without one have the material `(none)`. The files that this program
+//! writes can be read: their vertex colours are pictures of light and not reflectances, and faces of backs are left
+//! out, because every triangle has its back anyway.
+//!
+//! Elements are read one by one and become triangles at once, so that nothing is allocated because a header says so.
+
+mod element;
+
+use std::collections::{HashMap, HashSet};
+use std::path::Path;
+
+use glam::DVec3;
+use ply_rs::parser::{Parser, Reader};
+use ply_rs::ply::{ElementDef, Encoding, Header, PropertyAccess, PropertyType};
+
+use self::element::{Face, INDICES, Ignored, Vertex};
+use super::warnings::Warnings;
+use super::{LoadOptions, Material, Scene, SceneBuilder, text, triangulate};
+use crate::{Error, Result, tone};
+
+/// Reads `path`.
+///
+/// # Errors
+/// [`Error::Io`] when it cannot be read; [`Error::Input`], with the line of an ASCII file or the number of the element of
+/// a binary one, when what it says cannot be used.
+pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    let (header, first_line, payload) = read_header(path, &bytes)?;
+    check(path, &header)?;
+    let light = header.elements["vertex"].properties.contains_key("radiosity_r");
+    let mut mesh = Mesh {
+        path,
+        options,
+        light,
+        backs: ["triangle", "side"].iter().all(|p| header.elements["face"].properties.contains_key(*p)),
+        vertices: Vec::new(),
+        builder: SceneBuilder::default(),
+        materials: Vec::new(),
+        known: HashMap::new(),
+        warnings: Warnings::default(),
+        plain: 0,
+        short: None,
+    };
+    match header.encoding {
+        Encoding::Ascii => read_ascii(&mut mesh, &header, first_line, payload)?,
+        encoding => read_binary(&mut mesh, &header, encoding, payload)?,
+    }
+    mesh.finish(&header)
+}
+
+/// The header, the number of the line after it, and what follows.
+///
+/// ply-rs wants it to be UTF-8 without blank lines or blanks before a keyword, with lines that LF ends. Comments often
+/// hold names in other encodings, so it gets a copy that is all that.
+fn read_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Header, usize, &'a [u8])> {
+    let error = |line, message: &str| Error::input(path, line, message);
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    if !bytes.starts_with(b"ply") {
+        return Err(error(Some(1), "not a PLY file: it does not begin with `ply`"));
+    }
+    // A CR at the end of a line belongs to it, but where LFs end none, CRs do.
+    let first = bytes.iter().position(|b| matches!(b, b'\n' | b'\r')).unwrap_or(0);
+    let end =
+        if bytes[first..].starts_with(b"\r") && !bytes[first..].starts_with(b"\r\n") { b'\r' } else { b'\n' };
+    let (mut rest, mut line, mut clean) = (bytes, 0, String::new());
+    let mut names = (HashSet::new(), HashSet::new());
+    loop {
+        if rest.is_empty() {
+            return Err(error(Some(line), "the file ends before `end_header`"));
+        }
+        line += 1;
+        let length = rest.iter().position(|&b| b == end).unwrap_or(rest.len());
+        let (this, tail) = rest.split_at(length);
+        rest = tail.get(1..).unwrap_or_default();
+        let this = text::decode(this.to_vec());
+        let words: Vec<&str> = this.split_whitespace().collect();
+        let twice = match words[..] {
+            ["element", name, ..] => {
+                names.1.clear();
+                (!names.0.insert(name.to_owned())).then_some(name)
+            }
+            ["property", .., name] => (!names.1.insert(name.to_owned())).then_some(name),
+            _ => None,
+        };
+        if let Some(name) = twice {
+            return Err(error(Some(line), &format!("`{name}` is declared twice")));
+        }
+        clean += if words.is_empty() { "comment" } else { this.trim() };
+        clean.push('\n');
+        if words == ["end_header"] {
+            break;
+        }
+    }
+    let header = Parser::<Vertex>::new().read_header(&mut Reader::new(clean.as_bytes())).map_err(|e| {
+        let said =
+            e.line().and_then(|l| clean.lines().nth(l - 1)).map(|l| format!("`{l}` is not understood"));
+        error(e.line(), &said.unwrap_or_else(|| first_line(&e.to_string())))
+    })?;
+    Ok((header, line + 1, rest))
+}
+
+/// Checks that there is what a mesh needs, in a type that can be used.
+fn check(path: &Path, header: &Header) -> Result<()> {
+    let error = |message: String| Error::input(path, None, message);
+    let faces = header.elements.get("face");
+    if faces.is_none_or(|faces| faces.count == 0) {
+        return Err(error("no faces".into()).with_hint(if header.elements.contains_key("tristrips") {
+            "triangle strips are not read: save the mesh with an element `face`"
+        } else {
+            "the file needs an element `face` with a list `vertex_indices`; points have no area to light"
+        }));
+    }
+    for (element, needed) in [("vertex", &["x", "y", "z"][..]), ("face", &[])] {
+        let Some(found) = header.elements.get(element) else {
+            return Err(error(format!("there is no element `{element}`")));
+        };
+        if let Some(missing) = needed.iter().find(|&&p| !is_scalar(found, p)) {
+            return Err(error(format!("element `{element}` has no number `{missing}`")));
+        }
+    }
+    let faces = &header.elements["face"].properties;
+    if !INDICES
+        .iter()
+        .any(|name| faces.get(*name).is_some_and(|p| matches!(p.data_type, PropertyType::List(..))))
+    {
+        return Err(error("element `face` has no list `vertex_indices`".into()));
+    }
+    // Of nothing there could be any number.
+    match header.elements.values().find(|e| e.count > 0 && e.properties.is_empty()) {
+        Some(empty) => Err(error(format!("element `{}` has no properties", empty.name))),
+        None => Ok(()),
+    }
+}
+
+fn is_scalar(element: &ElementDef, property: &str) -> bool {
+    element.properties.get(property).is_some_and(|p| matches!(p.data_type, PropertyType::Scalar(_)))
+}
+
+fn first_line(text: &str) -> String {
+    text.lines().next().unwrap_or_default().trim_end_matches('.').into()
+}
+
+fn read_ascii(mesh: &mut Mesh, header: &Header, first: usize, payload: &[u8]) -> Result<()> {
+    let text = String::from_utf8_lossy(payload);
+    let mut lines = text::physical_lines(&text).enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let mut last = first;
+    for element in header.elements.values() {
+        for k in 0..element.count {
+            let Some((n, line)) = lines.next() else {
+                let message =
+                    format!("the file ends after {k} of {} elements `{}`", element.count, element.name);
+                return Err(Error::input(mesh.path, Some(last), message));
+            };
+            last = first + n;
+            let at = Place { line: Some(last), element: &element.name, index: k };
+            match element.name.as_str() {
+                "vertex" => mesh.vertex(ascii(line, element, mesh.path, &at)?, &at)?,
+                "face" => mesh.face(ascii(line, element, mesh.path, &at)?, &at)?,
+                _ => {}
+            }
+        }
+    }
+    Ok(())
+}
+
+fn ascii<E: PropertyAccess>(line: &str, element: &ElementDef, path: &Path, at: &Place) -> Result<E> {
+    let parser = Parser::new();
+    parser.read_ascii_element(line, element).or_else(|_| {
+        // Numbers like `1.` and `.5` are not in the parser's grammar; what else is wrong stays so.
+        let words: Vec<String> = line
+            .split_whitespace()
+            .map(|word| match word.parse::<f64>() {
+                Ok(number) if number.is_finite() && word.contains('.') => number.to_string(),
+                _ => word.into(),
+            })
+            .collect();
+        parser.read_ascii_element(&words.join(" "), element).map_err(|_| {
+            let shown: String = line.trim().chars().take(60).collect();
+            at.error(path, format!("`{shown}` is no {}", element.name))
+        })
+    })
+}
+
+fn read_binary(mesh: &mut Mesh, header: &Header, encoding: Encoding, payload: &[u8]) -> Result<()> {
+    let mut rest = payload;
+    for element in header.elements.values() {
+        for k in 0..element.count {
+            let at = Place { line: None, element: &element.name, index: k };
+            match element.name.as_str() {
+                "vertex" => mesh.vertex(binary(&mut rest, element, encoding, mesh.path, &at)?, &at)?,
+                "face" => mesh.face(binary(&mut rest, element, encoding, mesh.path, &at)?, &at)?,
+                _ => {
+                    binary::<Ignored>(&mut rest, element, encoding, mesh.path, &at)?;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn binary<E: PropertyAccess>(
+    rest: &mut &[u8],
+    element: &ElementDef,
+    encoding: Encoding,
+    path: &Path,
+    at: &Place,
+) -> Result<E> {
+    let parser = Parser::new();
+    let read = match encoding {
+        Encoding::BinaryBigEndian => parser.read_big_endian_element(rest, element),
+        _ => parser.read_little_endian_element(rest, element),
+    };
+    read.map_err(|e| match e.kind() {
+        std::io::ErrorKind::UnexpectedEof => {
+            at.error(path, format!("the file ends here; its header announces {}", element.count))
+        }
+        _ => at.error(path, first_line(&e.to_string())),
+    })
+}
+
+/// Where an element is.
+struct Place<'a> {
+    line: Option<usize>,
+    element: &'a str,
+    index: usize,
+}
+
+impl Place<'_> {
+    fn error(&self, path: &Path, message: String) -> Error {
+        // A line says more than a number to count to.
+        match self.line {
+            Some(_) => Error::input(path, self.line, message),
+            None => Error::input(path, None, format!("{} {}: {message}", self.element, self.index)),
+        }
+    }
+}
+
+/// What becomes of the elements.
+struct Mesh<'a> {
+    path: &'a Path,
+    options: &'a LoadOptions,
+    /// Whether colours show light.
+    light: bool,
+    /// Whether faces may be backs.
+    backs: bool,
+    vertices: Vec<(DVec3, Option<[f64; 3]>)>,
+    builder: SceneBuilder,
+    materials: Vec<Material>,
+    /// Materials by reflectance and emission.
+    known: HashMap<(Option<[u64; 3]>, [u64; 3]), u32>,
+    warnings: Warnings,
+    /// Faces without a reflectance.
+    plain: usize,
+    /// How many faces have too few corners, and where the first is.
+    short: Option<(usize, String)>,
+}
+
+impl Mesh<'_> {
+    fn vertex(&mut self, vertex: Vertex, at: &Place) -> Result<()> {
+        let position = DVec3::from_array(vertex.position);
+        if !position.is_finite() {
+            return Err(at.error(self.path, "a coordinate is not finite".into()));
+        }
+        let colour = vertex.colour.linear().map_err(|why| at.error(self.path, why))?;
+        self.vertices.push((position, colour.filter(|_| !self.light)));
+        Ok(())
+    }
+
+    fn face(&mut self, face: Face, at: &Place) -> Result<()> {
+        if self.backs && face.side != 0.0 {
+            return Ok(());
+        }
+        let error = |message: String| at.error(self.path, message);
+        let corners = face
+            .indices
+            .iter()
+            .map(|&i| {
+                let vertex = usize::try_from(i).ok().and_then(|i| self.vertices.get(i));
+                vertex.ok_or_else(|| {
+                    error(format!("vertex {i} does not exist, {} were read before", self.vertices.len()))
+                })
+            })
+            .collect::<Result<Vec<_>>>()?;
+        if corners.len() < 3 {
+            let place = at.line.map_or(format!("face {}", at.index), |line| format!("line {line}"));
+            self.short.get_or_insert((0, place)).0 += 1;
+            return Ok(());
+        }
+        let reflectance = match face.reflectance.given() {
+            Some(given) => Some(given),
+            None => face.colour.linear().map_err(error)?.filter(|_| !self.light).or_else(|| mean(&corners)),
+        };
+        if let Some(bad) = reflectance.and_then(|rgb| rgb.into_iter().find(|r| !(0.0..=1.0).contains(r))) {
+            return Err(error(format!("reflectance {bad} is outside 0..1")));
+        }
+        let emission = face.emission.given().unwrap_or_default();
+        if let Some(bad) = emission.iter().find(|l| !(l.is_finite() && **l >= 0.0)) {
+            return Err(error(format!("radiance {bad} is not a finite number of 0 or more")));
+        }
+        let points: Vec<DVec3> = corners.iter().map(|(p, _)| *p).collect();
+        let triangles = triangulate::polygon(&points).ok_or_else(|| error(triangulate::TOO_MANY.into()))?;
+        let material = self.material(reflectance, emission);
+        for triangle in triangles {
+            self.builder.push(triangle.map(|i| points[i]), material, None);
+        }
+        Ok(())
+    }
+
+    fn material(&mut self, reflectance: Option<[f64; 3]>, emission: [f64; 3]) -> u32 {
+        self.plain += usize::from(reflectance.is_none());
+        let key = (reflectance.map(|r| r.map(f64::to_bits)), emission.map(f64::to_bits));
+        *self.known.entry(key).or_insert_with(|| {
+            let name = reflectance.map_or("(none)".into(), |rgb| {
+                let [r, g, b] = tone::Exposure { scale: 1.0 }.encode(rgb);
+                format!("#{r:02x}{g:02x}{b:02x}")
+            });
+            let reflectance = reflectance.unwrap_or_else(|| self.options.default_reflectance());
+            self.materials.push(Material::new(&name, reflectance, emission));
+            (self.materials.len() - 1) as u32
+        })
+    }
+
+    fn finish(mut self, header: &Header) -> Result<Scene> {
+        let file = self.path.display();
+        if self.light {
+            self.warnings
+                .push(format!("{file}: colours of vertices show radiosity; they are no reflectances here"));
+        }
+        if self.plain > 0 && self.options.reflectance.is_none() {
+            let default = self.options.default_in_words();
+            self.warnings.push(format!("{file}: {} faces without a reflectance get {default}", self.plain));
+        }
+        if let Some((count, place)) = self.short {
+            self.warnings.push(format!(
+                "{file}: {place}: a face with fewer than three vertices is left out ({count} in the file)"
+            ));
+        }
+        if header.comments.iter().any(|c| c.starts_with("TextureFile")) {
+            self.warnings.push(format!("{file}: its texture is left out"));
+        }
+        let mut scene = self.builder.finish();
+        if scene.triangles.is_empty() {
+            return Err(Error::input(self.path, None, "every face has zero area")
+                .with_hint("check that the vertices of the faces are at different places"));
+        }
+        scene.materials = self.materials;
+        scene.warnings = self.warnings.into_sentences();
+        scene.files = vec![self.path.to_owned()];
+        Ok(scene)
+    }
+}
+
+/// The mean of the vertices' colours, where all have one.
+fn mean(corners: &[&(DVec3, Option<[f64; 3]>)]) -> Option<[f64; 3]> {
+    let mut sum = [0.0; 3];
+    for (_, colour) in corners {
+        let colour = (*colour)?;
+        (0..3).for_each(|c| sum[c] += colour[c]);
+    }
+    Some(sum.map(|s| s / corners.len() as f64))
+}

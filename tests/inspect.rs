@@ -1,0 +1,222 @@
+//! What is told of a scene before anything is computed.
+
+mod cli_common;
+mod common;
+
+use cli_common::{Here, stderr};
+use common::*;
+use glam::DVec3;
+use radiosity::{
+    Scene,
+    accuracy::survey::{Seen, Survey},
+    trace::Tracer,
+};
+
+const RAYS: u64 = 1 << 16;
+
+fn survey(scene: &Scene) -> Survey {
+    Survey::of(scene, &Tracer::new(scene), RAYS, 7)
+}
+
+/// A share of rays, within five standard errors of independent ones; those of a sequence err less.
+fn assert_share(count: u64, rays: u64, wanted: f64) {
+    let got = count as f64 / rays as f64;
+    let error = (wanted * (1.0 - wanted) / rays as f64).sqrt();
+    assert!((got - wanted).abs() <= 5.0 * error, "{got} instead of {wanted}");
+}
+
+/// The unit room seen from inside, its last wall handed to `edit`.
+fn room_with(edit: impl Fn(Corners) -> Option<Corners>) -> Scene {
+    let mut walls = room(DVec3::ZERO, DVec3::ONE);
+    let last: Vec<Corners> = walls.split_off(10).into_iter().filter_map(edit).collect();
+    scene(&[black(walls), part(last, 0.5, 1.0)])
+}
+
+/// A closed room sees its own fronts alone.
+#[test]
+fn a_closed_room_sees_fronts() {
+    let seen = survey(&room_with(Some));
+    assert_eq!(seen.all, Seen { rays: RAYS, fronts: RAYS, backs: 0, escaped: 0 });
+    assert_eq!(seen.lamps, Seen { rays: RAYS / 4, fronts: RAYS / 4, backs: 0, escaped: 0 });
+    assert_eq!((seen.back_area, &seen.backs_of[..]), (0.0, &[0, 0][..]));
+}
+
+/// The opening sees nothing but walls, so that by reciprocity ∑ A F(wall, opening) = A of the opening: a fifth of what
+/// the five walls send out.
+#[test]
+fn an_opening_lets_its_share_out() {
+    let seen = survey(&room_with(|_| None)).all;
+    assert_eq!(seen.backs, 0);
+    assert_share(seen.escaped, seen.rays, 1.0 / 5.0);
+}
+
+/// Turned round, the wall sends all of its sixth outside and is met from behind by the fifth of five sixths that it let
+/// out as an opening.
+#[test]
+fn a_turned_wall_is_met_from_behind() {
+    let seen = survey(&room_with(|[a, b, c]| Some([a, c, b])));
+    assert_share(seen.all.escaped, seen.all.rays, 1.0 / 6.0);
+    assert_share(seen.all.backs, seen.all.rays, 1.0 / 6.0);
+    assert_eq!(seen.backs_of, [0, seen.all.backs]);
+    // Both of its triangles were met so often that none is missing.
+    assert!((seen.back_area - 1.0 / 6.0).abs() < 1e-12, "{}", seen.back_area);
+    assert_eq!(seen.lamps.escaped, seen.lamps.rays);
+}
+
+/// Of many small triangles only some are met, but how many there are is estimated. The sphere's inside is seen from a
+/// small lamp alone, whose rays, N of all, spread evenly over its n triangles: about n (1 - exp(-N / n)) are met.
+#[test]
+fn backs_that_no_ray_happened_to_meet_are_estimated() {
+    let shell = icosphere(1.0, 5);
+    let lamp = part(icosphere(0.2, 1), 0.5, 1.0);
+    let scene = scene(&[black(shell), lamp]);
+    let seen = survey(&scene);
+    let (n, rays) = (20_480.0, seen.all.backs as f64);
+    let met = n * -(-rays / n).exp_m1();
+    assert!(met < 0.2 * n, "the test needs rays that are few, {rays}");
+    // The estimate's standard deviation is some sqrt(n)·(n / rays)^1.5 ≈ 2000 of 20480 here; its bias is downward where
+    // triangles are not equally likely to be met.
+    assert!((seen.back_area - 1.0).abs() < 0.3, "{}", seen.back_area);
+}
+
+/// In single precision a triangle 10¹¹ times as long as wide has no area, but its rays are cast; and so are those of
+/// triangles of any size.
+#[test]
+fn slivers_and_giants_are_surveyed() {
+    for [b, c] in
+        [[DVec3::X, DVec3::Y * 1e11], [DVec3::X * 1e-150, DVec3::Y * 1e-150], [DVec3::X * 1e153, DVec3::Z]]
+    {
+        let seen = survey(&scene(&[black(vec![[DVec3::ZERO, b, c]])]));
+        assert_eq!(seen.all, Seen { rays: RAYS, fronts: 0, backs: 0, escaped: RAYS }, "{b} {c}");
+        assert_eq!(seen.lamps.rays, 0);
+    }
+}
+
+const ROOM: &str = "mtllib scene.mtl\nusemtl wall
+v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1
+f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n";
+
+#[test]
+fn a_room_is_told_in_figures_and_sentences() {
+    let here = Here::new(ROOM, "newmtl wall\nKd 0.5 0.25 0\nKe 1 1 1\n");
+    let output = here.run("inspect scene.obj --report r.json");
+    assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()));
+    let table = String::from_utf8(output.stdout).unwrap();
+    for said in ["12 triangles, 8 vertices, area 6.0", "likely metres", "; closed", "concerns      none"] {
+        assert!(table.contains(said), "{said} is missing in\n{table}");
+    }
+    let report = here.json("r.json");
+    assert_eq!(report["scene"]["triangles"], 12);
+    assert_eq!(report["scene"]["area"], 6.0);
+    assert_eq!(report["edges"]["closed"], true);
+    assert_eq!(report["seen"]["escaped_share"], 0.0);
+    assert_eq!(report["seen"]["lamp_escaped_share"], 0.0);
+    assert_eq!(report["materials"][0]["reflectance"], serde_json::json!([0.5, 0.25, 0.0]));
+    assert_eq!(report["concerns"].as_array().unwrap().len(), 0);
+    let forecast = report["forecast"].as_array().unwrap();
+    let names: Vec<_> = forecast.iter().map(|f| f["quality"].as_str().unwrap()).collect();
+    assert_eq!(names, ["draft", "medium", "high", "reference"]);
+    // What is forecast is what is made.
+    here.run("solve scene.obj --quality draft --report s.json");
+    assert_eq!(forecast[0]["patches"].as_f64(), here.json("s.json")["scene"]["patches"].as_f64());
+    assert_eq!(forecast[0]["rays"].as_f64(), here.json("s.json")["form_factors"]["rays"].as_f64());
+}
+
+#[test]
+fn what_will_go_wrong_is_told_and_is_no_failure() {
+    // No lamp, a wall turned round and a face twice, a face without area, a texture that is not there.
+    let obj = ROOM.replace("f 2 6 8 4", "f 4 8 6 2\nf 1 2 4\nf 1 1 2");
+    let here = Here::new(&obj, "newmtl wall\nmap_Kd no.png\n");
+    let output = here.run("inspect scene.obj --report r.json");
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let concerns = here.json("r.json")["concerns"].to_string();
+    for said in [
+        "nothing emits light",
+        "of what is seen are backs, most often of `wall`",
+        // The fourth edge of the wall belongs to three faces.
+        "3 edges join a front to a back",
+        "1 triangles lie on another",
+        "1 triangles without area",
+    ] {
+        assert!(concerns.contains(said), "{said} is missing in {concerns}");
+    }
+    let lit = here.run("inspect scene.obj --emit 5@wall --report r.json");
+    assert_eq!(lit.status.code(), Some(0));
+    assert!(!here.json("r.json")["concerns"].to_string().contains("nothing emits"));
+
+    let broken = Here::new(&ROOM.replace("f 1 5 6 2", "f 1 5 66 2"), "");
+    assert!(broken.fails("inspect scene.obj --report r.json", 2).starts_with("error: scene.obj:13: "));
+    let errors = broken.fails("inspect scene.stl", 2);
+    assert!(errors.starts_with("error: scene.stl: unknown kind of scene\nhint: "), "{errors}");
+}
+
+#[test]
+fn a_lamp_that_faces_outward_is_told() {
+    let obj = ROOM.replace("f 1 2 4 3", "usemtl lamp\nf 3 4 2 1\nusemtl wall");
+    let here = Here::new(&obj, "newmtl wall\nKd 0.5\nnewmtl lamp\nKd 0.5\nKe 1\n");
+    assert_eq!(here.run("inspect scene.obj --report r.json").status.code(), Some(0));
+    let concerns = here.json("r.json")["concerns"].to_string();
+    assert!(concerns.contains("all light of the lamps leaves the scene"), "{concerns}");
+}
+
+#[test]
+fn materials_can_be_told_to_emit() {
+    let obj = ROOM.replace("f 1 2 4 3", "usemtl my lamp\nf 1 2 4 3\nusemtl wall");
+    let here = Here::new(&obj, "newmtl wall\nKd 0.5\nnewmtl my lamp\n");
+    let emissions = |arguments: &str| {
+        let mut words: Vec<&str> = arguments.split('|').collect();
+        words.extend(["inspect", "scene.obj", "--report", "r.json", "--quiet"]);
+        words.rotate_left(arguments.split('|').count());
+        let output = std::process::Command::new(env!("CARGO_BIN_EXE_radiosity"))
+            .current_dir(here.directory())
+            .args(words)
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        let report = here.json("r.json");
+        [0, 1].map(|m| report["materials"][m]["emission"].as_array().unwrap().clone())
+    };
+    let rgb = |c: [f64; 3]| c.map(serde_json::Value::from).to_vec();
+    assert_eq!(emissions("--emit|3,2,1@my lamp"), [rgb([3.0, 2.0, 1.0]), rgb([0.0; 3])]);
+    assert_eq!(emissions("--emit|4|--emit|0@wall"), [rgb([4.0; 3]), rgb([0.0; 3])]);
+    // The lamp has no Kd.
+    assert_eq!(here.json("r.json")["materials"][0]["reflectance"][1], 0.5);
+    emissions("--reflectance|0.2,0.3,0.4");
+    assert_eq!(here.json("r.json")["materials"][0]["reflectance"], serde_json::json!([0.2, 0.3, 0.4]));
+    std::fs::remove_file(here.path("r.json")).unwrap();
+    let errors = here.fails("solve scene.obj --emit 3@lamp", 2);
+    assert!(errors.contains("has material `lamp`\nhint: its materials are my lamp, wall"), "{errors}");
+    assert!(here.fails("solve scene.obj --emit=-3", 2).contains("--emit"));
+    assert!(here.fails("solve scene.obj --reflectance 1.5", 2).contains("--reflectance"));
+}
+
+#[test]
+fn no_output_takes_the_place_of_a_file_of_the_scene() {
+    let obj = ROOM
+        .replace("mtllib scene.mtl", "mtllib out.ply\nvt 0 0\nvt 1 0\nvt 0 1")
+        .replace("f 1 2 4 3", "f 1/1 2/2 4/3 3/1");
+    let here = Here::new(&obj, "");
+    std::fs::write(here.path("out.ply"), "newmtl wall\nKd 0.5\nKe 1\nmap_Kd t.PNG\n").unwrap();
+    image::RgbImage::from_pixel(2, 2, image::Rgb([90; 3])).save(here.path("t.png")).unwrap();
+    let (mtl, texture) = (here.read("out.ply"), here.read("t.png"));
+    for arguments in [
+        "solve scene.obj -o out.ply --quality draft",
+        "render scene.obj -o ./t.png --spp 1 --width 8 --height 8",
+        "render scene.obj -o x.png --report out.ply --spp 1 --width 8 --height 8",
+        "probe scene.obj --points scene.mtl -o out.ply",
+        "validate scene.obj --report out.ply",
+        "inspect scene.obj --report out.ply",
+    ] {
+        if arguments.starts_with("probe") {
+            std::fs::write(here.path("scene.mtl"), "0.5 0.5 0.5 0 0 1\n").unwrap();
+        }
+        let errors = here.fails(arguments, 2);
+        assert!(errors.contains("the output would replace the input"), "{arguments}: {errors}");
+    }
+    assert_eq!((here.read("out.ply"), here.read("t.png")), (mtl, texture));
+    // A file that the scene does not use may go.
+    std::fs::write(here.path("other.ply"), "old").unwrap();
+    let output = here.run("solve scene.obj -o other.ply --quality draft");
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(here.read("other.ply").starts_with(b"ply\n"));
+}
