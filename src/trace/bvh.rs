@@ -207,7 +207,7 @@ impl Bvh {
         mut limit: f32,
         mut meet: impl FnMut(u32, Met) -> f32,
     ) {
-        if self.nodes.is_empty() {
+        if self.nodes.is_empty() || !ray.is_proper() {
             return;
         }
         let mut fixed = [0; STACK];

@@ -11,7 +11,7 @@ use glam::Vec3A;
 pub(super) struct PreparedRay {
     pub(super) origin: Vec3A,
     pub(super) direction: Vec3A,
-    /// One over the direction, finite.
+    /// One over the direction, without zeros in that.
     pub(super) inverse: Vec3A,
     /// Along which axes the ray goes down: it enters boxes at their high side.
     pub(super) backward: [bool; 3],
@@ -128,6 +128,12 @@ impl PreparedRay {
         }
     }
 
+    /// Whether all is finite, and so no distance to a box can be NaN. Other rays meet nothing.
+    #[inline(always)]
+    pub(super) fn is_proper(&self) -> bool {
+        self.origin.is_finite() && self.direction.is_finite() && self.inverse.is_finite()
+    }
+
     /// The triangle whose edge functions these are, where the ray meets it at a positive distance.
     ///
     /// The edge functions tell whether. Where, and from which side, the plane tells: in a long thin triangle distances
@@ -145,6 +151,11 @@ impl PreparedRay {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::trace::{
+        UnitTriangle,
+        bvh::Leaf,
+        wide::{Lanes, Portable},
+    };
     use glam::vec3a;
 
     #[test]
@@ -160,12 +171,16 @@ mod tests {
                 q
             });
             let normal = (turned[1] - turned[0]).cross(turned[2] - turned[0]).normalize();
-            let facet = Facet { corners: turned, normal };
+            let triangle = UnitTriangle::new(turned.map(|p| p.as_dvec3()), normal);
+            let leaf = Leaf::new(&[0], &[triangle], 0);
             let inside = (turned[0] + turned[1] + turned[2]) / 3.0;
             for tilt in [Vec3A::ZERO, vec3a(0.1, -0.2, 0.05)] {
                 for side in [1.0, -1.0] {
                     let origin = inside + normal * side + tilt;
-                    let met = ShearedRay::new(origin, inside - origin).intersect(&facet).unwrap();
+                    let ray = PreparedRay::new(origin, inside - origin);
+                    let (hit, edges) = Portable.edges(&leaf, &ray);
+                    assert_eq!(hit, 1, "one lane holds a triangle");
+                    let met = ray.meet(turned[0], normal, [edges[0][0], edges[1][0], edges[2][0]]).unwrap();
                     assert_eq!(met.front(), side > 0.0);
                     assert!((met.t - 1.0).abs() < 1e-6);
                     for b in met.barycentric() {

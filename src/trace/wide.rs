@@ -224,3 +224,190 @@ impl Lanes for Avx2 {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec3, Vec3A, dvec3, vec3a};
+
+    use super::*;
+    use crate::{
+        scene::{Material, Scene},
+        trace::{Tracer, UnitTriangle, sampling::mix},
+    };
+
+    /// Numbers in \[-1, 1), the same each time.
+    struct Random(u64);
+
+    impl Random {
+        fn bits(&mut self) -> u64 {
+            self.0 += 1;
+            mix(&[self.0])
+        }
+
+        fn next(&mut self) -> f64 {
+            self.bits() as f64 / 2f64.powi(63) - 1.0
+        }
+
+        fn point(&mut self) -> DVec3 {
+            dvec3(self.next(), self.next(), self.next())
+        }
+
+        /// Among ordinary numbers the ones that break things.
+        fn odd(&mut self) -> f32 {
+            const ODD: [f32; 12] = [
+                0.0,
+                -0.0,
+                1.0,
+                -1.0,
+                f32::INFINITY,
+                f32::NEG_INFINITY,
+                f32::NAN,
+                f32::MIN_POSITIVE,
+                -1e-45,
+                f32::MAX,
+                1e-20,
+                -3e30,
+            ];
+            if self.bits() % 4 == 0 { ODD[self.bits() as usize % ODD.len()] } else { self.next() as f32 }
+        }
+
+        fn odd_vector(&mut self) -> Vec3A {
+            vec3a(self.odd(), self.odd(), self.odd())
+        }
+    }
+
+    /// Bits, with every NaN as one: which of its bits survive is left open.
+    fn bits<const N: usize>(values: [f32; N]) -> [u32; N] {
+        values.map(|x| if x.is_nan() { f32::NAN } else { x }.to_bits())
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    fn avx2() -> Option<Avx2> {
+        match Kernel::detect() {
+            Kernel::Avx2(lanes) => Some(lanes),
+            Kernel::Portable => None,
+        }
+    }
+
+    const ROUNDS: usize = if cfg!(miri) { 30 } else { 100_000 };
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn wide_boxes_are_plain_boxes() {
+        let Some(lanes) = avx2() else { return };
+        let mut random = Random(1);
+        let mut entered_any = 0;
+        for _ in 0..ROUNDS {
+            let mut node = Node::EMPTY;
+            for bound in node.bounds.as_flattened_mut().as_flattened_mut() {
+                *bound = random.odd();
+            }
+            let ray = PreparedRay::new(random.odd_vector(), random.odd_vector());
+            let limit = random.odd();
+            let (wide, plain) = (lanes.boxes(&node, &ray, limit), Portable.boxes(&node, &ray, limit));
+            assert_eq!(wide.0, plain.0);
+            assert_eq!(bits(wide.1), bits(plain.1));
+            entered_any += usize::from(wide.0 != 0);
+        }
+        assert!(entered_any > ROUNDS / 20, "{entered_any} of {ROUNDS}");
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn wide_triangles_are_plain_triangles() {
+        let Some(lanes) = avx2() else { return };
+        let mut random = Random(2);
+        let mut inside_any = 0;
+        for _ in 0..ROUNDS {
+            let mut leaf = Leaf::new(&[], &[], 0);
+            for coordinate in leaf.vertices.as_flattened_mut() {
+                *coordinate = random.odd();
+            }
+            for corner in leaf.corners.as_flattened_mut() {
+                *corner = (random.bits() % 8) as u8;
+            }
+            let ray = PreparedRay::new(random.odd_vector(), random.odd_vector());
+            let (wide, plain) = (lanes.edges(&leaf, &ray), Portable.edges(&leaf, &ray));
+            assert_eq!(wide.0, plain.0);
+            assert_eq!(wide.1.map(bits), plain.1.map(bits));
+            inside_any += usize::from(wide.0 != 0);
+        }
+        assert!(inside_any > ROUNDS / 20, "{inside_any} of {ROUNDS}");
+    }
+
+    /// Triangles of all sizes, slivers, coplanar ones one upon the other, needles as long as the scene.
+    fn soup(count: usize, random: &mut Random) -> Vec<([DVec3; 3], u32)> {
+        let mut triangles = Vec::new();
+        while triangles.len() < count {
+            let a = random.point();
+            let size = 10f64.powf(-1.5 + 1.5 * random.next());
+            let (b, c) = (a + random.point() * size, a + random.point() * size);
+            match random.bits() % 4 {
+                0 => triangles.push(([a, b, b + (c - b) * 1e-5], 0)),
+                1 => triangles.extend([([a, b, c], 0), ([a, c, b], 0), ([b, c, a], 0)]),
+                2 => triangles.extend([([a, b, c], 0), ([c, b, b + c - a], 0)]),
+                _ => triangles.push(([a, random.point(), c], 0)),
+            }
+        }
+        triangles
+    }
+
+    fn tracer(triangles: &[([DVec3; 3], u32)]) -> Tracer {
+        Tracer::new(&Scene::new(triangles, vec![Material::new("black", [0.0; 3], [0.0; 3])]))
+    }
+
+    #[test]
+    fn wide_rays_are_plain_rays() {
+        for count in [0, 1, 2, 9, 300, 5000] {
+            let mut random = Random(count as u64);
+            let wide = tracer(&soup(if cfg!(miri) { count.min(9) } else { count }, &mut random));
+            let rays = ROUNDS / 10;
+            for i in 0..rays {
+                let (from, to) = if i % 4 == 0 {
+                    (random.odd_vector(), random.odd_vector())
+                } else {
+                    (random.point().as_vec3a(), random.point().as_vec3a())
+                };
+                let ray = PreparedRay::new(from, to - from);
+                let hit = |kernel: Kernel| {
+                    let (triangle, met) = kernel.closest(&wide.bvh, &ray)?;
+                    Some((triangle, met.front(), met.t.to_bits(), bits(met.barycentric())))
+                };
+                assert_eq!(hit(Kernel::detect()), hit(Kernel::Portable), "{count} {from} {to}");
+                let free = |kernel: Kernel| kernel.is_free(&wide.bvh, &ray);
+                assert_eq!(free(Kernel::detect()), free(Kernel::Portable), "{count} {from} {to}");
+            }
+        }
+    }
+
+    /// Every triangle in a leaf of its own, all asked in turn.
+    fn closest_of_all(triangles: &[UnitTriangle], ray: &PreparedRay) -> Option<(u32, Met)> {
+        let mut nearest = crate::trace::watertight::Nearest::default();
+        for (t, triangle) in triangles.iter().enumerate() {
+            let (inside, edges) = Portable.edges(&Leaf::new(&[t as u32], triangles, 0), ray);
+            if inside & 1 != 0 {
+                let edges = [edges[0][0], edges[1][0], edges[2][0]];
+                if let Some(met) = ray.meet(triangle.corners[0], triangle.normal, edges) {
+                    nearest.add(t as u32, met);
+                }
+            }
+        }
+        nearest.decide()
+    }
+
+    #[test]
+    fn the_hierarchy_loses_nothing() {
+        let mut random = Random(7);
+        let tracer = tracer(&soup(if cfg!(miri) { 9 } else { 300 }, &mut random));
+        let mut met = 0;
+        for _ in 0..ROUNDS / 5 {
+            let (from, to) = (random.point().as_vec3a(), random.point().as_vec3a());
+            let all = closest_of_all(&tracer.triangles, &PreparedRay::new(from, to - from));
+            let found = tracer.closest(from, to - from);
+            let known = all.map(|(triangle, met)| (triangle, met.front(), met.t));
+            assert_eq!(found.map(|hit| (hit.triangle, hit.front, hit.t)), known, "{from} {to}");
+            met += usize::from(found.is_some());
+        }
+        assert!(met > ROUNDS / 20, "{met}");
+    }
+}
