@@ -26,7 +26,7 @@ use rayon::prelude::*;
 use scenes::{CORNELL, Place, SPHERES_1E5, SPHERES_1E6, WALLS_1E5, WALLS_1E6};
 
 const RAYS: u32 = 1 << 17;
-const ROUNDS: usize = 31;
+const ROUNDS: usize = 15;
 const PLACES: [Place; 5] = [CORNELL, SPHERES_1E5, WALLS_1E5, SPHERES_1E6, WALLS_1E6];
 
 fn main() {

@@ -64,8 +64,6 @@ pub(super) struct Leaf {
     pub(super) vertices: [[f32; WIDTH]; 3],
     /// By corner, one lane a triangle: which vertex.
     pub(super) corners: [[u8; WIDTH]; 3],
-    /// Where its facets begin.
-    first: u32,
 }
 
 impl Leaf {
@@ -73,9 +71,9 @@ impl Leaf {
     ///
     /// # Panics
     /// When they are not.
-    pub(super) fn new(members: &[u32], triangles: &[UnitTriangle], first: u32) -> Leaf {
+    pub(super) fn new(members: &[u32], triangles: &[UnitTriangle]) -> Leaf {
         let (vertices, corners) = share_vertices(members, triangles).expect("the triangles fit into a leaf");
-        Leaf { vertices: [0, 1, 2].map(|axis| vertices.map(|v| v[axis])), corners, first }
+        Leaf { vertices: [0, 1, 2].map(|axis| vertices.map(|v| v[axis])), corners }
     }
 }
 
@@ -102,6 +100,7 @@ pub(super) fn share_vertices(
 }
 
 /// What only triangles need that are met.
+#[derive(Clone, Copy, Default)]
 struct Facet {
     /// Unit normal of the front, not from the rounded corners: it leaves none of them by more than their rounding.
     normal: [f32; 3],
@@ -109,13 +108,18 @@ struct Facet {
     triangle: u32,
 }
 
+/// One lane a triangle. Apart from its leaf, but at the same index, so that both come from memory at once.
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+struct Facets([Facet; WIDTH]);
+
 /// The hierarchy over the triangles of a scene.
 pub(super) struct Bvh {
     /// The root first; empty without triangles.
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
-    /// In the order of the leaves.
-    facets: Vec<Facet>,
+    /// Of every leaf.
+    facets: Vec<Facets>,
     /// Entries that a ray may have to remember at once.
     stack: usize,
 }
@@ -162,10 +166,12 @@ impl Bvh {
     }
 
     fn push_leaf(&mut self, members: &[u32], triangles: &[UnitTriangle]) -> u32 {
-        self.leaves.push(Leaf::new(members, triangles, self.facets.len() as u32));
-        let facet =
-            |&triangle: &u32| Facet { normal: triangles[triangle as usize].normal.to_array(), triangle };
-        self.facets.extend(members.iter().map(facet));
+        self.leaves.push(Leaf::new(members, triangles));
+        let mut facets = Facets::default();
+        for (facet, &triangle) in facets.0.iter_mut().zip(members) {
+            *facet = Facet { normal: triangles[triangle as usize].normal.to_array(), triangle };
+        }
+        self.facets.push(facets);
         IS_LEAF | (self.leaves.len() - 1) as u32
     }
 
@@ -220,11 +226,12 @@ impl Bvh {
         let mut current = 0;
         loop {
             if current & IS_LEAF != 0 {
-                let leaf = &self.leaves[(current & !IS_LEAF) as usize];
+                let index = (current & !IS_LEAF) as usize;
+                let leaf = &self.leaves[index];
                 let (mut inside, edges) = lanes.edges(leaf, ray);
                 while inside != 0 {
                     let lane = take_lane(&mut inside);
-                    let facet = &self.facets[leaf.first as usize + lane];
+                    let facet = &self.facets[index].0[lane];
                     let corner = leaf.corners[0][lane] as usize % WIDTH;
                     let [x, y, z] = &leaf.vertices;
                     let corner = Vec3A::new(x[corner], y[corner], z[corner]);
@@ -263,7 +270,9 @@ impl Bvh {
             let lane = take_lane(&mut entered);
             let child = node.children[lane];
             if child & IS_LEAF != 0 {
-                lanes.prefetch(&self.leaves, (child & !IS_LEAF) as usize);
+                let leaf = (child & !IS_LEAF) as usize;
+                lanes.prefetch(&self.leaves, leaf);
+                lanes.prefetch(&self.facets, leaf);
             } else {
                 lanes.prefetch(&self.nodes, child as usize);
             }

@@ -172,7 +172,7 @@ mod tests {
             });
             let normal = (turned[1] - turned[0]).cross(turned[2] - turned[0]).normalize();
             let triangle = UnitTriangle::new(turned.map(|p| p.as_dvec3()), normal);
-            let leaf = Leaf::new(&[0], &[triangle], 0);
+            let leaf = Leaf::new(&[0], &[triangle]);
             let inside = (turned[0] + turned[1] + turned[2]) / 3.0;
             for tilt in [Vec3A::ZERO, vec3a(0.1, -0.2, 0.05)] {
                 for side in [1.0, -1.0] {

@@ -319,7 +319,7 @@ mod tests {
         let mut random = Random(2);
         let mut inside_any = 0;
         for _ in 0..ROUNDS {
-            let mut leaf = Leaf::new(&[], &[], 0);
+            let mut leaf = Leaf::new(&[], &[]);
             for coordinate in leaf.vertices.as_flattened_mut() {
                 *coordinate = random.odd();
             }
@@ -384,7 +384,7 @@ mod tests {
     fn closest_of_all(triangles: &[UnitTriangle], ray: &PreparedRay) -> Option<(u32, Met)> {
         let mut nearest = crate::trace::watertight::Nearest::default();
         for (t, triangle) in triangles.iter().enumerate() {
-            let (inside, edges) = Portable.edges(&Leaf::new(&[t as u32], triangles, 0), ray);
+            let (inside, edges) = Portable.edges(&Leaf::new(&[t as u32], triangles), ray);
             if inside & 1 != 0 {
                 let edges = [edges[0][0], edges[1][0], edges[2][0]];
                 if let Some(met) = ray.meet(triangle.corners[0], triangle.normal, edges) {
