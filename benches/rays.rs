@@ -33,8 +33,9 @@ fn main() {
     // Cargo itself passes `--bench`.
     let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
     println!(
-        "| scene | threads | built in | Mrays/s | Embree Mrays/s | ratio | quartiles |\n|---|---|---|---|---|---|---|"
+        "| scene | triangles | built in, ms | threads | Mrays/s | Embree, Mrays/s | ratio | quartiles |"
     );
+    println!("|---|---|---|---|---|---|---|---|");
     for place in PLACES {
         if wanted.is_empty() || wanted.iter().any(|w| place.name.contains(w.as_str())) {
             measure(place);
@@ -45,6 +46,16 @@ fn main() {
 fn measure(place: Place) {
     let (tracer, built_in, rays) = prepare(place);
     let embree = Embree::new(&tracer);
+    if let Some(embree) = &embree {
+        // Else the two would not be at the same work.
+        let differ = |(from, to): &&(Vec3A, Vec3A)| {
+            let (ours, theirs) = (tracer.closest(*from, *to), embree.closest(*from, *to));
+            ours.is_some() != theirs.is_some()
+                || ours.zip(theirs).is_some_and(|(a, b)| (a.t - b).abs() > 1e-3 * b)
+        };
+        let differing = rays.iter().filter(differ).count();
+        assert!(differing < rays.len() / 1000, "{differing} rays end elsewhere in Embree");
+    }
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
         let ours = |(from, to): &(Vec3A, Vec3A)| tracer.closest(*from, *to).is_some();
@@ -57,7 +68,11 @@ fn measure(place: Place) {
             .collect();
         let rate = |seconds: f64| f64::from(RAYS) / seconds / 1e6;
         let mine = quantile(rounds.iter().map(|r| rate(r.0)), 0.5);
-        print!("| {place} | {threads} | {built_in:.1?} | {mine:.2} | ");
+        print!(
+            "| {place} | {} | {:.1} | {threads} | {mine:.2} | ",
+            tracer.triangles().len(),
+            1e3 * built_in.as_secs_f64()
+        );
         if embree.is_some() {
             let theirs = || rounds.iter().filter_map(|r| r.1);
             let ratios = || rounds.iter().zip(theirs()).map(|(r, theirs)| theirs / r.0);

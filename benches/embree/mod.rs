@@ -21,7 +21,6 @@ const INDEX_BUFFER: c_uint = 0;
 const VERTEX_BUFFER: c_uint = 1;
 const GEOMETRY_TRIANGLE: c_uint = 0;
 const SCENE_ROBUST: c_uint = 1 << 2;
-const DEVICE_VERSION: c_uint = 0;
 const NOTHING: c_uint = c_uint::MAX;
 
 /// `RTCRayHit` of Embree 3 with one level of instances.
@@ -57,7 +56,6 @@ type NewBuffer = unsafe extern "C" fn(Handle, c_uint, c_uint, c_uint, usize, usi
 pub struct Embree {
     scene: Handle,
     intersect1: unsafe extern "C" fn(Handle, *mut Context, *mut RayHit),
-    pub version: isize,
 }
 
 // SAFETY: Embree's committed scenes may be intersected from any number of threads.
@@ -82,10 +80,6 @@ impl Embree {
             }
             let device =
                 function!(c"rtcNewDevice": unsafe extern "C" fn(*const c_char) -> Handle)(std::ptr::null());
-            let version = function!(c"rtcGetDeviceProperty": unsafe extern "C" fn(Handle, c_uint) -> isize)(
-                device,
-                DEVICE_VERSION,
-            );
             let scene = function!(c"rtcNewScene": unsafe extern "C" fn(Handle) -> Handle)(device);
             function!(c"rtcSetSceneFlags": unsafe extern "C" fn(Handle, c_uint))(scene, SCENE_ROBUST);
             let geometry = function!(c"rtcNewGeometry": unsafe extern "C" fn(Handle, c_uint) -> Handle)(
@@ -107,13 +101,13 @@ impl Embree {
             function!(c"rtcCommitScene": unsafe extern "C" fn(Handle))(scene);
             let intersect1 =
                 function!(c"rtcIntersect1": unsafe extern "C" fn(Handle, *mut Context, *mut RayHit));
-            Some(Embree { scene, intersect1, version })
+            Some(Embree { scene, intersect1 })
         }
     }
 
-    /// The triangle met first, and its distance.
+    /// The distance of the triangle met first.
     #[inline]
-    pub fn closest(&self, origin: Vec3A, direction: Vec3A) -> Option<(u32, f32)> {
+    pub fn closest(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
         let mut context = Context { flags: 0, filter: std::ptr::null(), instance: NOTHING };
         let mut ray = RayHit {
             origin: origin.to_array(),
@@ -132,6 +126,6 @@ impl Embree {
         };
         // SAFETY: the scene is committed, ray and context are laid out and aligned as Embree 3 declares them.
         unsafe { (self.intersect1)(self.scene, &mut context, &mut ray) };
-        (ray.geometry != NOTHING).then_some((ray.primitive, ray.far))
+        (ray.geometry != NOTHING).then_some(ray.far)
     }
 }
