@@ -268,7 +268,11 @@ mod tests {
                 1e-20,
                 -3e30,
             ];
-            if self.bits() % 4 == 0 { ODD[self.bits() as usize % ODD.len()] } else { self.next() as f32 }
+            if self.bits().is_multiple_of(4) {
+                ODD[self.bits() as usize % ODD.len()]
+            } else {
+                self.next() as f32
+            }
         }
 
         fn odd_vector(&mut self) -> Vec3A {
