@@ -293,7 +293,7 @@ mod tests {
         }
     }
 
-    const ROUNDS: usize = if cfg!(miri) { 300 } else { 100_000 };
+    const ROUNDS: usize = if cfg!(miri) { 100 } else { 100_000 };
 
     #[cfg(target_arch = "x86_64")]
     #[test]
