@@ -412,6 +412,6 @@ mod tests {
             assert_eq!(found.map(|hit| (hit.triangle, hit.front, hit.t)), known, "{from} {to}");
             met += usize::from(found.is_some());
         }
-        assert!(met > ROUNDS / 100, "{met}");
+        assert!(met > ROUNDS / 20 || cfg!(miri), "{met}");
     }
 }
