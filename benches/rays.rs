@@ -1,11 +1,19 @@
-//! Closest hits of hemisphere rays, in rays a second: `cargo bench --bench rays`.
+//! Closest hits of hemisphere rays, in millions a second, beside Embree's where that is installed:
+//! `cargo bench --bench rays`. An argument selects the scenes whose names contain it.
 //!
 //! Each ray leaves a random point of the scene, so that no two in a row share a part of the hierarchy: what is measured
-//! is the worst order. The program itself casts the rays of a patch together and is faster.
+//! is the worst order. The program itself casts the rays of a patch together and is faster. Ours and Embree's turns
+//! alternate, and the ratio is the median over the rounds: other load on the machine strikes both.
 
+mod embree;
 mod scenes;
 
-use divan::{Bencher, counter::ItemsCount};
+use std::{
+    hint::black_box,
+    time::{Duration, Instant},
+};
+
+use embree::Embree;
 use glam::Vec3A;
 use radiosity::{
     Scene,
@@ -18,30 +26,91 @@ use rayon::prelude::*;
 use scenes::{CORNELL, Place, SPHERES_1E5, SPHERES_1E6, WALLS_1E5, WALLS_1E6};
 
 const RAYS: u32 = 1 << 17;
+const ROUNDS: usize = 15;
 const PLACES: [Place; 5] = [CORNELL, SPHERES_1E5, WALLS_1E5, SPHERES_1E6, WALLS_1E6];
 
 fn main() {
-    divan::main();
+    // Cargo itself passes `--bench`.
+    let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    println!(
+        "| scene | triangles | built in, ms | threads | Mrays/s | Embree, Mrays/s | ratio | quartiles |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    for place in PLACES {
+        if wanted.is_empty() || wanted.iter().any(|w| place.name.contains(w.as_str())) {
+            measure(place);
+        }
+    }
 }
 
-#[divan::bench(args = PLACES, sample_count = 20, sample_size = 1)]
-fn one_thread(bencher: Bencher, place: Place) {
-    let (tracer, rays) = prepare(place);
-    let hits = || rays.iter().filter(|(from, to)| tracer.closest(*from, *to).is_some()).count();
-    bencher.counter(ItemsCount::new(RAYS)).bench_local(hits);
+fn measure(place: Place) {
+    let (tracer, built_in, rays) = prepare(place);
+    let embree = Embree::new(&tracer);
+    if let Some(embree) = &embree {
+        // Else the two would not be at the same work.
+        let differ = |(from, to): &&(Vec3A, Vec3A)| {
+            let (ours, theirs) = (tracer.closest(*from, *to), embree.closest(*from, *to));
+            ours.is_some() != theirs.is_some()
+                || ours.zip(theirs).is_some_and(|(a, b)| (a.t - b).abs() > 1e-3 * b)
+        };
+        let differing = rays.iter().filter(differ).count();
+        assert!(differing < rays.len() / 1000, "{differing} rays end elsewhere in Embree");
+    }
+    for threads in [1, 2] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
+        let ours = |(from, to): &(Vec3A, Vec3A)| tracer.closest(*from, *to).is_some();
+        let rounds: Vec<(f64, Option<f64>)> = (0..ROUNDS)
+            .map(|_| {
+                let mine = time(&pool, &rays, ours);
+                let theirs = |e: &Embree| time(&pool, &rays, |(from, to)| e.closest(*from, *to).is_some());
+                (mine, embree.as_ref().map(theirs))
+            })
+            .collect();
+        let rate = |seconds: f64| f64::from(RAYS) / seconds / 1e6;
+        let mine = quantile(rounds.iter().map(|r| rate(r.0)), 0.5);
+        print!(
+            "| {place} | {} | {:.1} | {threads} | {mine:.2} | ",
+            tracer.triangles().len(),
+            1e3 * built_in.as_secs_f64()
+        );
+        if embree.is_some() {
+            let theirs = || rounds.iter().filter_map(|r| r.1);
+            let ratios = || rounds.iter().zip(theirs()).map(|(r, theirs)| theirs / r.0);
+            let [low, middle, high] = [0.25, 0.5, 0.75].map(|q| quantile(ratios(), q));
+            println!("{:.2} | {middle:.2} | {low:.2} to {high:.2} |", quantile(theirs().map(rate), 0.5));
+        } else {
+            println!("not installed | | |");
+        }
+    }
 }
 
-#[divan::bench(args = PLACES, sample_count = 20, sample_size = 1)]
-fn all_threads(bencher: Bencher, place: Place) {
-    let (tracer, rays) = prepare(place);
-    let hits = || rays.par_iter().filter(|(from, to)| tracer.closest(*from, *to).is_some()).count();
-    bencher.counter(ItemsCount::new(RAYS)).bench_local(hits);
+/// Seconds for all rays.
+fn time(
+    pool: &rayon::ThreadPool,
+    rays: &[(Vec3A, Vec3A)],
+    hits: impl Fn(&(Vec3A, Vec3A)) -> bool + Sync,
+) -> f64 {
+    pool.install(|| {
+        let start = Instant::now();
+        black_box(
+            rays.par_chunks(1024).map(|some| some.iter().filter(|ray| hits(ray)).count()).sum::<usize>(),
+        );
+        start.elapsed().as_secs_f64()
+    })
 }
 
-/// Origins and directions.
-fn prepare(place: Place) -> (Tracer, Vec<(Vec3A, Vec3A)>) {
+fn quantile(values: impl Iterator<Item = f64>, q: f64) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted[((sorted.len() - 1) as f64 * q).round() as usize]
+}
+
+/// Rays as origins and directions, and how long the tracer took to build.
+fn prepare(place: Place) -> (Tracer, Duration, Vec<(Vec3A, Vec3A)>) {
     let scene = (place.make)();
+    let start = Instant::now();
     let tracer = Tracer::new(&scene);
+    let built_in = start.elapsed();
     let mut below = 0.0;
     let areas_below: Vec<f64> = (0..scene.triangles.len())
         .map(|t| {
@@ -50,7 +119,7 @@ fn prepare(place: Place) -> (Tracer, Vec<(Vec3A, Vec3A)>) {
         })
         .collect();
     let rays = (0..RAYS).into_par_iter().map(|i| ray(&scene, &tracer, &areas_below, i)).collect();
-    (tracer, rays)
+    (tracer, built_in, rays)
 }
 
 /// A ray from a point uniform on all fronts, its direction cosine-distributed.

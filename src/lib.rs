@@ -7,7 +7,7 @@
 //! documentation, shows it in ten lines.
 
 #![deny(missing_docs)]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
 pub mod accuracy;
 pub mod energy;

@@ -3,33 +3,18 @@
 //! All rays run in *unit space*: the scene recentred and rescaled so that its largest coordinate is 1. A scene in
 //! millimetres, or 10 km from its origin, loses nothing there that single precision need not lose.
 
+mod bvh;
+mod collapse;
 pub mod sampling;
 mod watertight;
+mod wide;
 
 use glam::{DVec3, Vec3A};
-use obvhs::{
-    BvhBuildParams,
-    aabb::Aabb,
-    bvh2::{Bvh2, builder::build_bvh2},
-    ploc::{PlocSearchDistance, SortPrecision},
-    ray::{Ray, RayHit},
-};
 
 use crate::scene::Scene;
-use watertight::{Facet, Met, ShearedRay};
-
-/// obvhs's presets lower the search distance near the leaves, which collapses on tessellated planar walls (their
-/// Morton codes tie); a search distance of 6 all the way down does not. Up to three triangles a leaf beat one.
-const BUILD: BvhBuildParams = BvhBuildParams {
-    pre_split: false,
-    ploc_search_distance: PlocSearchDistance::Low,
-    search_depth_threshold: 0,
-    reinsertion_batch_ratio: 0.02,
-    post_collapse_reinsertion_batch_ratio_multiplier: 2.0,
-    sort_precision: SortPrecision::U64,
-    max_prims_per_leaf: 3,
-    collapse_traversal_cost: 1.0,
-};
+use bvh::Bvh;
+use watertight::PreparedRay;
+use wide::Kernel;
 
 /// Where a ray met a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -90,9 +75,8 @@ impl UnitTriangle {
 
 /// The scene's triangles, ready for rays.
 pub struct Tracer {
-    bvh: Bvh2,
-    /// Triangles in the order of the leaves, so that a leaf reads one stretch of memory.
-    leaves: Vec<Facet>,
+    bvh: Bvh,
+    kernel: Kernel,
     triangles: Vec<UnitTriangle>,
     centre: DVec3,
     /// File lengths per unit-space length.
@@ -115,23 +99,8 @@ impl Tracer {
                 UnitTriangle::new(corners, scene.normal(t).as_vec3a())
             })
             .collect();
-        // Four ulp of the largest coordinate, which is 1: the box test rounds, and must never round a ray out of a
-        // box whose triangle the watertight test would report.
-        let padding = Vec3A::splat(4.0 * f32::EPSILON);
-        let boxes: Vec<Aabb> = triangles
-            .iter()
-            .map(|t| {
-                let [a, b, c] = t.corners;
-                Aabb::new(a.min(b).min(c) - padding, a.max(b).max(c) + padding)
-            })
-            .collect();
-        let bvh = build_bvh2(&boxes, BUILD, &mut Default::default());
-        let facet = |&i: &u32| {
-            let UnitTriangle { corners, normal, .. } = triangles[i as usize];
-            Facet { corners, normal }
-        };
-        let leaves = bvh.primitive_indices.iter().map(facet).collect();
-        Tracer { bvh, leaves, triangles, centre, scale }
+        let bvh = Bvh::new(&triangles);
+        Tracer { bvh, kernel: Kernel::detect(), triangles, centre, scale }
     }
 
     /// The triangles in unit space, in the order of [`Scene::triangles`].
@@ -156,10 +125,7 @@ impl Tracer {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        size_of_val(&self.bvh.nodes[..])
-            + size_of_val(&self.bvh.primitive_indices[..])
-            + size_of_val(&self.leaves[..])
-            + size_of_val(&self.triangles[..])
+        self.bvh.bytes() + size_of_val(&self.triangles[..])
     }
 
     /// The origin for rays that leave the point `p` of a surface on the side of `normal`.
@@ -186,25 +152,8 @@ impl Tracer {
     /// The first triangle that the ray meets. The direction need not be of unit length, but not zero.
     #[inline]
     pub fn closest(&self, origin: Vec3A, direction: Vec3A) -> Option<Hit> {
-        let sheared = ShearedRay::new(origin, direction);
-        let mut found: Option<(usize, Met)> = None;
-        let mut hit = RayHit::none();
-        self.bvh.ray_traverse(Ray::new_inf(origin, direction), &mut hit, |_, i| {
-            match sheared.intersect(&self.leaves[i]) {
-                Some(met) if found.as_ref().is_none_or(|(_, nearest)| met.is_before(nearest)) => {
-                    let t = met.t;
-                    found = Some((i, met));
-                    t
-                }
-                _ => f32::INFINITY,
-            }
-        });
-        found.map(|(i, met)| Hit {
-            triangle: self.bvh.primitive_indices[i],
-            front: met.front(),
-            t: met.t,
-            barycentric: met.barycentric(),
-        })
+        let (triangle, met) = self.kernel.closest(&self.bvh, &PreparedRay::new(origin, direction))?;
+        Some(Hit { triangle, front: met.front(), t: met.t, barycentric: met.barycentric() })
     }
 
     /// Whether nothing stands between two points; both should be moved off their surfaces by [`Tracer::leave`].
@@ -214,10 +163,7 @@ impl Tracer {
         if direction == Vec3A::ZERO {
             return true;
         }
-        let sheared = ShearedRay::new(from, direction);
-        self.bvh.ray_traverse_miss(Ray::new(from, direction, 0.0, 1.0), |_, i| {
-            sheared.intersect(&self.leaves[i]).map_or(f32::INFINITY, |met| met.t)
-        })
+        self.kernel.is_free(&self.bvh, &PreparedRay::new(from, direction))
     }
 }
 

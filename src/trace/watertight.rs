@@ -7,20 +7,18 @@
 
 use glam::Vec3A;
 
-/// A triangle as rays meet it: 64 bytes, a line of cache.
-#[derive(Clone, Copy)]
-pub(super) struct Facet {
-    pub(super) corners: [Vec3A; 3],
-    /// Unit normal of the front, not from the rounded corners: it leaves none of them by more than their rounding.
-    pub(super) normal: Vec3A,
-}
-
-/// A ray, prepared: axes permuted so that z is the direction's largest, and the shear that takes the direction to +z.
-pub(super) struct ShearedRay {
-    origin: Vec3A,
-    direction: Vec3A,
-    axes: [usize; 3],
-    shear: [f32; 2],
+/// A ray, prepared for boxes and triangles.
+pub(super) struct PreparedRay {
+    pub(super) origin: Vec3A,
+    pub(super) direction: Vec3A,
+    /// One over the direction, without zeros in that.
+    pub(super) inverse: Vec3A,
+    /// Along which axes the ray goes down: it enters boxes at their high side.
+    pub(super) backward: [bool; 3],
+    /// The axes permuted so that z is the direction's largest.
+    pub(super) axes: [usize; 3],
+    /// The shear that takes the direction to +z.
+    pub(super) shear: [f32; 2],
 }
 
 /// A triangle met, before the division by the determinant that only the closest one needs.
@@ -30,25 +28,11 @@ pub(super) struct Met {
     /// Cosine to the front's normal times the length of the direction: negative for rays from the front.
     approach: f32,
     weights: [f32; 3],
-    determinant: f32,
 }
 
 impl Met {
     pub(super) fn front(&self) -> bool {
         self.approach < 0.0
-    }
-
-    /// Whether this triangle is met before the other one.
-    ///
-    /// A ray that grazes the outline of a body meets a front and a back at distances that only rounding tells apart. It
-    /// came from outside: the front counts.
-    #[inline]
-    pub(super) fn is_before(&self, other: &Met) -> bool {
-        if self.front() == other.front() {
-            return self.t < other.t;
-        }
-        let slack = self.rounding() + other.rounding();
-        if self.front() { self.t <= other.t + slack } else { self.t + slack < other.t }
     }
 
     /// By how much `t` may be off: about eight roundings of coordinates near 1, more at grazing incidence, within
@@ -58,11 +42,58 @@ impl Met {
     }
 
     pub(super) fn barycentric(&self) -> [f32; 3] {
-        self.weights.map(|w| w / self.determinant)
+        let determinant = self.weights[0] + self.weights[1] + self.weights[2];
+        let [u, v, w] = self.weights;
+        [u / determinant, v / determinant, w / determinant]
     }
 }
 
-impl ShearedRay {
+/// The nearest front and the nearest back among the triangles met, by the scene's index.
+///
+/// Whatever the order in which they come: the lower index wins between equal distances.
+#[derive(Default)]
+pub(super) struct Nearest {
+    front: Option<(u32, Met)>,
+    back: Option<(u32, Met)>,
+}
+
+impl Nearest {
+    #[inline(always)]
+    pub(super) fn add(&mut self, triangle: u32, met: Met) {
+        let slot = if met.front() { &mut self.front } else { &mut self.back };
+        let nearer =
+            |(other, nearest): &(u32, Met)| met.t < nearest.t || (met.t == nearest.t && triangle < *other);
+        if slot.as_ref().is_none_or(nearer) {
+            *slot = Some((triangle, met));
+        }
+    }
+
+    /// No triangle farther than this can change the decision.
+    #[inline(always)]
+    pub(super) fn limit(&self) -> f32 {
+        let t = |m: &Option<(u32, Met)>| m.as_ref().map_or(f32::INFINITY, |(_, met)| met.t);
+        let (front, back) = (t(&self.front), t(&self.back));
+        // A front wins against this back where it is farther by the roundings of both, each at most 1e-4 of t.
+        front.min(back * 1.0003)
+    }
+
+    /// The triangle met first.
+    ///
+    /// A ray that grazes the outline of a body meets a front and a back at distances that only rounding tells apart. It
+    /// came from outside: the front counts.
+    #[inline(always)]
+    pub(super) fn decide(self) -> Option<(u32, Met)> {
+        match (self.front, self.back) {
+            (Some(front), Some(back)) => {
+                let slack = front.1.rounding() + back.1.rounding();
+                Some(if front.1.t <= back.1.t + slack { front } else { back })
+            }
+            (front, back) => front.or(back),
+        }
+    }
+}
+
+impl PreparedRay {
     #[inline]
     pub(super) fn new(origin: Vec3A, direction: Vec3A) -> Self {
         let size = direction.abs();
@@ -79,47 +110,52 @@ impl ShearedRay {
             std::mem::swap(&mut kx, &mut ky);
         }
         let inverse = 1.0 / direction[kz];
-        ShearedRay {
+        // A component next to zero is made large enough for a finite inverse: over the length of the scene it moves
+        // the ray by far less than boxes are padded.
+        let least = Vec3A::splat(size[kz] * 1e-10);
+        let safe = size.max(least).copysign(direction);
+        PreparedRay {
             origin,
             direction,
+            inverse: safe.recip(),
+            backward: [
+                direction.x.is_sign_negative(),
+                direction.y.is_sign_negative(),
+                direction.z.is_sign_negative(),
+            ],
             axes: [kx, ky, kz],
             shear: [direction[kx] * inverse, direction[ky] * inverse],
         }
     }
 
-    /// The triangle where the ray meets it at a positive distance.
+    /// Whether all is finite, and so no distance to a box can be NaN. Other rays meet nothing.
+    #[inline(always)]
+    pub(super) fn is_proper(&self) -> bool {
+        self.origin.is_finite() && self.direction.is_finite() && self.inverse.is_finite()
+    }
+
+    /// The triangle whose edge functions these are, where the ray meets it at a positive distance.
     ///
     /// The edge functions tell whether. Where, and from which side, the plane tells: in a long thin triangle distances
     /// interpolated between corners are off by the roundings of its length over its width, and rays would meet the
     /// surface they leave.
-    #[inline]
-    pub(super) fn intersect(&self, Facet { corners, normal }: &Facet) -> Option<Met> {
-        let [kx, ky, kz] = self.axes;
-        let [sx, sy] = self.shear;
-        let [a, b, c] = corners.map(|v| v - self.origin);
-        let (ax, ay) = (a[kx] - sx * a[kz], a[ky] - sy * a[kz]);
-        let (bx, by) = (b[kx] - sx * b[kz], b[ky] - sy * b[kz]);
-        let (cx, cy) = (c[kx] - sx * c[kz], c[ky] - sy * c[kz]);
-        let u = cx * by - cy * bx;
-        let v = ax * cy - ay * cx;
-        let w = bx * ay - by * ax;
-        if (u < 0.0 || v < 0.0 || w < 0.0) && (u > 0.0 || v > 0.0 || w > 0.0) {
-            return None;
-        }
-        let determinant = u + v + w;
-        if determinant == 0.0 {
-            return None;
-        }
+    #[inline(always)]
+    pub(super) fn meet(&self, corner: Vec3A, normal: Vec3A, weights: [f32; 3]) -> Option<Met> {
         let approach = normal.dot(self.direction);
-        let t = normal.dot(a) / approach;
+        let t = normal.dot(corner - self.origin) / approach;
         // Written so that a NaN is a miss.
-        if t > 0.0 { Some(Met { t, approach, weights: [u, v, w], determinant }) } else { None }
+        if t > 0.0 { Some(Met { t, approach, weights }) } else { None }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::trace::{
+        UnitTriangle,
+        bvh::Leaf,
+        wide::{Lanes, Portable},
+    };
     use glam::vec3a;
 
     #[test]
@@ -135,12 +171,16 @@ mod tests {
                 q
             });
             let normal = (turned[1] - turned[0]).cross(turned[2] - turned[0]).normalize();
-            let facet = Facet { corners: turned, normal };
+            let triangle = UnitTriangle::new(turned.map(|p| p.as_dvec3()), normal);
+            let leaf = Leaf::new(&[0], &[triangle]);
             let inside = (turned[0] + turned[1] + turned[2]) / 3.0;
             for tilt in [Vec3A::ZERO, vec3a(0.1, -0.2, 0.05)] {
                 for side in [1.0, -1.0] {
                     let origin = inside + normal * side + tilt;
-                    let met = ShearedRay::new(origin, inside - origin).intersect(&facet).unwrap();
+                    let ray = PreparedRay::new(origin, inside - origin);
+                    let (hit, edges) = Portable.edges(&leaf, &ray);
+                    assert_eq!(hit, 1, "one lane holds a triangle");
+                    let met = ray.meet(turned[0], normal, [edges[0][0], edges[1][0], edges[2][0]]).unwrap();
                     assert_eq!(met.front(), side > 0.0);
                     assert!((met.t - 1.0).abs() < 1e-6);
                     for b in met.barycentric() {

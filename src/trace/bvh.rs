@@ -1,0 +1,332 @@
+//! A bounding volume hierarchy eight children wide, and how a ray goes through it.
+
+use glam::Vec3A;
+use obvhs::{
+    BvhBuildParams,
+    aabb::Aabb,
+    bvh2::builder::build_bvh2,
+    ploc::{PlocSearchDistance, SortPrecision},
+};
+
+use super::{
+    UnitTriangle,
+    collapse::Collapse,
+    watertight::{Met, Nearest, PreparedRay},
+    wide::Lanes,
+};
+
+/// Children of a node; triangles of a leaf, and its vertices.
+pub(super) const WIDTH: usize = 8;
+
+/// obvhs's presets lower the search distance near the leaves, which collapses on tessellated planar walls (their
+/// Morton codes tie); a search distance of 6 all the way down does not. Reinsertion spares rays a sixth of the nodes
+/// there.
+const BUILD: BvhBuildParams = BvhBuildParams {
+    pre_split: false,
+    ploc_search_distance: PlocSearchDistance::Low,
+    search_depth_threshold: 0,
+    reinsertion_batch_ratio: 0.15,
+    post_collapse_reinsertion_batch_ratio_multiplier: 1.0,
+    sort_precision: SortPrecision::U64,
+    max_prims_per_leaf: 1,
+    collapse_traversal_cost: 1.0,
+};
+
+/// Boxes of up to eight children, one lane a child. Lanes without a child hold a box that no ray meets.
+#[repr(C, align(64))]
+pub(super) struct Node {
+    /// By axis, then low and high.
+    pub(super) bounds: [[[f32; WIDTH]; 2]; 3],
+    /// Index of a node, or [`IS_LEAF`] and the index of a leaf.
+    children: [u32; WIDTH],
+}
+
+const IS_LEAF: u32 = 1 << 31;
+
+impl Node {
+    pub(super) const EMPTY: Node =
+        Node { bounds: [[[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]]; 3], children: [0; WIDTH] };
+
+    fn set(&mut self, lane: usize, aabb: &Aabb, child: u32) {
+        for axis in 0..3 {
+            self.bounds[axis][0][lane] = aabb.min[axis];
+            self.bounds[axis][1][lane] = aabb.max[axis];
+        }
+        self.children[lane] = child;
+    }
+}
+
+/// Up to eight triangles on up to eight vertices, each sheared once however many triangles share it: two lines of
+/// cache. Lanes without a triangle have all corners in one vertex, where the edge functions vanish exactly.
+#[repr(C, align(64))]
+pub(super) struct Leaf {
+    /// By axis, one lane a vertex.
+    pub(super) vertices: [[f32; WIDTH]; 3],
+    /// By corner, one lane a triangle: which vertex.
+    pub(super) corners: [[u8; WIDTH]; 3],
+}
+
+impl Leaf {
+    /// Of triangles whose vertices [`share_vertices`] found to be few enough.
+    ///
+    /// # Panics
+    /// When they are not.
+    pub(super) fn new(members: &[u32], triangles: &[UnitTriangle]) -> Leaf {
+        let (vertices, corners) = share_vertices(members, triangles).expect("the triangles fit into a leaf");
+        Leaf { vertices: [0, 1, 2].map(|axis| vertices.map(|v| v[axis])), corners }
+    }
+}
+
+/// The vertices of triangles, each once, and where among them every corner is; none where there are too many.
+pub(super) fn share_vertices(
+    members: &[u32],
+    triangles: &[UnitTriangle],
+) -> Option<([Vec3A; WIDTH], [[u8; WIDTH]; 3])> {
+    if members.len() > WIDTH {
+        return None;
+    }
+    let mut vertices = [Vec3A::ZERO; WIDTH];
+    let mut corners = [[0; WIDTH]; 3];
+    let mut count = 0;
+    for (lane, &t) in members.iter().enumerate() {
+        for (corner, &position) in triangles[t as usize].corners.iter().enumerate() {
+            let vertex = vertices[..count].iter().position(|&v| v == position).unwrap_or(count);
+            *vertices.get_mut(vertex)? = position;
+            count = count.max(vertex + 1);
+            corners[corner][lane] = vertex as u8;
+        }
+    }
+    Some((vertices, corners))
+}
+
+/// What only triangles need that are met.
+#[derive(Clone, Copy, Default)]
+struct Facet {
+    /// Unit normal of the front, not from the rounded corners: it leaves none of them by more than their rounding.
+    normal: [f32; 3],
+    /// The scene's index.
+    triangle: u32,
+}
+
+/// One lane a triangle. Apart from its leaf, but at the same index, so that both come from memory at once.
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+struct Facets([Facet; WIDTH]);
+
+/// The hierarchy over the triangles of a scene.
+pub(super) struct Bvh {
+    /// The root first; empty without triangles.
+    nodes: Vec<Node>,
+    leaves: Vec<Leaf>,
+    /// Of every leaf.
+    facets: Vec<Facets>,
+    /// Entries that a ray may have to remember at once.
+    stack: usize,
+}
+
+/// Entries that fit the stack without allocation: enough for millions of triangles that are not stacked up oddly.
+const STACK: usize = 96;
+
+impl Bvh {
+    /// Builds the hierarchy over triangles whose coordinates are at most 1.
+    pub(super) fn new(triangles: &[UnitTriangle]) -> Bvh {
+        // Four ulp of the largest coordinate, which is 1: the box test rounds, and must never round a ray out of a
+        // box whose triangle the watertight test would report.
+        let padding = Vec3A::splat(4.0 * f32::EPSILON);
+        let padded = |t: &UnitTriangle| {
+            let [a, b, c] = t.corners;
+            Aabb::new(a.min(b).min(c) - padding, a.max(b).max(c) + padding)
+        };
+        let boxes: Vec<Aabb> = triangles.iter().map(padded).collect();
+        let binary = build_bvh2(&boxes, BUILD, &mut Default::default());
+        let mut bvh = Bvh { nodes: Vec::new(), leaves: Vec::new(), facets: Vec::new(), stack: 1 };
+        if binary.nodes.is_empty() {
+            return bvh;
+        }
+        let collapse = Collapse::new(&binary, triangles);
+        bvh.nodes.push(Node::EMPTY);
+        // Nodes yet to fill: the binary node each comes from, where it is, what the stack holds meanwhile.
+        let mut open = vec![(0, 0, 0)];
+        while let Some((from, to, above)) = open.pop() {
+            let children = collapse.gather(from);
+            let held = above + children.len() - 1;
+            bvh.stack = bvh.stack.max(held + 1);
+            for (lane, &child) in children.iter().enumerate() {
+                let index = if let Some(members) = collapse.leaf(child) {
+                    bvh.push_leaf(&members, triangles)
+                } else {
+                    bvh.nodes.push(Node::EMPTY);
+                    open.push((child, bvh.nodes.len() - 1, held));
+                    (bvh.nodes.len() - 1) as u32
+                };
+                bvh.nodes[to].set(lane, binary.nodes[child].aabb(), index);
+            }
+        }
+        bvh
+    }
+
+    fn push_leaf(&mut self, members: &[u32], triangles: &[UnitTriangle]) -> u32 {
+        self.leaves.push(Leaf::new(members, triangles));
+        let mut facets = Facets::default();
+        for (facet, &triangle) in facets.0.iter_mut().zip(members) {
+            *facet = Facet { normal: triangles[triangle as usize].normal.to_array(), triangle };
+        }
+        self.facets.push(facets);
+        IS_LEAF | (self.leaves.len() - 1) as u32
+    }
+
+    /// Bytes held.
+    pub(super) fn bytes(&self) -> usize {
+        size_of_val(&self.nodes[..]) + size_of_val(&self.leaves[..]) + size_of_val(&self.facets[..])
+    }
+
+    /// The first triangle that the ray meets, by the scene's index.
+    #[inline(always)]
+    pub(super) fn closest<L: Lanes>(&self, lanes: L, ray: &PreparedRay) -> Option<(u32, Met)> {
+        let mut nearest = Nearest::default();
+        self.traverse(lanes, ray, f32::INFINITY, |triangle, met| {
+            nearest.add(triangle, met);
+            nearest.limit()
+        });
+        nearest.decide()
+    }
+
+    /// Whether the ray meets no triangle before `t` = 1.
+    #[inline(always)]
+    pub(super) fn is_free<L: Lanes>(&self, lanes: L, ray: &PreparedRay) -> bool {
+        let mut free = true;
+        self.traverse(lanes, ray, 1.0, |_, met| {
+            free &= met.t >= 1.0;
+            // A negative limit ends it: nothing is nearer.
+            if free { 1.0 } else { -1.0 }
+        });
+        free
+    }
+
+    /// Calls `meet` with the scene's index of every triangle that the ray meets, near boxes first. Boxes beyond the
+    /// limit that it returned last are left out.
+    #[inline(always)]
+    fn traverse<L: Lanes>(
+        &self,
+        lanes: L,
+        ray: &PreparedRay,
+        mut limit: f32,
+        mut meet: impl FnMut(u32, Met) -> f32,
+    ) {
+        if self.nodes.is_empty() || !ray.is_proper() {
+            return;
+        }
+        let mut fixed = [0; STACK];
+        let mut large = Vec::new();
+        let mut stack = Stack { entries: &mut fixed, height: 0 };
+        if self.stack > STACK {
+            large.resize(self.stack, 0);
+            stack.entries = &mut large;
+        }
+        let mut current = 0;
+        loop {
+            if current & IS_LEAF != 0 {
+                let index = (current & !IS_LEAF) as usize;
+                let leaf = &self.leaves[index];
+                let (mut inside, edges) = lanes.edges(leaf, ray);
+                while inside != 0 {
+                    let lane = take_lane(&mut inside);
+                    let facet = &self.facets[index].0[lane];
+                    let corner = leaf.corners[0][lane] as usize % WIDTH;
+                    let [x, y, z] = &leaf.vertices;
+                    let corner = Vec3A::new(x[corner], y[corner], z[corner]);
+                    let edges = [edges[0][lane], edges[1][lane], edges[2][lane]];
+                    if let Some(met) = ray.meet(corner, facet.normal.into(), edges) {
+                        limit = meet(facet.triangle, met);
+                    }
+                }
+            } else {
+                let node = &self.nodes[current as usize];
+                let (entered, entries) = lanes.boxes(node, ray, limit);
+                if entered != 0 {
+                    current = self.nearest_child(lanes, node, entered, &entries, &mut stack);
+                    continue;
+                }
+            }
+            match stack.pop(limit) {
+                Some(next) => current = next,
+                None => return,
+            }
+        }
+    }
+
+    /// The child entered first; the others go to the stack, near ones on top.
+    #[inline(always)]
+    fn nearest_child<L: Lanes>(
+        &self,
+        lanes: L,
+        node: &Node,
+        mut entered: u32,
+        entries: &[f32; WIDTH],
+        stack: &mut Stack,
+    ) -> u32 {
+        // Distances are not negative, so that their bits order as they do. Equal ones go by index.
+        let mut next = || {
+            let lane = take_lane(&mut entered);
+            let child = node.children[lane];
+            if child & IS_LEAF != 0 {
+                let leaf = (child & !IS_LEAF) as usize;
+                lanes.prefetch(&self.leaves, leaf);
+                lanes.prefetch(&self.facets, leaf);
+            } else {
+                lanes.prefetch(&self.nodes, child as usize);
+            }
+            (u64::from(entries[lane].to_bits()) << 32 | u64::from(child), entered != 0)
+        };
+        let (mut nearest, mut more) = next();
+        let below = stack.height;
+        while more {
+            let other;
+            (other, more) = next();
+            stack.insert(below, nearest.max(other));
+            nearest = nearest.min(other);
+        }
+        nearest as u32
+    }
+}
+
+/// The lowest lane of a mask that has one; it leaves the mask.
+#[inline(always)]
+fn take_lane(mask: &mut u32) -> usize {
+    let lane = mask.trailing_zeros() as usize % WIDTH;
+    *mask &= *mask - 1;
+    lane
+}
+
+/// Children yet to visit: distance in the upper half, index in the lower.
+struct Stack<'a> {
+    entries: &'a mut [u64],
+    height: usize,
+}
+
+impl Stack<'_> {
+    /// Puts an entry where it belongs among those above `below`, which descend.
+    #[inline(always)]
+    fn insert(&mut self, below: usize, entry: u64) {
+        let mut at = self.height;
+        while at > below && self.entries[at - 1] < entry {
+            self.entries[at] = self.entries[at - 1];
+            at -= 1;
+        }
+        self.entries[at] = entry;
+        self.height += 1;
+    }
+
+    /// The next child that is not beyond the limit.
+    #[inline(always)]
+    fn pop(&mut self, limit: f32) -> Option<u32> {
+        while self.height > 0 {
+            self.height -= 1;
+            let top = self.entries[self.height];
+            if f32::from_bits((top >> 32) as u32) <= limit {
+                return Some(top as u32);
+            }
+        }
+        None
+    }
+}
