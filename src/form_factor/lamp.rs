@@ -14,9 +14,9 @@ use crate::{patch::Patches, trace::Tracer};
 
 /// More lamps than this are sampled only: each costs about as much as a ray, at every patch.
 const MOST_LAMPS: usize = 16;
-/// A patch is cut until it is smaller than this share of its distance to the lamp: the error of the rule, of the sixth
-/// order, is then below single precision.
-const NEAR: f64 = 0.25;
+/// A patch is cut until it is smaller than this share of its distance to the lamp. The rule's relative error is about the
+/// sixth power of that.
+const NEAR: f64 = 0.125;
 /// One that is larger than this many times the distance is left to the closed form, which costs a hundred times as much.
 const TOUCHING: f64 = 2.0;
 
