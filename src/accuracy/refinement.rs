@@ -26,8 +26,11 @@ const MOST_GROWTH: f64 = 4.0;
 const LEAST_GROWTH: f64 = 1.2;
 /// Share of the target that is aimed at, so that luck does not call for one more round.
 const AIM: f64 = 0.97;
-/// The error falls with this power of the number of rays, at least and at most. Independent rays give 1/2.
-const RATES: (f64, f64) = (0.5, 0.75);
+/// The error falls with this power of the number of rays, at least and at most. Independent rays give 1/2, well stratified
+/// ones more.
+const RATES: (f64, f64) = (0.5, 0.8);
+/// What the power is taken to be after one round.
+const USUAL_RATE: f64 = 0.65;
 
 /// What a round reached.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,6 +41,8 @@ pub struct Round {
     pub error: f64,
     /// Seconds since the first round began.
     pub elapsed: f64,
+    /// Seconds of this round that casting and assembling took.
+    pub casting: f64,
 }
 
 /// When to stop. Without any limit, after the first round.
@@ -85,16 +90,16 @@ impl Plan {
 
 /// The power of the number of rays that the error falls with.
 fn rate(rounds: &[Round]) -> f64 {
-    let [.., before, last] = rounds else { return RATES.0 };
+    let [.., before, last] = rounds else { return USUAL_RATE };
     let observed = (before.error / last.error).ln() / (last.rays / before.rays).ln();
     if observed.is_finite() { observed.clamp(RATES.0, RATES.1) } else { RATES.0 }
 }
 
-/// Casts and solves in rounds as `plan` says, calls `tell` after each with all rounds so far, and returns the last solution.
-/// The first round has the rays of `cast`.
+/// Casts and solves in rounds as `plan` says, calls `tell` after each with the solution and all rounds so far, and returns
+/// the last solution. The first round has the rays of `cast`.
 ///
 /// # Errors
-/// As [`FormFactors::cast`] and [`solve()`].
+/// As [`FormFactors::cast`] and [`solve()`], and what `tell` returns.
 #[expect(clippy::too_many_arguments, reason = "all stages of a solution")]
 pub fn refine(
     scene: &Scene,
@@ -103,13 +108,15 @@ pub fn refine(
     cast: &CastOptions,
     options: &SolveOptions,
     plan: &Plan,
-    mut tell: impl FnMut(&[Round]),
+    mut tell: impl FnMut(&Solved, &[Round]) -> Result<()>,
     progress: &Progress,
 ) -> Result<(Solved, Vec<Round>)> {
     let start = Instant::now();
-    let mut rounds = Vec::new();
+    let mut rounds: Vec<Round> = Vec::new();
     let mut form_factors = FormFactors::cast(scene, tracer, &mut patches, cast, progress)?;
     loop {
+        let before = rounds.last().map_or(0.0, |round| round.elapsed);
+        let casting = start.elapsed().as_secs_f64() - before;
         let solution = solve(&form_factors, &patches, options, progress)?;
         let error_bars = ErrorBars::of(&form_factors, &patches, &solution).expect("rays were cast");
         let rays = form_factors.hits().map_or(0, |hits| hits.rays()) as f64;
@@ -117,12 +124,12 @@ pub fn refine(
             rays: rays / patches.len() as f64,
             error: relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas()),
             elapsed: start.elapsed().as_secs_f64(),
+            casting,
         });
-        tell(&rounds);
-        let Some(rays) = plan.next(&rounds) else {
-            return Ok((Solved { patches, form_factors, solution, error_bars }, rounds));
-        };
-        drop((solution, error_bars));
+        let solved = Solved { patches, form_factors, solution, error_bars };
+        tell(&solved, &rounds)?;
+        let Some(rays) = plan.next(&rounds) else { return Ok((solved, rounds)) };
+        Solved { patches, form_factors, .. } = solved;
         form_factors = form_factors.cast_more(scene, tracer, &mut patches, rays, progress)?;
     }
 }
@@ -132,11 +139,11 @@ mod tests {
     use super::*;
 
     fn round(rays: f64, error: f64, elapsed: f64) -> Round {
-        Round { rays, error, elapsed }
+        Round { rays, error, elapsed, casting: 0.5 * elapsed }
     }
 
-    /// Errors that fall like 1/sqrt(rays) reach the target in as few rounds as growth allows, and overshoot by what is
-    /// aimed below the target and no more.
+    /// Errors that fall like 1/sqrt(rays) reach the target in about as few rounds as growth allows, and overshoot by no more
+    /// than the least growth.
     #[test]
     fn an_error_is_reached_and_not_by_far() {
         let plan = Plan { error: Some(0.01), ..Plan::default() };
@@ -145,10 +152,11 @@ mod tests {
             rounds.push(round(rays, 0.08 * (64.0 / rays).sqrt(), 1.0));
         }
         let last = rounds.last().unwrap();
-        assert!(last.error <= 0.01 && last.error >= 0.0096, "{rounds:?}");
+        assert!(last.error <= 0.01 && last.error >= 0.01 / LEAST_GROWTH.sqrt(), "{rounds:?}");
         // 64 times the rays and a little more are four rounds of four times.
         assert_eq!(rounds.len(), 5);
-        assert!((plan.forecast(&rounds[..1]).unwrap() / 4096.0 - 1.0).abs() < 1e-12);
+        // The second round tells the rate.
+        assert!((plan.forecast(&rounds[..2]).unwrap() / 4096.0 - 1.0).abs() < 1e-12);
     }
 
     #[test]

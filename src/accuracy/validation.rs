@@ -250,7 +250,7 @@ impl Validation {
     ) -> Result<Validation> {
         let cast = CastOptions { rays: options.rays, seed: options.seed, ..CastOptions::default() };
         let coarse = Solved::new(scene, tracer, &options.subdivision, &cast, &options.solve, progress)?;
-        let finer = CastOptions { rays: 0.25 * options.rays, seed: options.seed + 1, ..cast };
+        let finer = CastOptions { rays: 0.25 * options.rays, seed: options.seed.wrapping_add(1), ..cast };
         let fine = Solved::new(scene, tracer, &halved(&coarse.patches), &finer, &options.solve, progress)?;
         let radiosity = radiosity_estimates(&coarse, &fine);
         drop(fine);

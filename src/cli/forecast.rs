@@ -44,6 +44,17 @@ pub fn check(patches: f64, rays: f64) -> Result<Option<String>> {
     }))
 }
 
+/// The most rays a patch that memory can hold for so many patches.
+pub fn most_rays(patches: f64) -> f64 {
+    let Some(memory) = memory() else { return f64::INFINITY };
+    let (mut few, mut many) = (0.0, memory);
+    for _ in 0..60 {
+        let middle = 0.5 * (few + many);
+        if bytes(patches, middle) > memory { many = middle } else { few = middle }
+    }
+    few
+}
+
 /// Refuses a picture that memory cannot hold.
 pub fn check_picture(pixels: f64, by_particles: bool) -> Result<()> {
     // The film, what automatic exposure sorts, the encoded picture; by particles a sum for each thread and an estimate

@@ -11,6 +11,7 @@ mod outputs;
 mod pipeline;
 mod probe;
 mod render;
+mod sampling;
 mod solve;
 mod summary;
 mod validate;

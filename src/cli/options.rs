@@ -142,6 +142,14 @@ pub fn below_one(text: &str) -> Result<f64, String> {
     parse(text, |x| x > 0.0 && x < 1.0, "a number between 0 and 1 is wanted")
 }
 
+pub fn percent(text: &str) -> Result<f64, String> {
+    parse(text, |x| x > 0.0 && x <= 100.0, "a percentage above 0 is wanted")
+}
+
+pub fn seconds_given(text: &str) -> Result<f64, String> {
+    parse(text, |x| x > 0.0 && x.is_finite(), "a number of seconds above 0 is wanted")
+}
+
 pub fn stops(text: &str) -> Result<f64, String> {
     parse(text, |x| x.abs() <= 100.0, "a number between -100 and 100 is wanted")
 }

@@ -5,25 +5,26 @@ use std::{path::PathBuf, time::Instant};
 use clap::{Args, ValueEnum};
 use radiosity::{
     Error, Result, Scene,
-    accuracy::error_bars::{ErrorBars, relative_rms},
+    accuracy::{
+        bias, discretisation::Discretisation, error_bars::relative_rms, refinement::Round, validation::Solved,
+    },
     energy::EnergyLedger,
-    form_factor::{Estimator, FormFactors},
+    form_factor::Estimator,
     output::{
         exposure,
         file::{OutputFile, Pending},
         ply::{self, PlyOptions},
-        report::{OptionsReport, Seconds, SolveReport, peak_bytes, seconds},
+        report::{ErrorReport, OptionsReport, RoundReport, Seconds, SolveReport, peak_bytes, seconds},
     },
-    patch::Patches,
-    solve::{Solution, SolveOptions, Solver},
+    solve::{SolveOptions, Solver},
     tone::Exposure,
 };
 
 use super::{
     Common, Outcome,
-    options::{CastArgs, SceneArgs, below_one, stops},
-    outputs,
-    pipeline::{self, Job, Solved},
+    options::{CastArgs, SceneArgs, below_one, percent, seconds_given, stops},
+    outputs, pipeline,
+    sampling::{Sampled, Sampling},
     summary, to_stdout,
     watch::Watch,
 };
@@ -36,7 +37,7 @@ const ROUNDING: f64 = 1e-9;
 #[command(after_help = "Example:\n  radiosity solve room.obj -o room.ply --report room.json --quality high")]
 pub struct SolveArgs {
     #[command(flatten)]
-    scene: SceneArgs,
+    pub scene: SceneArgs,
     /// Write a coloured mesh, binary PLY
     #[arg(short, long, value_name = "OUT.ply")]
     output: Option<PathBuf>,
@@ -44,7 +45,7 @@ pub struct SolveArgs {
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
     #[command(flatten)]
-    cast: CastArgs,
+    pub cast: CastArgs,
     /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel
     #[arg(long, value_enum, default_value_t = SolverName::Auto)]
     solver: SolverName,
@@ -57,11 +58,18 @@ pub struct SolveArgs {
     /// Make vertex colours brighter than automatic exposure does, by stops; negative is darker
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops)]
     exposure: f64,
+    /// Keep sampling until the estimated RMS error of irradiance is at most so many percent of its mean; unless patches are
+    /// chosen too, they are made small enough for it
+    #[arg(long, value_name = "PERCENT", value_parser = percent, conflicts_with = "rays")]
+    pub error: Option<f64>,
+    /// Sample for as many seconds as this, and give the best answer by then
+    #[arg(long, value_name = "SECONDS", value_parser = seconds_given, conflicts_with = "rays")]
+    pub time: Option<f64>,
     /// Another seed casts other rays; the same gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
-    seed: u64,
+    pub seed: u64,
     #[command(flatten)]
-    common: Common,
+    pub common: Common,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -81,14 +89,14 @@ enum EstimatorName {
 }
 
 impl SolveArgs {
-    fn estimator(&self) -> Estimator {
+    pub fn estimator(&self) -> Estimator {
         match self.estimator {
             EstimatorName::Pooled => Estimator::Pooled,
             EstimatorName::OneWay => Estimator::OneWay,
         }
     }
 
-    fn solve_options(&self) -> SolveOptions {
+    pub fn solve_options(&self) -> SolveOptions {
         let solver = match self.solver {
             SolverName::Auto => Solver::Auto,
             SolverName::Jacobi => Solver::Jacobi,
@@ -115,11 +123,11 @@ impl SolveArgs {
 /// What was computed.
 struct Computed {
     scene: Scene,
-    patches: Patches,
-    form_factors: FormFactors,
-    solution: Solution,
+    solved: Solved,
+    rounds: Vec<Round>,
+    chosen: String,
     energy: EnergyLedger,
-    error_bars: ErrorBars,
+    error: ErrorReport,
 }
 
 /// Runs the command.
@@ -134,8 +142,9 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
 
     let watch = Watch::new(args.common.quiet);
     let mut times = Seconds::default();
-    let computed = compute(args, &files, &watch, &mut times)?;
-    let Computed { scene, patches, form_factors, solution, energy, error_bars } = &computed;
+    let computed = compute(args, &files, &watch, start, &mut times)?;
+    let Computed { scene, solved, energy, .. } = &computed;
+    let Solved { patches, form_factors, solution, .. } = solved;
 
     let exposure = exposure::of_radiosity(patches, &solution.radiosity).brighter(args.exposure);
     watch.begin_writing();
@@ -146,7 +155,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     pending.extend(written);
 
     let options = OptionsReport {
-        rays_per_patch: args.cast.rays().into(),
+        rays_per_patch: computed.rounds.last().map_or(0.0, |round| round.rays),
         estimator: if form_factors.estimator() == Estimator::Pooled { "pooled" } else { "one-way" },
         tolerance: args.tolerance,
         seed: args.seed,
@@ -154,8 +163,8 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     };
     let file = args.scene.path.display().to_string();
     let mut report = SolveReport::new(&file, scene, patches, form_factors, solution, energy, options);
-    report.error.rms_relative =
-        Some(relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas()));
+    report.error = computed.error;
+    report.rounds = computed.rounds.iter().map(round_report).collect();
     times.total = seconds(start.elapsed());
     report.seconds = times;
     report.peak_bytes = peak_bytes();
@@ -166,9 +175,8 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     pending.into_iter().try_for_each(Pending::commit)?;
     drop(watch);
     if !args.common.quiet {
-        let (_, chosen) = args.cast.subdivision();
         let names = outputs::names(&[&args.output, &args.report]);
-        to_stdout(&summary::table(&report, patches, &chosen, args.exposure, &names));
+        to_stdout(&summary::table(&report, patches, &computed.chosen, args.exposure, &names));
     }
     Ok(verdict(args, &report))
 }
@@ -177,30 +185,42 @@ fn compute(
     args: &SolveArgs,
     outputs: &[&OutputFile],
     watch: &Watch,
+    start: Instant,
     times: &mut Seconds,
 ) -> Result<Computed> {
-    let job = Job {
-        file: &args.scene.path,
-        cast: &args.cast,
-        estimator: args.estimator(),
-        options: args.solve_options(),
-        seed: args.seed,
-    };
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
-    job.check(&scene, watch)?;
-    let Solved { patches, form_factors, solution } = job.solve(&scene, &tracer, watch, times)?;
-    let ((energy, error_bars), seconds) = watch.stage("error bars", || {
-        let energy = EnergyLedger::of(&form_factors, &patches, &solution);
-        let error_bars =
-            ErrorBars::of(&form_factors, &patches, &solution).expect("the form factors were sampled");
-        Ok((energy, error_bars))
+    let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch };
+    let Sampled { solved, rounds, chosen } = sampling.run(start, times)?;
+    let options = args.solve_options();
+    let ((energy, error), seconds) = watch.stage("errors", || {
+        let Solved { patches, form_factors, solution, error_bars } = &solved;
+        let energy = EnergyLedger::of(form_factors, patches, solution);
+        let progress = watch.progress();
+        let change = Discretisation::of(form_factors, patches, solution, &options, progress)?;
+        let mean = relative_rms(&solution.irradiance, &solution.irradiance, form_factors.areas());
+        let rms = relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas());
+        let one =
+            relative_rms(&vec![1.0; solution.irradiance.len()], &solution.irradiance, form_factors.areas());
+        let error = ErrorReport {
+            rms_relative: Some(rms),
+            bias_relative: bias::relative(form_factors, &tracer, patches, solution, &options, progress)?,
+            discretisation_relative: change.map(|d| d.relative),
+            solver_relative: Some(solution.error_bound * one).filter(|x| x.is_finite() && mean > 0.0),
+            target: args.error.map(|percent| percent / 100.0),
+            ..ErrorReport::default()
+        };
+        Ok((energy, error))
     })?;
     times.solve += seconds;
-    Ok(Computed { scene, patches, form_factors, solution, energy, error_bars })
+    Ok(Computed { scene, solved, rounds, chosen, energy, error })
+}
+
+fn round_report(round: &Round) -> RoundReport {
+    RoundReport { rays_per_patch: round.rays, rms_relative: round.error, elapsed: round.elapsed }
 }
 
 fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Result<Pending> {
-    let Computed { scene, patches, solution, error_bars, .. } = computed;
+    let Computed { scene, solved: Solved { patches, solution, error_bars, .. }, .. } = computed;
     let standard_errors = Some(&error_bars.standard_error[..]);
     let options = PlyOptions { exposure: Some(exposure), standard_errors, ..PlyOptions::default() };
     file.write(|out| ply::encode(out, scene, patches, solution, &options))
@@ -217,6 +237,19 @@ fn verdict(args: &SolveArgs, report: &SolveReport) -> Outcome {
                 report.scene.file
             ))
         }
+        _ => target_verdict(report),
+    }
+}
+
+/// Whether the error that was asked for was reached.
+fn target_verdict(report: &SolveReport) -> Outcome {
+    match (report.error.target, report.error.rms_relative) {
+        (Some(target), Some(error)) if !(error <= target) => Outcome::CheckFailed(format!(
+            "{}: the sampling error is {:.2} %, {:.2} % was asked for",
+            report.scene.file,
+            100.0 * error,
+            100.0 * target
+        )),
         _ => Outcome::Done,
     }
 }

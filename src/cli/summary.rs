@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use radiosity::{
     output::{
-        report::{Seconds, SolveReport},
+        report::{ErrorReport, Seconds, SolveReport},
         sampling_report::{PictureReport, SamplingReport, SamplingSeconds},
     },
     patch::Patches,
@@ -61,8 +61,28 @@ pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, 
             energy.imbalance, energy.solver_part, energy.reciprocity_part
         ),
     );
-    if let Some(error) = report.error.rms_relative {
-        row("error", format!("{:.2} % of the mean irradiance from sampling (RMS, estimated)", 100.0 * error));
+    let ErrorReport { rms_relative, bias_relative, discretisation_relative, solver_relative, .. } =
+        report.error;
+    let percent = |x: Option<f64>| x.map_or("unknown".into(), |x| format!("{:.2} %", 100.0 * x));
+    row(
+        "error",
+        format!(
+            "sampling {} (RMS; bias {}), patches {}, solver {}: estimates, of the mean irradiance",
+            percent(rms_relative),
+            percent(bias_relative),
+            percent(discretisation_relative),
+            solver_relative.map_or("unknown".into(), |x| format!("{x:.0e}")),
+        ),
+    );
+    let parts = [
+        (rms_relative, "sampling: more --rays, or --error, lowers it"),
+        (discretisation_relative, "that of the patches: more --patches lower it"),
+        (solver_relative, "the solver's: a lower --tolerance lowers it"),
+    ];
+    let largest =
+        parts.iter().filter_map(|&(x, what)| x.map(|x| (x, what))).max_by(|a, b| a.0.total_cmp(&b.0));
+    if let Some((_, what)) = largest {
+        row("largest error", what.into());
     }
     row("exposure", format!("white is {:.4e} W/m2 (automatic {stops:+} stops)", report.options.white));
     row("seconds", times(seconds));

@@ -75,7 +75,12 @@ impl Watch {
 
     /// Prints a warning above the bar.
     pub fn warn(&self, warning: &str) {
-        let print = || super::to_stderr(format_args!("warning: {warning}"));
+        self.say(&format!("warning: {warning}"));
+    }
+
+    /// Prints a line above the bar.
+    pub fn say(&self, line: &str) {
+        let print = || super::to_stderr(line);
         match &self.bar {
             Some((bar, _)) => bar.suspend(print),
             None => print(),

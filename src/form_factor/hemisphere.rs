@@ -77,13 +77,12 @@ impl Hits {
         }
     }
 
-    /// The first or second half of every patch's rays; `None` when some patch has less than two a replicate.
+    /// The first or second half of every patch's rays; `None` when some patch has but one of a kind.
     pub(super) fn half(&self, half: usize) -> Option<Hits> {
-        let few = |rays: u32| rays > 0 && rays < 2 * REPLICATES as u32;
         let mut hits = Hits { mean_kernels: self.mean_kernels.clone(), ..Hits::none(self.sources.clone()) };
         let of = |rays: u32| [0..rays / 2, rays / 2..rays][half].clone();
         for (i, share) in self.shares.iter().enumerate() {
-            if few(share.hemisphere) || few(share.shadow) {
+            if share.hemisphere < 2 || share.shadow == 1 {
                 return None;
             }
             let (own, shadow) = (of(share.hemisphere), of(share.shadow));

@@ -35,6 +35,8 @@ pub struct SolveReport {
     pub energy: EnergyReport,
     /// How wrong the answer is.
     pub error: ErrorReport,
+    /// How sampling went.
+    pub rounds: Vec<RoundReport>,
     /// Time of each stage.
     pub seconds: Seconds,
     /// Most memory held at any time; `null` where the operating system does not tell.
@@ -135,6 +137,21 @@ pub struct ErrorReport {
     pub bias_relative: Option<f64>,
     /// Error of taking radiosity as constant over each patch, relative.
     pub discretisation_relative: Option<f64>,
+    /// Bound on what the solver left, relative to the mean irradiance; `null` where nothing bounds it.
+    pub solver_relative: Option<f64>,
+    /// The error that was asked for; `null` where none was.
+    pub target: Option<f64>,
+}
+
+/// A round of sampling.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct RoundReport {
+    /// Mean number of rays a patch, all rounds so far together.
+    pub rays_per_patch: f64,
+    /// As `rms_relative` of the errors.
+    pub rms_relative: f64,
+    /// Seconds since the first round began.
+    pub elapsed: f64,
 }
 
 impl Default for ErrorReport {
@@ -145,6 +162,8 @@ impl Default for ErrorReport {
             confidence: 0.95,
             bias_relative: None,
             discretisation_relative: None,
+            solver_relative: None,
+            target: None,
         }
     }
 }
@@ -216,6 +235,7 @@ impl SolveReport {
             },
             energy: EnergyReport::of(energy),
             error: ErrorReport::default(),
+            rounds: Vec::new(),
             seconds: Seconds::default(),
             peak_bytes: None,
             options,

@@ -1,0 +1,188 @@
+//! What accuracy costs: errors against a converged solution of the same patches, their bars, targets, patch size.
+
+use radiosity::{
+    Progress, Scene,
+    accuracy::{
+        bias,
+        discretisation::Discretisation,
+        error_bars::{T_QUANTILE, relative_rms},
+        refinement::{Plan, Round, refine},
+        validation::Solved,
+    },
+    form_factor::CastOptions,
+    patch::{Patches, Subdivision},
+    solve::SolveOptions,
+    trace::Tracer,
+};
+
+mod common;
+use common::*;
+use glam::DVec3;
+
+struct Case {
+    scene: Scene,
+    tracer: Tracer,
+    subdivision: Subdivision,
+    reference: Solved,
+}
+
+impl Case {
+    /// A mesh of ours in about 300 patches, with a reference of 8192 rays a patch: its own error is a few tenths of those
+    /// of up to 1024 rays.
+    fn new(name: &str) -> Case {
+        let path: std::path::PathBuf = [env!("CARGO_MANIFEST_DIR"), "meshes", name].iter().collect();
+        let scene = Scene::load(&path).unwrap();
+        let tracer = Tracer::new(&scene);
+        let subdivision = Subdivision::Count(300);
+        let reference = solve_with(&scene, &tracer, subdivision, 8192.0, 1000);
+        Case { scene, tracer, subdivision, reference }
+    }
+
+    fn solve(&self, rays: f64, seed: u64) -> Solved {
+        solve_with(&self.scene, &self.tracer, self.subdivision, rays, seed)
+    }
+
+    /// RMS error of irradiance relative to its mean, the same as estimated, and the share of 95 % intervals that hold the
+    /// reference.
+    fn errors(&self, solved: &Solved) -> (f64, f64, f64) {
+        let values = self.reference.patches.fronts() * self.reference.solution.channels;
+        let truth = &self.reference.solution.irradiance[..values];
+        let areas = &self.reference.form_factors.areas()[..self.reference.patches.fronts()];
+        let bars = &solved.error_bars.standard_error[..values];
+        let off: Vec<f64> = solved.solution.irradiance.iter().zip(truth).map(|(e, t)| e - t).collect();
+        let within = off.iter().zip(bars).filter(|(off, bar)| off.abs() <= T_QUANTILE * *bar).count();
+        let share = within as f64 / values as f64;
+        (relative_rms(&off, truth, areas), relative_rms(bars, truth, areas), share)
+    }
+}
+
+fn solve_with(scene: &Scene, tracer: &Tracer, subdivision: Subdivision, rays: f64, seed: u64) -> Solved {
+    let cast = CastOptions { rays, seed, ..CastOptions::default() };
+    Solved::new(scene, tracer, &subdivision, &cast, &SolveOptions::default(), &Progress::new()).unwrap()
+}
+
+/// The RMS over some 300 patches and three channels, of which neighbours and channels err together, has the weight of
+/// perhaps 100 independent values: of four seeds it varies by 1/sqrt(2 * 400) = 3.5 %, the estimate as much, and the
+/// reference adds up to 5 %. A fifth is four standard deviations. A binomial share of 400 about 0.95 varies by 1.1 %.
+#[test]
+fn errors_are_as_estimated_and_fall() {
+    for name in ["cornell-box.obj", "door-ajar.obj"] {
+        let case = Case::new(name);
+        let mut before = f64::INFINITY;
+        for rays in [64.0, 256.0, 1024.0] {
+            let (mut actual, mut estimated, mut within) = (0.0, 0.0, 0.0);
+            for seed in 0..4 {
+                let (a, e, w) = case.errors(&case.solve(rays, seed));
+                actual += a * a / 4.0;
+                estimated += e * e / 4.0;
+                within += w / 4.0;
+            }
+            let (actual, estimated) = (actual.sqrt(), estimated.sqrt());
+            println!("{name} {rays}: {actual:.5}, estimated {estimated:.5}, within {within:.3}");
+            assert!((actual / estimated - 1.0).abs() < 0.2, "{name} {rays}: {actual}, estimated {estimated}");
+            assert!(within > 0.95 - 4.0 * 0.011 && within < 0.995, "{name} {rays}: {within} within");
+            // Independent rays would halve it; stratified ones do better, and none falls faster than 1/n.
+            assert!(actual < 0.5 * before && actual > before / 5.0 || before.is_infinite(), "{name} {rays}");
+            before = actual;
+        }
+    }
+}
+
+/// A target is met by estimate, honestly, and not by far; rounds keep what was cast.
+#[test]
+fn a_wanted_error_is_reached() {
+    let case = Case::new("cornell-box.obj");
+    let target = 0.02;
+    let plan = Plan { error: Some(target), ..Plan::default() };
+    for seed in 0..4 {
+        let patches = Patches::subdivide(&case.scene, &case.subdivision);
+        let cast = CastOptions { seed, ..CastOptions::default() };
+        let mut told: Vec<Round> = Vec::new();
+        let (solved, rounds) = refine(
+            &case.scene,
+            &case.tracer,
+            patches,
+            &cast,
+            &SolveOptions::default(),
+            &plan,
+            |_, rounds| {
+                told = rounds.to_vec();
+                Ok(())
+            },
+            &Progress::new(),
+        )
+        .unwrap();
+        assert_eq!(told, rounds);
+        assert!(rounds.len() > 1 && rounds.windows(2).all(|r| r[1].rays > r[0].rays), "{rounds:?}");
+        let last = rounds.last().unwrap();
+        assert!(last.error <= target && rounds[rounds.len() - 2].error > target, "{rounds:?}");
+        let (actual, ..) = case.errors(&solved);
+        println!("{actual:.5} {rounds:?}");
+        assert!(actual <= 1.15 * target, "{actual} for {rounds:?}");
+        // 16 rays of a kind at least are cast evenly, of these every patch has a part of the whole sequence.
+        let hits = solved.form_factors.hits().unwrap();
+        assert!((hits.rays() as f64 / hits.len() as f64 - last.rays).abs() < 1e-9);
+    }
+}
+
+/// Rays of a later round continue those of the ones before.
+#[test]
+fn more_rays_keep_those_that_were_cast() {
+    let case = Case::new("cornell-box.obj");
+    let mut patches = Patches::subdivide(&case.scene, &case.subdivision);
+    let cast = CastOptions { seed: 5, ..CastOptions::default() };
+    let progress = Progress::new();
+    let first =
+        radiosity::form_factor::FormFactors::cast(&case.scene, &case.tracer, &mut patches, &cast, &progress)
+            .unwrap();
+    let before: Vec<Vec<u32>> = (0..first.len()).map(|i| first.hits().unwrap().of(i).to_vec()).collect();
+    let second = first.cast_more(&case.scene, &case.tracer, &mut patches, 200.0, &progress).unwrap();
+    for (i, before) in before.iter().enumerate() {
+        assert_eq!(&second.hits().unwrap().of(i)[..before.len()], before, "patch {i}");
+    }
+    assert!(second.row_sum_deviation().after < 1e-12 && second.reciprocity_deviation().after < 1e-12);
+}
+
+/// Two squares a side apart see each other smoothly: the error of constant radiosity falls with the square of the edge,
+/// the change between two patch sizes too. Nearer to a quarter than to a half: below 2^-1.5.
+#[test]
+fn discretisation_falls_with_the_square_of_the_edge() {
+    let squares = |edge: f64| {
+        let low = rectangle(DVec3::ZERO, DVec3::X, DVec3::Y);
+        let high = rectangle(DVec3::Z, DVec3::Y, DVec3::X);
+        let scene = scene(&[part(low, 0.5, 0.0), part(high, 0.5, 1.0)]);
+        let tracer = Tracer::new(&scene);
+        let solved = solve_with(&scene, &tracer, Subdivision::Edge(edge), 4096.0, 3);
+        let Solved { patches, form_factors, solution, .. } = &solved;
+        Discretisation::of(form_factors, patches, solution, &SolveOptions::default(), &Progress::new())
+            .unwrap()
+            .unwrap()
+            .relative
+    };
+    let changes = [0.8, 0.4, 0.2].map(squares);
+    println!("{changes:?}");
+    assert!(changes.windows(2).all(|c| c[1] < c[0] * 0.5f64.powf(1.5)), "{changes:?}");
+}
+
+/// Whole triangles have no parents to compare with; the bias of many rays is below their error.
+#[test]
+fn what_cannot_be_told_is_not_told() {
+    let case = Case::new("cornell-box.obj");
+    let whole = solve_with(&case.scene, &case.tracer, Subdivision::Edge(f64::INFINITY), 64.0, 1);
+    let options = SolveOptions::default();
+    let Solved { patches, form_factors, solution, .. } = &whole;
+    let none = Discretisation::of(form_factors, patches, solution, &options, &Progress::new()).unwrap();
+    assert_eq!(none, None);
+
+    let Solved { patches, form_factors, solution, error_bars } = &case.reference;
+    let bias = bias::relative(form_factors, &case.tracer, patches, solution, &options, &Progress::new());
+    let bias = bias.unwrap().unwrap();
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / 3.0;
+    let areas = form_factors.areas();
+    let total: f64 = areas.iter().sum();
+    let irradiance: f64 = solution.irradiance.chunks(3).zip(areas).map(|(e, a)| a / total * mean(e)).sum();
+    // The difference of the halves from the whole varies as much as the whole itself.
+    let allowed = 4.0 * mean(&error_bars.of_mean) / irradiance;
+    println!("bias {bias:e}, allowed {allowed:e}");
+    assert!(bias.abs() < allowed, "{bias} with {allowed}");
+}
