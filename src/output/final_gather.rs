@@ -21,6 +21,17 @@ use crate::{
     },
 };
 
+/// One sample of irradiance, W/m², in its two parts.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Gathered {
+    /// Straight from emitters.
+    pub direct: [f64; 3],
+    /// Reflected by other surfaces.
+    pub reflected: [f64; 3],
+    /// Whether the hemisphere ray met the back of a surface that no light reaches: the inside of a solid, mostly.
+    pub met_dark_back: bool,
+}
+
 /// Gathers light from a radiosity solution.
 #[derive(Debug)]
 pub struct FinalGather<'a> {
@@ -68,6 +79,17 @@ impl<'a> FinalGather<'a> {
         (direct + reflected / f64::from(self.rays)).to_array()
     }
 
+    /// One sample of the irradiance of a place with a single hemisphere ray: it looks for emitters and for reflected
+    /// light alike.
+    #[inline]
+    pub fn gather(&self, at: Receiver, samples: &mut Samples) -> Gathered {
+        let (direct, hit) = self.direct.direct(at, samples);
+        let Some(hit) = hit else { return Gathered { direct, ..Gathered::default() } };
+        let solved = self.solved(&hit);
+        let reflected = (reflectance(self.scene, &hit) * solved).to_array();
+        Gathered { direct, reflected, met_dark_back: !hit.front && solved == DVec3::ZERO }
+    }
+
     /// Irradiance of places, with the spread of the gathering; what the solution itself is off by is not in it.
     ///
     /// # Errors
@@ -96,7 +118,7 @@ impl<'a> FinalGather<'a> {
 }
 
 /// Radiance that leaves a surface with a given irradiance, Le + ρ E / π, with the texture's values at that very point.
-pub(super) fn outgoing(scene: &Scene, hit: &Hit, irradiance: DVec3) -> [f64; 3] {
+pub(crate) fn outgoing(scene: &Scene, hit: &Hit, irradiance: DVec3) -> [f64; 3] {
     let reflected = reflectance(scene, hit) * irradiance / std::f64::consts::PI;
     let triangle = hit.triangle as usize;
     let emitted = match hit.front && scene.emits(triangle) {

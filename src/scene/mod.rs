@@ -59,7 +59,7 @@ pub struct Scene {
     pub vertices: Vec<DVec3>,
     /// Triangles of positive area.
     pub triangles: Vec<Triangle>,
-    /// Texture coordinates of each triangle's corners; empty when no material has a texture.
+    /// Texture coordinates of each triangle's corners, zero where it has none; empty when no triangle has any.
     pub texcoords: Vec<[DVec2; 3]>,
     /// Materials.
     pub materials: Vec<Material>,
@@ -222,6 +222,7 @@ pub(crate) struct SceneBuilder {
     scene: Scene,
     welded: std::collections::HashMap<[u64; 3], u32>,
     pushed: u32,
+    has_texcoords: bool,
 }
 
 impl SceneBuilder {
@@ -244,10 +245,11 @@ impl SceneBuilder {
             })
         });
         self.scene.triangles.push(Triangle { vertices, material, source });
+        self.has_texcoords |= texcoords.is_some();
         self.scene.texcoords.push(texcoords.unwrap_or_default());
     }
 
-    /// The scene. Texture coordinates are kept only where a material has a texture.
+    /// The scene. Texture coordinates are kept where there are any.
     pub(crate) fn finish(
         self,
         materials: Vec<Material>,
@@ -255,7 +257,7 @@ impl SceneBuilder {
         warnings: Vec<String>,
     ) -> Scene {
         let mut scene = self.scene;
-        if !materials.iter().any(|m| m.reflectance_map.is_some() || m.emission_map.is_some()) {
+        if !self.has_texcoords {
             scene.texcoords = Vec::new();
         }
         Scene { materials, textures, warnings, ..scene }

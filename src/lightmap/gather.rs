@@ -1,0 +1,185 @@
+//! Irradiance of texels by a final gather: rays from points spread over the covered part of each texel.
+//!
+//! A sample is a point, a ray to a point of a lamp, and a hemisphere ray that reads the solved radiosity where it hits.
+//! Points are uniform on the pieces of surface that the texel covers, so each starts on its own triangle and sees from
+//! there what it sees: nothing is interpolated across a wall. Points whose rays meet the dark inside of a solid are
+//! buried in it and do not count: the mean is over the part of the surface that light could reach.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{atlas::Atlas, coverage::Coverage};
+use crate::{
+    Progress, Result,
+    monte_carlo::{Receiver, Samples},
+    output::final_gather::{FinalGather, Gathered},
+    trace::{
+        Tracer,
+        sampling::{mix, square_to_triangle},
+    },
+};
+
+/// Independent parts of the samples of a texel, for its standard error.
+const REPLICATES: u32 = 4;
+/// Rays that decide whether a point is inside a solid, where its own ray suggests it.
+const PROBES: u32 = 16;
+const PROBE_SEED: u64 = 0x6275_7269_6564;
+
+/// Mean and variance of that mean, a texel.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Noisy {
+    /// W/m².
+    pub mean: [f32; 3],
+    /// Squared standard error of the mean.
+    pub variance: [f32; 3],
+}
+
+/// What was gathered for a texel.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Texel {
+    /// Straight from emitters: sharp, hardly noisy.
+    pub direct: Noisy,
+    /// Reflected: smooth, noisy.
+    pub reflected: Noisy,
+    /// Share of the covered part that is not buried in a solid.
+    pub open: f32,
+}
+
+/// Gathers for covered texels, `rays` hemisphere rays and as many to lamps each, rounded up to a multiple of 4.
+///
+/// Numbers depend on the seed and the texel alone.
+///
+/// # Errors
+/// [`Error::Stopped`](crate::Error::Stopped).
+pub fn gather(
+    atlas: &Atlas,
+    coverage: &Coverage,
+    tracer: &Tracer,
+    sides: &[bool],
+    source: &FinalGather,
+    texels: &[u32],
+    (rays, seed): (u32, u64),
+    progress: &Progress,
+) -> Result<Vec<Texel>> {
+    let each = rays.div_ceil(REPLICATES).max(1);
+    progress.begin(texels.len() as u64 * u64::from(each * REPLICATES));
+    texels
+        .par_iter()
+        .with_min_len(super::texels::STRETCH)
+        .map_init(Vec::new, |parts, &i| {
+            progress.check()?;
+            let i = i as usize;
+            let surface = Surface::new(parts, atlas, coverage, i);
+            let texel_seed = mix(&[seed, u64::from(coverage.texels()[i])]);
+            let mut replicates = [Replicate::default(); REPLICATES as usize];
+            if surface.0.is_empty() {
+                return Ok(Texel::default());
+            }
+            for (k, replicate) in replicates.iter_mut().enumerate() {
+                let seed = mix(&[texel_seed, k as u64]);
+                for s in 0..each {
+                    let mut samples = Samples::new(s, seed);
+                    let at = surface.receiver(tracer, sides, &mut samples);
+                    let found = source.gather(at, &mut samples);
+                    if !(found.met_dark_back
+                        && is_buried(source, at, &found, mix(&[seed, s.into(), PROBE_SEED])))
+                    {
+                        replicate.add(&found);
+                    }
+                }
+            }
+            progress.advance(u64::from(each * REPLICATES));
+            Ok(texel(&replicates, each))
+        })
+        .collect()
+}
+
+/// Whether most rays from a dark place meet the dark backs of surfaces.
+fn is_buried(source: &FinalGather, at: Receiver, found: &Gathered, seed: u64) -> bool {
+    let dark_backs =
+        (0..PROBES).filter(|&s| source.gather(at, &mut Samples::new(s, seed)).met_dark_back).count();
+    found.direct == [0.0; 3] && 2 * dark_backs > PROBES as usize
+}
+
+/// The surface in a texel as triangles, each with the sum of the areas up to it.
+struct Surface<'a>(&'a [(f64, u32, [[f64; 3]; 3])]);
+
+impl<'a> Surface<'a> {
+    fn new(
+        parts: &'a mut Vec<(f64, u32, [[f64; 3]; 3])>,
+        atlas: &Atlas,
+        coverage: &Coverage,
+        i: usize,
+    ) -> Surface<'a> {
+        parts.clear();
+        let mut sum = 0.0;
+        for piece in coverage.pieces(i) {
+            let t = piece.triangle as usize;
+            let part = coverage.barycentric_part(atlas, i, t);
+            let whole: f64 = part.fan().map(|(_, share)| share).sum();
+            for (corners, share) in part.fan().filter(|(_, share)| *share > 0.0) {
+                sum += piece.area * share / whole;
+                parts.push((sum, piece.triangle, corners));
+            }
+        }
+        Surface(parts)
+    }
+
+    /// A uniform point of the surface.
+    fn receiver(&self, tracer: &Tracer, sides: &[bool], samples: &mut Samples) -> Receiver {
+        let [x, y] = samples.square();
+        let total = self.0.last().map_or(0.0, |part| part.0);
+        let wanted = f64::from(x) * total;
+        let k = self.0.partition_point(|part| part.0 <= wanted).min(self.0.len() - 1);
+        let below = if k == 0 { 0.0 } else { self.0[k - 1].0 };
+        let (upto, triangle, corners) = self.0[k];
+        // What is left of the number that chose the part is uniform again.
+        let rest = ((wanted - below) / (upto - below)).clamp(0.0, 1.0) as f32;
+        let weights = square_to_triangle(rest, y).map(f64::from);
+        let barycentric = std::array::from_fn(|c| (0..3).map(|k| weights[k] * corners[k][c]).sum());
+        let t = triangle as usize;
+        Receiver::on_triangle(tracer, t, barycentric, sides[t])
+    }
+}
+
+/// Sums of the samples that count.
+#[derive(Clone, Copy, Default)]
+struct Replicate {
+    direct: DVec3,
+    reflected: DVec3,
+    count: u32,
+}
+
+impl Replicate {
+    fn add(&mut self, found: &Gathered) {
+        self.direct += DVec3::from(found.direct);
+        self.reflected += DVec3::from(found.reflected);
+        self.count += 1;
+    }
+}
+
+/// Pools the replicates: the mean of all samples that count, and its variance by their spread.
+fn texel(replicates: &[Replicate], each: u32) -> Texel {
+    let count: u32 = replicates.iter().map(|r| r.count).sum();
+    if count == 0 {
+        return Texel::default();
+    }
+    let noisy = |part: fn(&Replicate) -> DVec3| {
+        let n = f64::from(count);
+        let mean = replicates.iter().map(part).sum::<DVec3>() / n;
+        // The variance of a ratio of sums, to first order.
+        let k = replicates.len() as f64;
+        let squares: DVec3 = replicates
+            .iter()
+            .map(|r| part(r) - mean * f64::from(r.count))
+            .map(|deviation| deviation * deviation)
+            .sum();
+        let variance = squares * (k / (k - 1.0)) / (n * n);
+        Noisy { mean: mean.as_vec3().to_array(), variance: variance.as_vec3().to_array() }
+    };
+    Texel {
+        direct: noisy(|r| r.direct),
+        reflected: noisy(|r| r.reflected),
+        open: (f64::from(count) / (f64::from(each) * replicates.len() as f64)) as f32,
+    }
+}
