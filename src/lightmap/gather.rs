@@ -2,8 +2,8 @@
 //!
 //! A sample is a point, a ray to a point of a lamp, and a hemisphere ray that reads the solved radiosity where it hits.
 //! Points are uniform on the pieces of surface that the texel covers, so each starts on its own triangle and sees from
-//! there what it sees: nothing is interpolated across a wall. Points whose rays meet the dark inside of a solid are
-//! buried in it and do not count: the mean is over the part of the surface that light could reach.
+//! there what it sees: nothing is interpolated across a wall. Points whose rays meet the inside of a solid are buried in
+//! it and do not count: the mean is over the part of the surface that light could reach.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -23,6 +23,8 @@ use crate::{
 const REPLICATES: u32 = 4;
 /// Rays that decide whether a point is inside a solid, where its own ray suggests it.
 const PROBES: u32 = 16;
+/// Points of a texel that all must be inside a solid for it to be hidden, where nothing is gathered.
+const HIDDEN_POINTS: u32 = 4;
 const PROBE_SEED: u64 = 0x6275_7269_6564;
 
 /// Mean and variance of that mean, a texel.
@@ -45,7 +47,7 @@ pub struct Texel {
     pub open: f32,
 }
 
-/// Gathers for covered texels, `rays` hemisphere rays and as many to lamps each, rounded up to a multiple of 4.
+/// Gathers for every covered texel, `rays` hemisphere rays and as many to lamps each, rounded up to a multiple of 4.
 ///
 /// Numbers depend on the seed and the texel alone.
 ///
@@ -57,18 +59,16 @@ pub fn gather(
     tracer: &Tracer,
     sides: &[bool],
     source: &FinalGather,
-    texels: &[u32],
     (rays, seed): (u32, u64),
     progress: &Progress,
 ) -> Result<Vec<Texel>> {
     let each = rays.div_ceil(REPLICATES).max(1);
-    progress.begin(texels.len() as u64 * u64::from(each * REPLICATES));
-    texels
-        .par_iter()
+    progress.begin(coverage.len() as u64 * u64::from(each * REPLICATES));
+    (0..coverage.len())
+        .into_par_iter()
         .with_min_len(super::texels::STRETCH)
-        .map_init(Vec::new, |parts, &i| {
+        .map_init(Vec::new, |parts, i| {
             progress.check()?;
-            let i = i as usize;
             let surface = Surface::new(parts, atlas, coverage, i);
             let texel_seed = mix(&[seed, u64::from(coverage.texels()[i])]);
             let mut replicates = [Replicate::default(); REPLICATES as usize];
@@ -81,9 +81,7 @@ pub fn gather(
                     let mut samples = Samples::new(s, seed);
                     let at = surface.receiver(tracer, sides, &mut samples);
                     let found = source.gather(at, &mut samples);
-                    if !(found.met_dark_back
-                        && is_buried(source, at, &found, mix(&[seed, s.into(), PROBE_SEED])))
-                    {
+                    if !is_buried(source, sides, at, &found, mix(&[seed, s.into(), PROBE_SEED])) {
                         replicate.add(&found);
                     }
                 }
@@ -94,11 +92,41 @@ pub fn gather(
         .collect()
 }
 
-/// Whether most rays from a dark place meet the dark backs of surfaces.
-fn is_buried(source: &FinalGather, at: Receiver, found: &Gathered, seed: u64) -> bool {
-    let dark_backs =
-        (0..PROBES).filter(|&s| source.gather(at, &mut Samples::new(s, seed)).met_dark_back).count();
-    found.direct == [0.0; 3] && 2 * dark_backs > PROBES as usize
+/// Which covered texels are inside solids altogether, as far as [`HIDDEN_POINTS`] points of each tell.
+pub fn hidden(
+    atlas: &Atlas,
+    coverage: &Coverage,
+    tracer: &Tracer,
+    sides: &[bool],
+    source: &FinalGather,
+    seed: u64,
+) -> Vec<bool> {
+    (0..coverage.len())
+        .into_par_iter()
+        .with_min_len(super::texels::STRETCH)
+        .map_init(Vec::new, |parts, i| {
+            let surface = Surface::new(parts, atlas, coverage, i);
+            let seed = mix(&[seed, u64::from(coverage.texels()[i])]);
+            !surface.0.is_empty()
+                && (0..HIDDEN_POINTS).all(|s| {
+                    let mut samples = Samples::new(s, seed);
+                    let at = surface.receiver(tracer, sides, &mut samples);
+                    let found = source.gather(at, &mut samples);
+                    is_buried(source, sides, at, &found, mix(&[seed, s.into(), PROBE_SEED]))
+                })
+        })
+        .collect()
+}
+
+/// Whether a place is inside a solid: no lamp lights it, and next to all rays meet sides of surfaces that the map is not
+/// of. That such a side be dark is not asked for: patches that reach under a wall carry some light there.
+fn is_buried(source: &FinalGather, sides: &[bool], at: Receiver, found: &Gathered, seed: u64) -> bool {
+    let met_inside = |g: &Gathered| g.met.is_some_and(|(t, front)| sides[t as usize] != front);
+    if found.direct != [0.0; 3] || !met_inside(found) {
+        return false;
+    }
+    let inside = (0..PROBES).filter(|&s| met_inside(&source.gather(at, &mut Samples::new(s, seed)))).count();
+    inside + 1 >= PROBES as usize
 }
 
 /// The surface in a texel as triangles, each with the sum of the areas up to it.

@@ -40,9 +40,6 @@ use crate::{
     trace::{Hit, Tracer},
 };
 
-/// Rays that tell whether a dark texel is hidden inside a solid, where nothing else is gathered.
-const HIDDEN_RAYS: u32 = 16;
-
 /// How a map is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BakeOptions {
@@ -81,7 +78,7 @@ pub enum Texel {
 /// What a step did to the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// `denoise`, `dilate` or `seams`.
+    /// `hide`, `denoise`, `dilate` or `seams`.
     pub name: &'static str,
     /// By how much it changed the flux on the surface, W.
     pub flux_change: [f64; 3],
@@ -147,15 +144,11 @@ pub fn bake(
     let sides = texels::lit_sides(patches, solution);
     let coverage = Coverage::new(scene, &atlas);
     let source = FinalGather::new(scene, tracer, patches, solution, 1);
-    let ways = (tracer, &source, progress);
-    let cells = if options.final_gather == 0 {
-        let means = texels::means(&atlas, &coverage, patches, solution, &sides);
-        Cells::exact(means, &atlas, &coverage, &sides, ways, options.seed)?
+    let mut cells = if options.final_gather == 0 {
+        Cells::exact(texels::means(&atlas, &coverage, patches, solution, &sides))
     } else {
-        let all: Vec<u32> = (0..coverage.len() as u32).collect();
         let effort = (options.final_gather, options.seed);
-        let gathered = gather::gather(&atlas, &coverage, tracer, &sides, &source, &all, effort, progress)?;
-        Cells::gathered(gathered)
+        Cells::gathered(gather::gather(&atlas, &coverage, tracer, &sides, &source, effort, progress)?)
     };
     let mut map = Lightmap {
         irradiance: vec![[0.0; 3]; atlas.texels()],
@@ -178,6 +171,15 @@ pub fn bake(
     map.flux.standard_error = map.flux_error();
     let grid = Grid::new(&map.atlas, &map.coverage);
     progress.check()?;
+    if options.final_gather == 0 {
+        // Counted by the patches above, which tell nothing of it; a final gather knows from its rays.
+        let hidden = gather::hidden(&map.atlas, &map.coverage, tracer, &map.sides, &source, options.seed);
+        cells.open.iter_mut().zip(hidden).filter(|(_, hidden)| *hidden).for_each(|(open, _)| *open = 0.0);
+        map.step("hide", |map| {
+            map.open.clone_from(&cells.open);
+            map.show(&cells);
+        });
+    }
     if options.denoise && options.final_gather > 0 {
         let smooth = cells.denoised(&grid, &map.coverage);
         map.step("denoise", |map| map.show(&smooth));
@@ -220,24 +222,12 @@ impl Cells {
         }
     }
 
-    /// Exact means. Dark texels are looked at by rays: those inside solids are hidden.
-    fn exact(
-        means: Vec<[f32; 3]>,
-        atlas: &Atlas,
-        coverage: &Coverage,
-        sides: &[bool],
-        (tracer, source, progress): (&Tracer, &FinalGather, &Progress),
-        seed: u64,
-    ) -> Result<Cells> {
-        let dark: Vec<u32> = (0..means.len() as u32).filter(|&i| means[i as usize] == [0.0; 3]).collect();
-        let effort = (HIDDEN_RAYS, seed);
-        let found = gather::gather(atlas, coverage, tracer, sides, source, &dark, effort, progress)?;
-        let mut open = vec![1.0; means.len()];
-        for (&i, texel) in dark.iter().zip(&found).filter(|(_, texel)| texel.open == 0.0) {
-            open[i as usize] = texel.open;
-        }
-        let reflected = means.into_iter().map(|mean| Noisy { mean, variance: [0.0; 3] }).collect();
-        Ok(Cells { direct: vec![Noisy::default(); open.len()], reflected, open, sampled: false })
+    /// Exact means.
+    fn exact(means: Vec<[f32; 3]>) -> Cells {
+        let reflected: Vec<Noisy> =
+            means.into_iter().map(|mean| Noisy { mean, variance: [0.0; 3] }).collect();
+        let n = reflected.len();
+        Cells { direct: vec![Noisy::default(); n], reflected, open: vec![1.0; n], sampled: false }
     }
 
     fn denoised(&self, grid: &Grid, coverage: &Coverage) -> Cells {

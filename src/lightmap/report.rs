@@ -254,10 +254,12 @@ impl BakeReport {
             ));
         }
         let left_out = &self.left_out;
-        if left_out.other_sides_area > 0.0 {
+        let other_sides = share(left_out.other_sides_flux, self.flux.solver);
+        if other_sides > NOTABLE {
             warnings.push(format!(
-                "lit on both sides, mapped on one: an area of {:.4e} has no texels",
-                left_out.other_sides_area
+                "lit on both sides, mapped on one: an area of {:.4e} with {:.2} % of the flux has no texels",
+                left_out.other_sides_area,
+                100.0 * other_sides
             ));
         }
         if left_out.unmapped_area > 0.0 {
@@ -277,6 +279,11 @@ impl BakeReport {
         serde_json::to_writer_pretty(&mut out, self)?;
         out.write_all(b"\n")
     }
+}
+
+/// The largest share of a whole, over the channels.
+fn share(part: [f64; 3], whole: [f64; 3]) -> f64 {
+    (0..3).filter(|&c| whole[c] > 0.0).map(|c| part[c] / whole[c]).fold(0.0, f64::max)
 }
 
 impl AtlasReport {

@@ -28,8 +28,8 @@ pub struct Gathered {
     pub direct: [f64; 3],
     /// Reflected by other surfaces.
     pub reflected: [f64; 3],
-    /// Whether the hemisphere ray met the back of a surface that no light reaches: the inside of a solid, mostly.
-    pub met_dark_back: bool,
+    /// What the hemisphere ray met: the triangle, and whether it was its front.
+    pub met: Option<(u32, bool)>,
 }
 
 /// Gathers light from a radiosity solution.
@@ -85,9 +85,8 @@ impl<'a> FinalGather<'a> {
     pub fn gather(&self, at: Receiver, samples: &mut Samples) -> Gathered {
         let (direct, hit) = self.direct.direct(at, samples);
         let Some(hit) = hit else { return Gathered { direct, ..Gathered::default() } };
-        let solved = self.solved(&hit);
-        let reflected = (reflectance(self.scene, &hit) * solved).to_array();
-        Gathered { direct, reflected, met_dark_back: !hit.front && solved == DVec3::ZERO }
+        let reflected = (reflectance(self.scene, &hit) * self.solved(&hit)).to_array();
+        Gathered { direct, reflected, met: Some((hit.triangle, hit.front)) }
     }
 
     /// Irradiance of places, with the spread of the gathering; what the solution itself is off by is not in it.
