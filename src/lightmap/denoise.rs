@@ -11,7 +11,7 @@
 
 use rayon::prelude::*;
 
-use super::{coverage::Coverage, gather::Noisy, grid::Grid};
+use super::{atlas::NONE, coverage::Coverage, gather::Noisy, grid::Grid};
 
 /// Radii of the discs in texels.
 const RADII: [f64; 6] = [1.0, 1.5, 2.3, 3.5, 5.5, 8.5];
@@ -29,51 +29,64 @@ pub fn filter(
     grid: &Grid,
     coverage: &Coverage,
     signal: &[Noisy],
-    counts: &(dyn Fn(usize) -> bool + Sync),
+    counts: impl Fn(usize) -> bool + Sync,
 ) -> Vec<Noisy> {
-    let pooled: Vec<[f64; 3]> = (0..signal.len())
-        .into_par_iter()
-        .map(|i| if counts(i) { pool(grid, coverage, signal, counts, i) } else { [0.0; 3] })
+    let places = coverage.texels();
+    let mut chart = vec![NONE; grid.places()];
+    (0..signal.len()).filter(|&i| counts(i)).for_each(|i| chart[places[i] as usize] = grid.chart(i));
+    let mut values = vec![[0.0; 3]; grid.places()];
+    let mut variances = vec![[0.0; 3]; grid.places()];
+    for (noisy, &place) in signal.iter().zip(places) {
+        values[place as usize] = noisy.mean;
+        variances[place as usize] = noisy.variance;
+    }
+    let mut fits = Fits { grid, chart, discs: discs(grid.width), pooled: Vec::new() };
+    let mut pooled = vec![[0.0; 3]; grid.places()];
+    let of_neighbours: Vec<[f32; 3]> =
+        places.par_iter().map(|&place| fits.pool(&variances, place as usize)).collect();
+    places.iter().zip(of_neighbours).for_each(|(&place, v)| pooled[place as usize] = v);
+    fits.pooled = pooled;
+
+    let smooth: Vec<(Noisy, usize)> = places
+        .par_iter()
+        .enumerate()
+        .map(|(i, &place)| if counts(i) { fits.largest(&values, place as usize) } else { (signal[i], 0) })
         .collect();
-    let fits = Fits { grid, coverage, counts, discs: discs(), pooled: &pooled };
-    let values: Vec<[f32; 3]> = signal.iter().map(|s| s.mean).collect();
-    let smooth: Vec<(Noisy, usize)> = (0..signal.len())
-        .into_par_iter()
-        .map(|i| if counts(i) { fits.largest(&values, i) } else { (signal[i], 0) })
-        .collect();
-    let left: Vec<[f32; 3]> =
-        (0..values.len()).map(|i| std::array::from_fn(|c| values[i][c] - smooth[i].0.mean[c])).collect();
-    (0..signal.len())
-        .into_par_iter()
-        .map(|i| {
-            let (noisy, reach) = smooth[i];
-            let more = fits.within(&left, i, reach);
+    // What the planes leave takes the place of the values.
+    for ((noisy, _), &place) in smooth.iter().zip(places) {
+        (0..3).for_each(|c| values[place as usize][c] -= noisy.mean[c]);
+    }
+    smooth
+        .par_iter()
+        .zip(places)
+        .map(|(&(noisy, reach), &place)| {
+            let more = fits.within(&values, place as usize, reach);
             let mean = std::array::from_fn(|c| (noisy.mean[c] + more[c] as f32).max(0.0));
             Noisy { mean, ..noisy }
         })
         .collect()
 }
 
-/// Planes through texels.
+/// Planes through texels. What it holds, and the values it is given, are by place in the map.
 struct Fits<'a> {
     grid: &'a Grid,
-    coverage: &'a Coverage,
-    counts: &'a (dyn Fn(usize) -> bool + Sync),
-    /// The offsets that each disc has beyond the next smaller one.
-    discs: Vec<Vec<(isize, isize)>>,
-    pooled: &'a [[f64; 3]],
+    /// Chart of the texels that count.
+    chart: Vec<u32>,
+    discs: Vec<Disc>,
+    /// Variances that are averaged over neighbours.
+    pooled: Vec<[f32; 3]>,
 }
 
 impl Fits<'_> {
     /// The estimate of the largest disc that contradicts no smaller one, and how many discs that took.
-    fn largest(&self, values: &[[f32; 3]], i: usize) -> (Noisy, usize) {
-        let alone = (values[i].map(f64::from), self.pooled[i]);
+    fn largest(&self, values: &[[f32; 3]], place: usize) -> (Noisy, usize) {
+        let alone = (values[place].map(f64::from), self.pooled[place].map(f64::from));
         let mut best = Interval::new(alone.0, alone.1, CONFIDENCE_ALONE);
         let mut reach = 0;
         let mut moments = Moments::default();
-        moments.add(0.0, 0.0, values[i], self.pooled[i]);
+        moments.add((0, 0), values[place], self.pooled[place]);
         for k in 0..self.discs.len() {
-            self.add(&mut moments, values, i, k);
+            self.add(&mut moments, values, place, k);
             let Some((mean, variance)) = moments.at_centre() else { continue };
             match best.narrowed(mean, variance) {
                 Some(narrower) => (best, reach) = (narrower, k + 1),
@@ -85,51 +98,58 @@ impl Fits<'_> {
     }
 
     /// The plane in so many discs; nothing where there is none.
-    fn within(&self, values: &[[f32; 3]], i: usize, reach: usize) -> [f64; 3] {
+    fn within(&self, values: &[[f32; 3]], place: usize, reach: usize) -> [f64; 3] {
         let mut moments = Moments::default();
-        moments.add(0.0, 0.0, values[i], self.pooled[i]);
-        (0..reach).for_each(|k| self.add(&mut moments, values, i, k));
+        moments.add((0, 0), values[place], self.pooled[place]);
+        (0..reach).for_each(|k| self.add(&mut moments, values, place, k));
         moments.at_centre().map_or([0.0; 3], |(mean, _)| mean)
     }
 
     /// Adds the texels that disc `k` has beyond the next smaller one.
-    fn add(&self, moments: &mut Moments, values: &[[f32; 3]], i: usize, k: usize) {
-        let texel = self.coverage.texels()[i] as usize;
-        for &(dx, dy) in &self.discs[k] {
-            let place = self.grid.neighbour(texel, dx, dy);
-            let Some(j) = place.and_then(|at| self.grid.covered(at)) else { continue };
-            if self.grid.chart(j) == self.grid.chart(i) && (self.counts)(j) {
-                moments.add(dx as f64, dy as f64, values[j], self.pooled[j]);
+    fn add(&self, moments: &mut Moments, values: &[[f32; 3]], place: usize, k: usize) {
+        let chart = self.chart[place];
+        let disc = &self.discs[k];
+        if self.grid.is_inside(place, disc.reach) {
+            for &(dx, dy, step) in &disc.offsets {
+                let at = place.wrapping_add_signed(step);
+                if self.chart[at] == chart {
+                    moments.add((dx, dy), values[at], self.pooled[at]);
+                }
+            }
+        } else {
+            for &(dx, dy, _) in &disc.offsets {
+                if let Some(at) = self.grid.neighbour(place, dx, dy).filter(|&at| self.chart[at] == chart) {
+                    moments.add((dx, dy), values[at], self.pooled[at]);
+                }
             }
         }
     }
-}
 
-/// Mean variance of the neighbours.
-fn pool(
-    grid: &Grid,
-    coverage: &Coverage,
-    signal: &[Noisy],
-    counts: &(dyn Fn(usize) -> bool + Sync),
-    i: usize,
-) -> [f64; 3] {
-    let (mut sum, mut n) = ([0.0; 3], 0.0);
-    for dy in -POOLING..=POOLING {
-        for dx in -POOLING..=POOLING {
-            let place = grid.neighbour(coverage.texels()[i] as usize, dx, dy);
-            if let Some(j) =
-                place.and_then(|at| grid.covered(at)).filter(|&j| grid.chart(j) == grid.chart(i) && counts(j))
-            {
-                (0..3).for_each(|c| sum[c] += f64::from(signal[j].variance[c]));
-                n += 1.0;
+    /// Mean variance of the neighbours on the same chart.
+    fn pool(&self, variances: &[[f32; 3]], place: usize) -> [f32; 3] {
+        let (mut sum, mut n) = ([0.0; 3], 0.0f32);
+        for dy in -POOLING..=POOLING {
+            for dx in -POOLING..=POOLING {
+                let at = self.grid.neighbour(place, dx, dy);
+                if let Some(at) = at.filter(|&at| self.chart[at] == self.chart[place]) {
+                    (0..3).for_each(|c| sum[c] += variances[at][c]);
+                    n += 1.0;
+                }
             }
         }
+        sum.map(|s| s / n)
     }
-    sum.map(|s| s / n)
 }
 
-/// The offsets that each disc has beyond the next smaller one.
-fn discs() -> Vec<Vec<(isize, isize)>> {
+/// A ring: what a disc has beyond the next smaller one.
+struct Disc {
+    /// Columns, rows, and places in the map.
+    offsets: Vec<(isize, isize, isize)>,
+    reach: usize,
+}
+
+/// The discs of a map so wide.
+fn discs(width: usize) -> Vec<Disc> {
     let mut inner = 0.0;
     RADII
         .iter()
@@ -140,9 +160,9 @@ fn discs() -> Vec<Vec<(isize, isize)>> {
                 squared > inner && squared <= radius * radius
             };
             let square = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
-            let offsets = square.filter(is_new).collect();
+            let offsets = square.filter(is_new).map(|(dx, dy)| (dx, dy, dy * width as isize + dx)).collect();
             inner = radius * radius;
-            offsets
+            Disc { offsets, reach: reach as usize }
         })
         .collect()
 }
@@ -161,7 +181,9 @@ struct Moments {
 }
 
 impl Moments {
-    fn add(&mut self, x: f64, y: f64, mean: [f32; 3], variance: [f64; 3]) {
+    #[inline]
+    fn add(&mut self, (x, y): (isize, isize), mean: [f32; 3], variance: [f32; 3]) {
+        let (x, y) = (x as f64, y as f64);
         self.n += 1.0;
         self.x += x;
         self.y += y;
@@ -173,7 +195,7 @@ impl Moments {
             self.value[c][0] += v;
             self.value[c][1] += x * v;
             self.value[c][2] += y * v;
-            self.variance[c] += variance[c];
+            self.variance[c] += f64::from(variance[c]);
         }
     }
 

@@ -1,18 +1,17 @@
 //! Neighbours in a map.
+//!
+//! A place is the number (page · height + row) · width + column.
 
-use super::{
-    atlas::{Atlas, NONE},
-    coverage::Coverage,
-};
+use super::{atlas::Atlas, coverage::Coverage};
 
-/// Which covered texel is where, and whose chart it is on.
+/// The shape of a map, and whose chart each covered texel is on.
 #[derive(Debug, Clone)]
 pub struct Grid {
     pub width: usize,
     /// Rows of a page.
     pub height: usize,
-    /// Index of the covered texel at each place, [`NONE`] where nothing is covered.
-    at: Vec<u32>,
+    /// Rows of all pages.
+    rows: usize,
     /// Chart of each covered texel.
     chart: Vec<u32>,
 }
@@ -20,12 +19,8 @@ pub struct Grid {
 impl Grid {
     /// The covered texels of a map.
     pub fn new(atlas: &Atlas, coverage: &Coverage) -> Grid {
-        let mut at = vec![NONE; atlas.texels()];
-        for (i, &texel) in coverage.texels().iter().enumerate() {
-            at[texel as usize] = i as u32;
-        }
         let chart = (0..coverage.len()).map(|i| coverage.chart(atlas, i)).collect();
-        Grid { width: atlas.width, height: atlas.height, at, chart }
+        Grid { width: atlas.width, height: atlas.height, rows: atlas.pages * atlas.height, chart }
     }
 
     /// Chart of a covered texel.
@@ -33,9 +28,15 @@ impl Grid {
         self.chart[i]
     }
 
-    /// The covered texel at a place.
-    pub fn covered(&self, texel: usize) -> Option<usize> {
-        (self.at[texel] != NONE).then_some(self.at[texel] as usize)
+    /// Texels of all pages.
+    pub fn places(&self) -> usize {
+        self.width * self.rows
+    }
+
+    /// Whether all places so many columns and rows away are on the same page.
+    pub fn is_inside(&self, texel: usize, reach: usize) -> bool {
+        let (x, y) = (texel % self.width, texel / self.width % self.height);
+        x >= reach && x + reach < self.width && y >= reach && y + reach < self.height
     }
 
     /// The place so many columns and rows away, where that is on the same page.

@@ -233,7 +233,7 @@ impl Cells {
     fn denoised(&self, grid: &Grid, coverage: &Coverage) -> Cells {
         let counts = |i: usize| self.open[i] > 0.0;
         let [direct, reflected] =
-            [&self.direct, &self.reflected].map(|signal| denoise::filter(grid, coverage, signal, &counts));
+            [&self.direct, &self.reflected].map(|signal| denoise::filter(grid, coverage, signal, counts));
         Cells { direct, reflected, ..self.clone() }
     }
 
