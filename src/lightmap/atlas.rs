@@ -397,10 +397,12 @@ impl<'a> Unwrapper<'a> {
         let density = |page_size| Density::Fixed { texels_per_unit, page_size };
         let surface: f64 = (0..self.scene.triangles.len()).map(|t| self.scene.area(t)).sum();
         let fits_one = surface / (length * length) <= (page * page) as f64;
-        if fits_one && let Ok(one) = self.generate(density(None)) {
-            if (one.width.max(one.height) as usize) <= page {
-                return Ok(self.atlas(one, None));
-            }
+        let fits = |made: &uvunwrap::Atlas| made.width.max(made.height) as usize <= page;
+        if fits_one
+            && let Ok(one) = self.generate(density(None))
+            && fits(&one)
+        {
+            return Ok(self.atlas(one, None));
         }
         match self.generate(density(Some(page as u32))) {
             Ok(several) => Ok(self.atlas(several, None)),

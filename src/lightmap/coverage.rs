@@ -138,8 +138,8 @@ impl Barycentric {
             let (low, high) = polygon.range(|p| n * value(p));
             raster::cells(low, high)
         };
-        let (first, second, third): (fn(DVec2) -> f64, fn(DVec2) -> f64, fn(DVec2) -> f64) =
-            (|p| p.x, |p| p.y, |p| 1.0 - p.x - p.y);
+        let (first, second) = (|p: DVec2| p.x, |p: DVec2| p.y);
+        let third = |p: DVec2| 1.0 - p.x - p.y;
         for i in family(&self.0, first) {
             let strip = self.0.strip(i as f64, (i + 1) as f64, |p| n * first(p));
             for j in family(&strip, second) {
@@ -160,4 +160,36 @@ impl Barycentric {
 /// All three barycentric coordinates from two.
 fn barycentric(p: DVec2) -> [f64; 3] {
     [p.x, p.y, (1.0 - p.x - p.y).max(0.0)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        lightmap::{Coordinates, Layout},
+        patch::Subdivision,
+        trace::Tracer,
+    };
+
+    #[test]
+    fn patches_are_covered_whole_and_once() {
+        let scene = Scene::load(concat!(env!("CARGO_MANIFEST_DIR"), "/meshes/cornell-box.obj")).unwrap();
+        let atlas =
+            Atlas::new(&scene, &Tracer::new(&scene), Layout::Resolution(100), Coordinates::Auto).unwrap();
+        let patches = Patches::subdivide(&scene, &Subdivision::Count(2000));
+        let coverage = Coverage::new(&scene, &atlas);
+        let mut covered = vec![0.0; patches.fronts()];
+        for i in 0..coverage.len() {
+            for piece in coverage.pieces(i) {
+                let t = piece.triangle as usize;
+                let part = coverage.barycentric_part(&atlas, i, t);
+                part.for_each_patch(&patches, t, |child, share| {
+                    covered[patches.front(t, child)] += share * patches.triangle_areas()[t];
+                });
+            }
+        }
+        for (i, area) in covered.iter().enumerate() {
+            assert!((area / patches.area(i) - 1.0).abs() < 1e-9, "patch {i}: {area} of {}", patches.area(i));
+        }
+    }
 }

@@ -45,8 +45,8 @@ impl Polygon {
             let at_to = inside(to);
             if (at_from < 0.0) != (at_to < 0.0) {
                 let crossing = from + (to - from) * (at_from / (at_from - at_to));
-                // A corner on the line would come twice.
-                if crossing != from && crossing != to {
+                // The corner that is inside counts by itself, and once.
+                if crossing != if at_to < 0.0 { from } else { to } {
                     part.push(crossing);
                 }
             }
