@@ -49,7 +49,7 @@ pub struct Texel {
 
 /// Gathers for every covered texel, `rays` hemisphere rays and as many to lamps each, rounded up to a multiple of 4.
 ///
-/// Numbers depend on the seed and the texel alone.
+/// Numbers depend on the seed and the texel's place alone.
 ///
 /// # Errors
 /// [`Error::Stopped`](crate::Error::Stopped).
@@ -70,14 +70,15 @@ pub fn gather(
         .map_init(Vec::new, |parts, i| {
             progress.check()?;
             let surface = Surface::new(parts, atlas, coverage, i);
-            let texel_seed = mix(&[seed, u64::from(coverage.texels()[i])]);
+            let (tile, number) = tile(atlas, coverage.texels()[i]);
+            let tile_seed = mix(&[seed, tile]);
             let mut replicates = [Replicate::default(); REPLICATES as usize];
             if surface.0.is_empty() {
                 return Ok(Texel::default());
             }
             for (k, replicate) in replicates.iter_mut().enumerate() {
-                let seed = mix(&[texel_seed, k as u64]);
-                for s in 0..each {
+                let seed = mix(&[tile_seed, k as u64]);
+                for s in number * each..(number + 1) * each {
                     let mut samples = Samples::new(s, seed);
                     let at = surface.receiver(tracer, sides, &mut samples);
                     let found = source.gather(at, &mut samples);
@@ -90,6 +91,17 @@ pub fn gather(
             Ok(texel(&replicates, each))
         })
         .collect()
+}
+
+/// The tile of 8 x 8 texels that a texel lies in, and its number there, in Morton's order.
+///
+/// The texels of a tile take turns with one sequence of samples. The samples of each are well spread by themselves, and
+/// so are those of any 2 x 2 or 4 x 4 of them together: averaged over neighbours, noise falls faster than with
+/// independent samples.
+fn tile(atlas: &Atlas, texel: u32) -> (u64, u32) {
+    let (x, row) = (texel % atlas.width as u32, texel / atlas.width as u32);
+    let bits = |a: u32| (a & 1) | (a & 2) << 1 | (a & 4) << 2;
+    (u64::from(row >> 3) << 32 | u64::from(x >> 3), bits(x) | bits(row) << 1)
 }
 
 /// Which covered texels are inside solids altogether, as far as [`HIDDEN_POINTS`] points of each tell.
