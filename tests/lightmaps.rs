@@ -420,3 +420,31 @@ fn own_coordinates_are_kept_where_they_suit() {
     let message = make(&scene, Coordinates::File).unwrap_err().to_string();
     assert!(message.contains("triangle 1 and triangle 2 overlap"), "{message}");
 }
+
+#[test]
+fn every_step_can_be_left_out() {
+    let s = solved(furnished(icosphere(0.5, 1)), 500, 32.0);
+    let all = BakeOptions { final_gather: 4, ..BakeOptions::default() };
+    let names = |options: BakeOptions| -> Vec<&str> {
+        let map = s.bake(Layout::Resolution(64), &options);
+        let empty = map.texels().iter().filter(|&&t| t == Texel::Empty).count();
+        assert_eq!(empty == 0, options.dilate);
+        // Dilation writes nowhere but where there is no surface, and nothing else writes there without it.
+        for (&texel, value) in map.texels().iter().zip(map.irradiance()) {
+            assert!(texel != Texel::Empty || *value == [0.0; 3]);
+            assert!(value.iter().all(|x| x.is_finite() && *x >= 0.0));
+        }
+        map.steps().iter().map(|step| step.name).collect()
+    };
+    assert_eq!(names(all), ["denoise", "dilate", "seams"]);
+    assert_eq!(names(BakeOptions { denoise: false, ..all }), ["dilate", "seams"]);
+    assert_eq!(names(BakeOptions { dilate: false, ..all }), ["denoise", "seams"]);
+    assert_eq!(names(BakeOptions { close_seams: false, ..all }), ["denoise", "dilate"]);
+    assert_eq!(names(BakeOptions { final_gather: 0, ..all }), ["hide", "dilate", "seams"]);
+    // Dilation changes no texel that holds surface.
+    let [with, without] = [true, false]
+        .map(|dilate| s.bake(Layout::Resolution(64), &BakeOptions { dilate, close_seams: false, ..all }));
+    for (k, &texel) in without.texels().iter().enumerate() {
+        assert!(texel != Texel::Valid || with.irradiance()[k] == without.irradiance()[k]);
+    }
+}

@@ -184,7 +184,8 @@ pub fn bake(
         let smooth = cells.denoised(&grid, &map.coverage);
         map.step("denoise", |map| map.show(&smooth));
     }
-    if options.dilate {
+    // Seams are compared by bilinear samples, which read texels outside the charts.
+    if options.dilate || options.close_seams {
         map.step("dilate", |map| map.dilate(&grid));
     }
     progress.check()?;
@@ -197,6 +198,9 @@ pub fn bake(
             seams.close(&mut map.irradiance, holds_surface);
         });
         map.seam_differences[1] = seams.difference(&map.irradiance);
+    }
+    if !options.dilate {
+        map.clear();
     }
     map.flux.finished = map.surface_flux();
     Ok(map)
@@ -402,6 +406,19 @@ impl Lightmap {
                 *texel = Texel::Dilated;
             }
         }
+    }
+
+    /// Takes the values from texels without open surface.
+    fn clear(&mut self) {
+        for (texel, value) in self.texels.iter_mut().zip(&mut self.irradiance) {
+            if *texel == Texel::Dilated {
+                *texel = Texel::Empty;
+            }
+            if *texel != Texel::Valid {
+                *value = [0.0; 3];
+            }
+        }
+        self.steps.retain(|step| step.name != "dilate");
     }
 
     /// Does a step and notes what it does to the flux.
