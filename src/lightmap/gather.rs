@@ -104,7 +104,7 @@ fn tile(atlas: &Atlas, texel: u32) -> (u64, u32) {
     (u64::from(row >> 3) << 32 | u64::from(x >> 3), bits(x) | bits(row) << 1)
 }
 
-/// Which covered texels are inside solids altogether, as far as [`HIDDEN_POINTS`] points of each tell.
+/// Which covered texels are inside solids altogether, as far as a few points of each tell.
 pub fn hidden(
     atlas: &Atlas,
     coverage: &Coverage,

@@ -1,9 +1,9 @@
 //! Lightmaps: the irradiance of a scene's surface as an image.
 //!
 //! [`Atlas`] says where in the map each triangle lies, [`Coverage`] which parts of which triangles each texel holds.
-//! [`bake`] gives every texel the mean irradiance of that part, exactly from the patches or sharper by a final gather
-//! ([`gather`]), and then prepares the map for bilinear sampling: [`denoise`], [`dilation`], [`seams`]. Each of these
-//! steps can be left out and says what it did to the energy.
+//! [`bake`] gives every texel the mean irradiance of that part, exactly from the patches or sharper by a final gather,
+//! and then prepares the map for bilinear sampling: noise is taken out, texels without surface get values, seams are
+//! closed. Each of these steps can be left out and says what it did to the energy.
 //!
 //! The map is of the fronts of triangles; of the back where no light reaches the front but some reaches the back.
 
@@ -11,7 +11,7 @@ mod atlas;
 mod coverage;
 mod denoise;
 mod dilation;
-pub mod gather;
+mod gather;
 mod grid;
 mod overlap;
 mod raster;
