@@ -145,7 +145,7 @@ fn torus(centre: DVec3, (large, small): (f64, f64), (n, m): (usize, usize)) -> V
     (0..n).flat_map(|i| (0..m).flat_map(move |j| quad(i, j))).collect()
 }
 
-/// 64 rays a texel and all steps.
+/// All steps, with as many rays as by default.
 fn finished(s: &Solved, side: usize) -> Lightmap {
     s.bake(Layout::Resolution(side), &BakeOptions::default())
 }
@@ -233,7 +233,7 @@ fn a_gathered_map_holds_the_flux_of_the_solver_within_its_error() {
     // In the empty room no surface is hidden, and nothing but noise and the size of patches sets the two apart. The
     // patches' own standard error of 256 rays on the mean is below 0.1 % there.
     let s = solved(furnished(vec![]), 4000, 256.0);
-    let map = s.bake(Layout::Resolution(64), &BakeOptions::default());
+    let map = s.bake(Layout::Resolution(64), &BakeOptions { final_gather: 64, ..BakeOptions::default() });
     let flux = map.flux();
     for c in 0..3 {
         let off = (flux.map[c] - flux.solver[c]).abs();

@@ -56,9 +56,9 @@ pub struct BakeOptions {
 }
 
 impl Default for BakeOptions {
-    /// 64 rays a texel and all steps, seed 0.
+    /// 32 rays a texel and all steps, seed 0.
     fn default() -> Self {
-        BakeOptions { final_gather: 64, denoise: true, dilate: true, close_seams: true, seed: 0 }
+        BakeOptions { final_gather: 32, denoise: true, dilate: true, close_seams: true, seed: 0 }
     }
 }
 
