@@ -116,7 +116,7 @@ fn the_same_bytes_for_any_number_of_threads() {
 #[test]
 fn own_coordinates_that_do_not_suit_are_kept_beside() {
     let here = here();
-    bake(&here, "scene.obj -o out --resolution 32 --final-gather 4");
+    bake(&here, "scene.obj -o out --resolution 32 --final-gather 4 --report out/report.json");
     let report = here.json("out/report.json");
     let why = report["atlas"]["refused"].as_str().unwrap();
     assert!(why.contains("triangle 1 and triangle 3"), "{why}");

@@ -35,6 +35,8 @@ use super::{
     watch::Watch,
 };
 
+/// The report in the output directory.
+const REPORT: &str = "report.json";
 /// Texels a side unless told.
 const RESOLUTION: u32 = 512;
 
@@ -161,7 +163,9 @@ impl BakeArgs {
 pub fn run(args: &BakeArgs) -> Result<Outcome> {
     let start = Instant::now();
     args.check()?;
-    let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene)).transpose()?;
+    // The one in the output directory is written anyway.
+    let elsewhere = args.report.as_ref().filter(|path| **path != args.output.join(REPORT));
+    let report_file = elsewhere.map(|path| outputs::report(path, &args.scene)).transpose()?;
     args.common.start_threads()?;
     let watch = Watch::new(args.common.quiet);
     let mut times = BakeSeconds::default();
@@ -187,7 +191,7 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     times.stages.total = seconds(start.elapsed());
     report.seconds = times;
     report.peak_bytes = peak_bytes();
-    let reports = std::iter::once(directory.file("report.json", &[&args.scene])?).chain(report_file);
+    let reports = std::iter::once(directory.file(REPORT, &[&args.scene])?).chain(report_file);
     for file in reports {
         pending.push(file.write(|out| report.write(out))?);
     }
@@ -277,7 +281,7 @@ impl Files {
         }
         let inputs: [&Path; 1] = [&args.scene];
         // The report is written last, but whether it can be is checked with the others.
-        directory.file("report.json", &inputs)?;
+        directory.file(REPORT, &inputs)?;
         let files = pictures
             .chain(meshes)
             .map(|(name, kind)| Ok(File { output: directory.file(&name, &inputs)?, name, kind }));
