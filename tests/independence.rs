@@ -10,7 +10,7 @@ use std::{
 const COMMON: [&str; 5] = ["Error", "Result", "Progress", "Quality", "Scene"];
 
 /// A module, what it may use, and what its tests may use besides.
-const LAYERS: [(&str, &[&str], &[&str]); 13] = [
+const LAYERS: [(&str, &[&str], &[&str]); 14] = [
     ("error", &[], &[]),
     ("progress", &[], &[]),
     ("quality", &[], &[]),
@@ -28,6 +28,7 @@ const LAYERS: [(&str, &[&str], &[&str]); 13] = [
         &["tone", "scene", "trace", "patch", "form_factor", "solve", "energy", "monte_carlo", "accuracy"],
         &[],
     ),
+    ("lightmap", &["tone", "scene", "trace", "patch", "solve", "monte_carlo", "output"], &["form_factor"]),
 ];
 
 /// The code without comments and the contents of string literals.

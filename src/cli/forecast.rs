@@ -74,6 +74,23 @@ pub fn check_picture(pixels: f64, by_particles: bool) -> Result<()> {
     }
 }
 
+/// Refuses a lightmap that memory cannot hold.
+pub fn check_map(texels: f64) -> Result<()> {
+    // Pieces of surface, two signals with their errors before and after denoising, the image and what files need.
+    let bytes = texels * 300.0;
+    match memory().filter(|&memory| bytes > memory) {
+        None => Ok(()),
+        Some(memory) => Err(Error::Usage {
+            message: format!(
+                "a map of {texels:.2e} texels needs about {:.0} GiB of memory, this machine has {:.0}",
+                bytes / GIB,
+                memory / GIB
+            ),
+            hint: Some("give a longer --texel or a smaller --resolution".into()),
+        }),
+    }
+}
+
 /// Memory and swap space of this machine, as Linux tells.
 fn memory() -> Option<f64> {
     let info = std::fs::read_to_string("/proc/meminfo").ok()?;

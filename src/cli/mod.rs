@@ -3,6 +3,7 @@
 //! Results go to files, a short summary to stdout, progress, warnings and errors to stderr. Exit status: 0 done; 1
 //! computed, but a demanded check failed; 2 bad usage or input; 130 stopped by a signal.
 
+mod bake;
 mod camera;
 mod forecast;
 mod inspect;
@@ -45,6 +46,7 @@ enum Command {
     Solve(solve::SolveArgs),
     Validate(validate::ValidateArgs),
     Render(render::RenderArgs),
+    Bake(bake::BakeArgs),
     Probe(probe::ProbeArgs),
     Inspect(inspect::InspectArgs),
 }
@@ -88,6 +90,7 @@ pub fn run() -> ExitCode {
         Command::Solve(args) => solve::run(&args),
         Command::Validate(args) => validate::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Bake(args) => bake::run(&args),
         Command::Probe(args) => probe::run(&args),
         Command::Inspect(args) => inspect::run(&args),
     };

@@ -1,8 +1,14 @@
 //! The files that a command writes: checked before the work, written after it, together.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs,
+    io::Read,
+    path::{Path, PathBuf},
+};
 
-use radiosity::{Error, Result, monte_carlo::PictureFormat, output::file::OutputFile};
+use radiosity::{
+    Error, Result, lightmap::write::SIGNATURE, monte_carlo::PictureFormat, output::file::OutputFile,
+};
 
 /// Kinds of files that scenes are made of. No text takes the place of one: it might be of another scene. Those of this
 /// scene are compared with each output once they are known (`pipeline::read`).
@@ -44,6 +50,60 @@ pub fn text(path: &Path, inputs: &[&Path], what: &str) -> Result<OutputFile> {
         return Err(usage(path, &message, "give it a name that ends in .json or .txt"));
     }
     Ok(output)
+}
+
+/// A directory for the files of a bake. One that was made here, and in which nothing was written, goes again.
+#[derive(Debug)]
+pub struct Directory {
+    path: PathBuf,
+    /// The directories made for it, outermost first.
+    made: Vec<PathBuf>,
+    /// Whether what is there comes from an earlier bake, and may be replaced.
+    is_ours: bool,
+}
+
+impl Directory {
+    /// Makes the directory if it is missing.
+    pub fn new(path: &Path) -> Result<Directory> {
+        let missing: Vec<PathBuf> = path
+            .ancestors()
+            .take_while(|p| !p.as_os_str().is_empty() && !p.exists())
+            .map(Path::to_owned)
+            .collect();
+        let mut directory = Directory { path: path.to_owned(), made: Vec::new(), is_ours: false };
+        for path in missing.into_iter().rev() {
+            fs::create_dir(&path).map_err(|e| Error::io(&path, e))?;
+            directory.made.push(path);
+        }
+        if !path.is_dir() {
+            return Err(Error::io(path, std::io::ErrorKind::NotADirectory.into()));
+        }
+        let mut start = [0; SIGNATURE.len()];
+        directory.is_ours = fs::File::open(path.join("scene.obj"))
+            .and_then(|mut file| file.read_exact(&mut start))
+            .is_ok_and(|()| start == SIGNATURE.as_bytes());
+        Ok(directory)
+    }
+
+    /// A file in it. One that is there already and no earlier bake's might belong to a scene: it is never replaced.
+    pub fn file(&self, name: &str, inputs: &[&Path]) -> Result<OutputFile> {
+        let path = self.path.join(name);
+        if path.exists() && !self.is_ours {
+            return Err(usage(
+                &path,
+                "there is a file of this name that no earlier bake wrote",
+                "give a directory of its own with -o",
+            ));
+        }
+        OutputFile::new(&path, inputs)
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        // Fails, as it should, where something is in it.
+        self.made.iter().rev().for_each(|path| drop(fs::remove_dir(path)));
+    }
 }
 
 /// Refuses two outputs that are one file.

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use radiosity::{
+    lightmap::report::BakeReport,
     output::{
         report::{ErrorReport, Seconds, SolveReport},
         sampling_report::{PictureReport, SamplingReport, SamplingSeconds},
@@ -127,6 +128,68 @@ pub fn probes(report: &SamplingReport, written: &str) -> String {
         row(&mut text, "error", &format!("{error:.3} % RMS standard error"));
     }
     finish(text, report, written)
+}
+
+/// The figures of a lightmap.
+pub fn bake(report: &BakeReport, directory: &str) -> String {
+    let BakeReport { scene, atlas, texels, flux, seams, seconds, options, .. } = report;
+    let mut text = String::new();
+    let mut row = |name: &str, value: String| row(&mut text, name, &value);
+    row("scene", format!("{}: {} triangles, {} patches", scene.file, scene.triangles, scene.patches));
+    let whose = match &atlas.refused {
+        None => "the file's texture coordinates".to_owned(),
+        Some(why) => format!("new texture coordinates (the file's: {why})"),
+    };
+    row(
+        "map",
+        format!(
+            "{} page(s) of {} x {}, texels of {:.4}, {} charts, {whose}",
+            atlas.pages, atlas.width, atlas.height, atlas.texel_length, atlas.charts
+        ),
+    );
+    row(
+        "texels",
+        format!(
+            "{} of surface, {} hidden, {} filled from neighbours, {} empty",
+            texels.valid, texels.hidden, texels.dilated, texels.empty
+        ),
+    );
+    let relative = |e: f64| 100.0 * e / flux.solver.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+    let sampling = relative(flux.standard_error.iter().sum());
+    row(
+        "flux",
+        format!(
+            "{:+.4} % from the solver's, standard error {sampling:.4} %",
+            100.0 * flux.relative_difference
+        ),
+    );
+    if let Some(error) = report.rms_relative {
+        let rays = options.final_gather;
+        row("error", format!("{:.2} % RMS a texel from {rays} rays of the final gather", 100.0 * error));
+    }
+    for step in &report.steps {
+        row(step.name, format!("changed the flux by {:+.4} %", 100.0 * step.relative));
+    }
+    if seams.samples > 0 {
+        let largest = |x: [f64; 3]| x.into_iter().fold(0.0, f64::max);
+        let (before, after) = (largest(seams.before), largest(seams.after));
+        row("across seams", format!("{before:.3e} W/m2 before, {after:.3e} after (RMS)"));
+    }
+    let s = &seconds.stages;
+    row(
+        "seconds",
+        format!(
+            "load {:.2}, atlas {:.2}, solution {:.2}, texels {:.2}, output {:.2}; total {:.2}",
+            s.load,
+            seconds.atlas,
+            s.subdivide + s.form_factors + s.solve,
+            seconds.texels,
+            s.output,
+            s.total
+        ),
+    );
+    row("wrote", format!("{} files and report.json to {directory}", report.files.len()));
+    text
 }
 
 pub fn row(text: &mut String, name: &str, value: &str) {

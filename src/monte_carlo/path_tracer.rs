@@ -208,18 +208,9 @@ impl<'a> PathTracer<'a> {
             return sum;
         }
         loop {
-            let [x, y] = samples.square();
-            let local = square_to_cosine_hemisphere(x, y);
-            let origin = Tracer::leave(at.position, at.normal);
-            if self.options.next_event {
-                sum += throughput * self.look_at_emitter(origin, at.normal, samples);
-            }
-            let direction = around(at.normal, local);
-            let Some(hit) = self.tracer.closest(origin, direction) else { return sum };
-            let emitted = self.emission(&hit);
-            if emitted != DVec3::ZERO {
-                sum += throughput * emitted * self.bounce_weight(&hit, direction, local.z);
-            }
+            let (light, hit) = self.look(at, samples);
+            sum += throughput * light;
+            let Some(hit) = hit else { return sum };
             if self.options.max_bounces.is_some_and(|limit| bounces >= limit) {
                 return sum;
             }
@@ -237,6 +228,36 @@ impl<'a> PathTracer<'a> {
             }
             at = Receiver::of_hit(self.tracer, &hit);
         }
+    }
+
+    /// One sample of the irradiance of a place that comes straight from emitters, W/m², and what the hemisphere ray met
+    /// that took part in it.
+    #[inline]
+    pub(crate) fn direct(&self, at: Receiver, samples: &mut Samples) -> ([f64; 3], Option<Hit>) {
+        let (light, hit) = self.look(at, samples);
+        ((light * PI).to_array(), hit)
+    }
+
+    /// Mean radiance that arrives straight from emitters, weighted by the cosine: a point chosen on one, and a ray with a
+    /// cosine distribution. Also what that ray met.
+    #[inline]
+    fn look(&self, at: Receiver, samples: &mut Samples) -> (DVec3, Option<Hit>) {
+        let [x, y] = samples.square();
+        let local = square_to_cosine_hemisphere(x, y);
+        let origin = Tracer::leave(at.position, at.normal);
+        let mut light = DVec3::ZERO;
+        if self.options.next_event && !self.emitters.is_empty() {
+            light += self.look_at_emitter(origin, at.normal, samples);
+        }
+        let direction = around(at.normal, local);
+        let hit = self.tracer.closest(origin, direction);
+        if let Some(hit) = &hit {
+            let emitted = self.emission(hit);
+            if emitted != DVec3::ZERO {
+                light += emitted * self.bounce_weight(hit, direction, local.z);
+            }
+        }
+        (light, hit)
     }
 
     /// Le cos θ/π over the density of a point chosen on an emitter, weighted against the same point met by a bounce.

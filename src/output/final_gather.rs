@@ -21,6 +21,17 @@ use crate::{
     },
 };
 
+/// One sample of irradiance, W/m², in its two parts.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Gathered {
+    /// Straight from emitters.
+    pub direct: [f64; 3],
+    /// Reflected by other surfaces.
+    pub reflected: [f64; 3],
+    /// What the hemisphere ray met: the triangle, and whether it was its front.
+    pub met: Option<(u32, bool)>,
+}
+
 /// Gathers light from a radiosity solution.
 #[derive(Debug)]
 pub struct FinalGather<'a> {
@@ -68,6 +79,16 @@ impl<'a> FinalGather<'a> {
         (direct + reflected / f64::from(self.rays)).to_array()
     }
 
+    /// One sample of the irradiance of a place with a single hemisphere ray: it looks for emitters and for reflected
+    /// light alike.
+    #[inline]
+    pub fn gather(&self, at: Receiver, samples: &mut Samples) -> Gathered {
+        let (direct, hit) = self.direct.direct(at, samples);
+        let Some(hit) = hit else { return Gathered { direct, ..Gathered::default() } };
+        let reflected = (reflectance(self.scene, &hit) * self.solved(&hit)).to_array();
+        Gathered { direct, reflected, met: Some((hit.triangle, hit.front)) }
+    }
+
     /// Irradiance of places, with the spread of the gathering; what the solution itself is off by is not in it.
     ///
     /// # Errors
@@ -96,7 +117,7 @@ impl<'a> FinalGather<'a> {
 }
 
 /// Radiance that leaves a surface with a given irradiance, Le + ρ E / π, with the texture's values at that very point.
-pub(super) fn outgoing(scene: &Scene, hit: &Hit, irradiance: DVec3) -> [f64; 3] {
+pub(crate) fn outgoing(scene: &Scene, hit: &Hit, irradiance: DVec3) -> [f64; 3] {
     let reflected = reflectance(scene, hit) * irradiance / std::f64::consts::PI;
     let triangle = hit.triangle as usize;
     let emitted = match hit.front && scene.emits(triangle) {

@@ -11,7 +11,7 @@ pub mod picture;
 pub mod ply;
 pub mod report;
 pub mod sampling_report;
-mod surfaces;
+pub(crate) mod surfaces;
 pub mod validation_report;
 pub mod vertex_colors;
 pub mod vertices;

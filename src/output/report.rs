@@ -215,16 +215,7 @@ impl SolveReport {
     ) -> SolveReport {
         SolveReport {
             version: env!("CARGO_PKG_VERSION"),
-            scene: SceneReport {
-                file: file.into(),
-                triangles: scene.triangles.len(),
-                patches: patches.len(),
-                area: (0..scene.triangles.len()).map(|t| scene.area(t)).sum(),
-                channels: patches.channels(),
-                back_patches: patches.len() - patches.fronts(),
-                patch_edge: finite(patches.edge()),
-                warnings: scene.warnings.clone(),
-            },
+            scene: SceneReport::of(file, scene, patches),
             form_factors: FormFactorsReport::of(form_factors),
             solve: SolverReport {
                 solver: solution.solver.name(),
@@ -249,6 +240,22 @@ impl SolveReport {
     pub fn write(&self, mut out: &mut dyn Write) -> io::Result<()> {
         serde_json::to_writer_pretty(&mut out, self)?;
         out.write_all(b"\n")
+    }
+}
+
+impl SceneReport {
+    /// Collects the figures of a scene that was read from `file`.
+    pub fn of(file: &str, scene: &Scene, patches: &Patches) -> Self {
+        SceneReport {
+            file: file.into(),
+            triangles: scene.triangles.len(),
+            patches: patches.len(),
+            area: (0..scene.triangles.len()).map(|t| scene.area(t)).sum(),
+            channels: patches.channels(),
+            back_patches: patches.len() - patches.fronts(),
+            patch_edge: finite(patches.edge()),
+            warnings: scene.warnings.clone(),
+        }
     }
 }
 
@@ -278,7 +285,8 @@ impl From<form_factor::BeforeAfter> for BeforeAfter {
 }
 
 impl EnergyReport {
-    pub(super) fn of(energy: &EnergyLedger) -> Self {
+    /// Collects the figures of a ledger.
+    pub fn of(energy: &EnergyLedger) -> Self {
         EnergyReport {
             emitted: rgb(&energy.emitted),
             absorbed: rgb(&energy.absorbed),

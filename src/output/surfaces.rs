@@ -33,7 +33,11 @@ impl Surfaces {
             cluster: (0..6 * triangles as u32).collect(),
         };
         let back: Vec<bool> = (0..triangles).map(|t| has_side(patches, t, false)).collect();
-        for [e, f] in smooth_edges(scene, crease) {
+        let same_material = |e: u32, f: u32| {
+            let [t, u] = [e, f].map(|slot| scene.triangles[slot as usize / 3].material);
+            t == u
+        };
+        for [e, f] in smooth_edges(scene, crease).into_iter().filter(|&[e, f]| same_material(e, f)) {
             surfaces.join(e, f);
             if back[e as usize / 3] && back[f as usize / 3] {
                 surfaces.join(e + 3 * triangles as u32, f + 3 * triangles as u32);
@@ -102,8 +106,8 @@ fn next(slot: u32) -> u32 {
     if slot % 3 == 2 { slot - 2 } else { slot + 1 }
 }
 
-/// Pairs of front slots whose triangles continue each other across the edge.
-fn smooth_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
+/// Pairs of front slots whose triangles continue each other across the edge, whatever their materials.
+pub(crate) fn smooth_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
     let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * scene.triangles.len());
     for (t, triangle) in scene.triangles.iter().enumerate() {
         for k in 0..3 {
@@ -120,9 +124,7 @@ fn smooth_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
             let &[(_, _, e), (_, _, f)] = group else { return None };
             let (t, u) = (e as usize / 3, f as usize / 3);
             let start = |slot: u32| scene.triangles[slot as usize / 3].vertices[slot as usize % 3];
-            let smooth = start(e) != start(f)
-                && scene.triangles[t].material == scene.triangles[u].material
-                && normals[t].dot(normals[u]) > least_cosine;
+            let smooth = start(e) != start(f) && normals[t].dot(normals[u]) > least_cosine;
             smooth.then_some([e, f])
         })
         .collect()

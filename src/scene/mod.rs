@@ -63,7 +63,7 @@ pub struct Scene {
     pub vertices: Vec<DVec3>,
     /// Triangles of positive area.
     pub triangles: Vec<Triangle>,
-    /// Texture coordinates of each triangle's corners; empty when no material has a texture.
+    /// Texture coordinates of each triangle's corners, zero where it has none; empty when no triangle has any.
     pub texcoords: Vec<[DVec2; 3]>,
     /// Materials.
     pub materials: Vec<Material>,

@@ -59,9 +59,6 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     warnings.append(libraries.warnings);
     warnings.append(materials.warnings);
     let mut scene = builder.finish();
-    if !materials.materials.iter().any(|m| m.reflectance_map.is_some() || m.emission_map.is_some()) {
-        scene.texcoords = Vec::new();
-    }
     scene.materials = materials.materials;
     scene.textures = materials.textures;
     scene.warnings = warnings.into_sentences();

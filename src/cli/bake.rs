@@ -1,0 +1,312 @@
+//! `radiosity bake`: a lightmap.
+
+use std::{
+    path::{Path, PathBuf},
+    time::Instant,
+};
+
+use clap::Args;
+use radiosity::{
+    Error, Result, Scene,
+    energy::EnergyLedger,
+    form_factor::Estimator,
+    lightmap::{
+        self, Atlas, BakeOptions, Coordinates, LARGEST, Layout, Lightmap, PAGE,
+        report::{BakeReport, BakeSeconds},
+        write::{self, Picture, page_name},
+    },
+    monte_carlo::PictureFormat,
+    output::{
+        exposure,
+        file::{OutputFile, Pending},
+        report::{EnergyReport, SceneReport, peak_bytes, seconds},
+    },
+    solve::SolveOptions,
+    tone::Exposure,
+    trace::Tracer,
+};
+
+use super::{
+    Common, Outcome, forecast,
+    options::{CastArgs, SceneArgs, positive, stops},
+    outputs::{self, Directory},
+    pipeline::{self, Job, Solved},
+    summary, to_stdout,
+    watch::Watch,
+};
+
+/// The report in the output directory.
+const REPORT: &str = "report.json";
+/// Texels a side unless told.
+const RESOLUTION: u32 = 512;
+
+/// Make a lightmap: the irradiance of all surfaces as an image, and a mesh that it fits
+#[derive(Args)]
+#[command(after_help = "Example:\n  radiosity bake room.obj -o room-lit/ --resolution 1024\n\n\
+    Written to DIR:\n  \
+      lightmap.exr, .hdr      irradiance, W/m2, linear R G B\n  \
+      lightmap.png            the same for viewing\n  \
+      scene.obj, .mtl         the mesh; its texture coordinates address the map\n  \
+      scene.png               what leaves the surfaces, the texture of scene.mtl: any viewer shows the scene lit\n  \
+      scene-original-uv.obj   the same faces with the scene's own texture coordinates, where those were not used\n  \
+      report.json             all figures\n\
+    Further pages are called lightmap-2.exr and so on.\n\n\
+    The map is of the fronts of triangles, or of the back where only that is lit. The scene's own texture coordinates \
+    are used when they lie in 0..1 without overlap and leave room between charts; the report says why where they do \
+    not. An existing file that no earlier bake wrote is never replaced.")]
+pub struct BakeArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// Write the files into this directory, which is made if it is missing
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Write all figures as JSON here too
+    #[arg(long, value_name = "R.json")]
+    report: Option<PathBuf>,
+    /// Side of a page in texels [default: 512; with --texel pages of up to 4096]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=LARGEST as i64))]
+    resolution: Option<u32>,
+    /// Length of a texel in the scene's unit, on as many pages as it takes
+    #[arg(long, value_name = "LENGTH", value_parser = positive)]
+    texel: Option<f64>,
+    /// Rays a texel that gather the last bounce; 0 takes the patches as they are, flux exact
+    #[arg(long, value_name = "N", default_value_t = BakeOptions::default().final_gather,
+        value_parser = clap::value_parser!(u32).range(0..=65536))]
+    final_gather: u32,
+    /// Use the scene's own texture coordinates or fail
+    #[arg(long)]
+    keep_uv: bool,
+    /// Make new texture coordinates even if the scene's own would do
+    #[arg(long, conflicts_with = "keep_uv")]
+    new_uv: bool,
+    /// Leave the noise of the final gather in
+    #[arg(long)]
+    no_denoise: bool,
+    /// Leave texels without surface black
+    #[arg(long)]
+    no_dilate: bool,
+    /// Leave both sides of seams as they were computed
+    #[arg(long)]
+    no_seams: bool,
+    /// Write mask.png too: white surface, grey hidden surface, dark grey filled from neighbours, black nothing
+    #[arg(long)]
+    mask: bool,
+    /// Write standard-error.exr too: that of the final gather, W/m2
+    #[arg(long)]
+    standard_error: bool,
+    /// Make the .png files brighter, by stops; negative is darker
+    #[arg(long, value_name = "STOPS", default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops)]
+    exposure: f64,
+    /// Another seed casts other rays; the same gives the same bytes
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    common: Common,
+    #[command(flatten, next_help_heading = "Solution")]
+    cast: CastArgs,
+}
+
+impl BakeArgs {
+    fn layout(&self) -> Layout {
+        match self.texel {
+            Some(length) => Layout::Texel(length, self.resolution.map_or(PAGE, |n| n as usize)),
+            None => Layout::Resolution(self.resolution.unwrap_or(RESOLUTION) as usize),
+        }
+    }
+
+    fn coordinates(&self) -> Coordinates {
+        match (self.keep_uv, self.new_uv) {
+            (true, _) => Coordinates::File,
+            (_, true) => Coordinates::New,
+            _ => Coordinates::Auto,
+        }
+    }
+
+    fn options(&self) -> BakeOptions {
+        BakeOptions {
+            final_gather: self.final_gather,
+            denoise: !self.no_denoise,
+            dilate: !self.no_dilate,
+            close_seams: !self.no_seams,
+            seed: self.seed,
+        }
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.texel.is_some_and(f64::is_infinite) {
+            return Err(Error::Usage {
+                message: "a texel of infinite length holds nothing".into(),
+                hint: None,
+            });
+        }
+        if self.standard_error && self.final_gather == 0 {
+            return Err(Error::Usage {
+                message: "--standard-error is that of the final gather, and there is none".into(),
+                hint: Some("leave --final-gather 0 out".into()),
+            });
+        }
+        Ok(())
+    }
+
+    fn job(&self) -> Job<'_> {
+        Job {
+            file: &self.scene.path,
+            cast: &self.cast,
+            estimator: Estimator::default(),
+            options: SolveOptions::default(),
+            seed: self.seed,
+        }
+    }
+}
+
+/// Runs the command.
+pub fn run(args: &BakeArgs) -> Result<Outcome> {
+    let start = Instant::now();
+    args.check()?;
+    // The one in the output directory is written anyway.
+    let elsewhere = args.report.as_ref().filter(|path| **path != args.output.join(REPORT));
+    let report_file = elsewhere.map(|path| outputs::report(path, &args.scene.path)).transpose()?;
+    args.common.start_threads()?;
+    let watch = Watch::new(args.common.quiet);
+    let mut times = BakeSeconds::default();
+    let (scene, tracer) =
+        pipeline::load(&args.scene, &report_file.iter().collect::<Vec<_>>(), &watch, &mut times.stages)?;
+    args.job().check(&scene, &watch)?;
+    let atlas;
+    (atlas, times.atlas) =
+        watch.stage("atlas", || Atlas::new(&scene, &tracer, args.layout(), args.coordinates()))?;
+    forecast::check_map(atlas.texels() as f64)?;
+    let directory = Directory::new(&args.output)?;
+    let files = Files::new(args, &directory, &atlas, &scene)?;
+    let all: Vec<&OutputFile> = files.0.iter().map(|file| &file.output).chain(&report_file).collect();
+    outputs::check_distinct(&all)?;
+    all.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
+
+    let (map, mut report, exposures) = compute(args, &scene, &tracer, atlas, &watch, &mut times)?;
+    for warning in &report.warnings {
+        watch.warn(warning);
+    }
+    watch.begin_writing();
+    report.files = files.0.iter().map(|file| file.name.clone()).collect();
+    let mut pending;
+    (pending, times.stages.output) = watch.stage("writing", || files.write(&map, &scene, &exposures))?;
+    times.stages.total = seconds(start.elapsed());
+    report.seconds = times;
+    report.peak_bytes = peak_bytes();
+    let reports = std::iter::once(directory.file(REPORT, &[&args.scene.path])?).chain(report_file);
+    for file in reports {
+        pending.push(file.write(|out| report.write(out))?);
+    }
+    watch.progress().check()?;
+    pending.into_iter().try_for_each(Pending::commit)?;
+    drop(watch);
+    if !args.common.quiet {
+        to_stdout(&summary::bake(&report, &args.output.display().to_string()));
+    }
+    Ok(Outcome::Done)
+}
+
+/// Exposures of the pictures of irradiance and of radiosity.
+struct Exposures {
+    irradiance: Exposure,
+    radiosity: Exposure,
+}
+
+fn compute(
+    args: &BakeArgs,
+    scene: &Scene,
+    tracer: &Tracer,
+    atlas: Atlas,
+    watch: &Watch,
+    times: &mut BakeSeconds,
+) -> Result<(Lightmap, BakeReport, Exposures)> {
+    let Solved { patches, form_factors, solution } =
+        args.job().solve(scene, tracer, watch, &mut times.stages)?;
+    let map;
+    (map, times.texels) = watch.stage("texels", || {
+        lightmap::bake(scene, tracer, (&patches, &solution), atlas, &args.options(), watch.progress())
+    })?;
+    let energy = EnergyLedger::of(&form_factors, &patches, &solution);
+    let exposures = Exposures {
+        irradiance: map.exposure().brighter(args.exposure),
+        radiosity: exposure::of_radiosity(&patches, &solution.radiosity).brighter(args.exposure),
+    };
+    let file = args.scene.path.display().to_string();
+    let scene_report = SceneReport::of(&file, scene, &patches);
+    let energy = EnergyReport::of(&energy);
+    let mut report = BakeReport::new(&map, scene, scene_report, energy, &args.options());
+    report.options.white = exposures.irradiance.white();
+    Ok((map, report, exposures))
+}
+
+/// A file that is to be written.
+struct File {
+    name: String,
+    output: OutputFile,
+    kind: Kind,
+}
+
+#[derive(Clone, Copy)]
+enum Kind {
+    Picture(Picture, usize, PictureFormat),
+    Mesh,
+    Materials,
+    OriginalCoordinates,
+}
+
+/// All files but the report.
+struct Files(Vec<File>);
+
+impl Files {
+    fn new(args: &BakeArgs, directory: &Directory, atlas: &Atlas, scene: &Scene) -> Result<Files> {
+        use PictureFormat::{Exr, Hdr, Png};
+        let mut wanted = Vec::new();
+        for page in 0..atlas.pages {
+            for format in [Exr, Hdr, Png] {
+                wanted.push(("lightmap", Picture::Irradiance, page, format));
+            }
+            wanted.push(("scene", Picture::Radiosity, page, Png));
+            if args.mask {
+                wanted.push(("mask", Picture::Mask, page, Png));
+            }
+            if args.standard_error {
+                wanted.push(("standard-error", Picture::StandardError, page, Exr));
+            }
+        }
+        let pictures = wanted.into_iter().map(|(stem, what, page, format)| {
+            (page_name(stem, page, format), Kind::Picture(what, page, format))
+        });
+        let mut meshes =
+            vec![("scene.obj".to_owned(), Kind::Mesh), ("scene.mtl".to_owned(), Kind::Materials)];
+        if atlas.refused.is_some() && !scene.texcoords.is_empty() {
+            meshes.push(("scene-original-uv.obj".to_owned(), Kind::OriginalCoordinates));
+        }
+        let inputs: [&Path; 1] = [&args.scene.path];
+        // The report is written last, but whether it can be is checked with the others.
+        directory.file(REPORT, &inputs)?;
+        let files = pictures
+            .chain(meshes)
+            .map(|(name, kind)| Ok(File { output: directory.file(&name, &inputs)?, name, kind }));
+        Ok(Files(files.collect::<Result<_>>()?))
+    }
+
+    fn write(self, map: &Lightmap, scene: &Scene, exposures: &Exposures) -> Result<Vec<Pending>> {
+        let write_one = |file: File| match file.kind {
+            Kind::Picture(what, page, format) => {
+                let film = map.picture(scene, what, page);
+                let exposure = match what {
+                    Picture::Irradiance | Picture::StandardError => exposures.irradiance,
+                    Picture::Radiosity => exposures.radiosity,
+                    Picture::Mask => Exposure::of_white(1.0),
+                };
+                file.output.write(|out| film.encode(out, format, exposure))
+            }
+            Kind::Mesh => file.output.write(|out| map.write_obj(scene, "scene.mtl", out)),
+            Kind::Materials => file
+                .output
+                .write(|out| map.write_mtl(scene, |page| page_name("scene", page, PictureFormat::Png), out)),
+            Kind::OriginalCoordinates => file.output.write(|out| write::write_original(scene, out)),
+        };
+        self.0.into_iter().map(write_one).collect()
+    }
+}

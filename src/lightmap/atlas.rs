@@ -1,0 +1,333 @@
+//! Where in the map each triangle lies.
+//!
+//! Coordinates that the file has are used when they suit a lightmap: inside the unit square, without overlap, with room
+//! between charts. Else new ones are made.
+
+use std::collections::HashMap;
+
+use glam::DVec2;
+
+use super::{overlap, raster, unwrap::unwrap};
+use crate::{Error, Result, scene::Scene, trace::Tracer};
+
+/// No chart.
+pub const NONE: u32 = u32::MAX;
+/// Charts end at edges where normals turn by more than this many degrees.
+pub(super) const CREASE: f64 = 30.0;
+/// No map is larger than this in either direction.
+pub const LARGEST: usize = 16_384;
+/// Pages of maps by texel length are no larger than this unless told.
+pub const PAGE: usize = 4096;
+/// Charts are wanted to be at least this many texels wide.
+const THIN: f64 = 2.0;
+
+/// How large a map is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Layout {
+    /// One square page of so many texels a side.
+    Resolution(usize),
+    /// Texels of this length, in the file's unit, on as many pages as it takes; none larger than so many texels a side.
+    Texel(f64, usize),
+}
+
+/// Whose texture coordinates to use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Coordinates {
+    /// The file's where they suit, else new ones.
+    #[default]
+    Auto,
+    /// The file's; an error where they do not suit.
+    File,
+    /// New ones.
+    New,
+}
+
+/// Texture coordinates that address a lightmap.
+#[derive(Debug, Clone)]
+pub struct Atlas {
+    /// Texels in a row.
+    pub width: usize,
+    /// Rows of a page.
+    pub height: usize,
+    /// Pages of this size.
+    pub pages: usize,
+    /// Texture coordinates in \[0, 1\], v upwards.
+    pub coordinates: Vec<DVec2>,
+    /// The coordinates of each triangle's corners.
+    pub corners: Vec<[u32; 3]>,
+    /// Chart of each triangle, [`NONE`] where it has no place in the map.
+    pub chart: Vec<u32>,
+    /// Page of each triangle.
+    pub page: Vec<u32>,
+    /// Number of charts.
+    pub charts: usize,
+    /// Why the file's coordinates were not used: `None` where they were.
+    pub refused: Option<String>,
+}
+
+impl Atlas {
+    /// Lays a scene out.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when the map would be too small for the charts or too large altogether, or when the file's
+    /// coordinates are demanded and do not suit.
+    pub fn new(scene: &Scene, tracer: &Tracer, layout: Layout, coordinates: Coordinates) -> Result<Atlas> {
+        let refused = match coordinates {
+            Coordinates::New => "new ones were demanded".to_owned(),
+            Coordinates::Auto | Coordinates::File => match own(scene, layout) {
+                Ok(atlas) => {
+                    let shared = atlas.shared_texels();
+                    if shared == 0 || coordinates == Coordinates::File {
+                        return Ok(atlas);
+                    }
+                    format!("{shared} texels of this size would belong to two charts")
+                }
+                Err(why) if coordinates == Coordinates::File => {
+                    return Err(Error::Usage {
+                        message: format!("the file's texture coordinates do not suit a lightmap: {why}"),
+                        hint: Some("leave --keep-uv out to have new ones made".into()),
+                    });
+                }
+                Err(why) => why,
+            },
+        };
+        let mut atlas = unwrap(scene, tracer, layout)?;
+        atlas.refused = Some(refused);
+        Ok(atlas)
+    }
+
+    /// The corners of a triangle in texels of its page; `None` where it has no place in the map.
+    pub fn texel_corners(&self, t: usize) -> Option<[DVec2; 3]> {
+        let size = DVec2::new(self.width as f64, self.height as f64);
+        (self.chart[t] != NONE).then(|| self.corners[t].map(|i| self.coordinates[i as usize] * size))
+    }
+
+    /// Texels of all pages.
+    pub fn texels(&self) -> usize {
+        self.pages * self.width * self.height
+    }
+
+    /// Number of texels that more than one chart covers a part of.
+    pub fn shared_texels(&self) -> usize {
+        let mut owner = vec![NONE; self.texels()];
+        let mut shared = vec![false; self.texels()];
+        for t in 0..self.corners.len() {
+            let Some(corners) = self.texel_corners(t) else { continue };
+            let page = self.page[t] as usize * self.width * self.height;
+            raster::for_each_texel(corners, |x, y, part| {
+                let at = page + y.min(self.height - 1) * self.width + x.min(self.width - 1);
+                // Coordinates are rounded to single precision; their charts may touch a texel by that.
+                if part.area() > 1e-9 {
+                    shared[at] |= owner[at] != NONE && owner[at] != self.chart[t];
+                    owner[at] = self.chart[t];
+                }
+            });
+        }
+        shared.iter().filter(|&&s| s).count()
+    }
+
+    /// Widths of the charts in texels: the least distance between two parallel lines with the chart between them.
+    pub fn chart_widths(&self) -> Vec<f64> {
+        let mut points = vec![Vec::new(); self.charts];
+        for t in 0..self.corners.len() {
+            if let Some(corners) = self.texel_corners(t) {
+                points[self.chart[t] as usize].extend(corners);
+            }
+        }
+        points.into_iter().map(width).collect()
+    }
+
+    /// How many charts are thinner than two texels, and the share of the mapped surface that they hold.
+    pub fn thin_charts(&self, scene: &Scene) -> (usize, f64) {
+        let thin: Vec<bool> = self.chart_widths().into_iter().map(|w| w < THIN).collect();
+        let (mut area, mut total) = (0.0, 0.0);
+        for t in (0..self.chart.len()).filter(|&t| self.chart[t] != NONE) {
+            total += scene.area(t);
+            area += if thin[self.chart[t] as usize] { scene.area(t) } else { 0.0 };
+        }
+        (thin.iter().filter(|&&t| t).count(), if total > 0.0 { area / total } else { 0.0 })
+    }
+
+    /// Root of the mean surface area a texel, in the file's unit.
+    pub fn texel_length(&self, scene: &Scene) -> f64 {
+        let (mut surface, mut texels) = (0.0, 0.0);
+        for t in 0..self.corners.len() {
+            if let Some([a, b, c]) = self.texel_corners(t) {
+                surface += scene.area(t);
+                texels += 0.5 * (b - a).perp_dot(c - a).abs();
+            }
+        }
+        if texels > 0.0 { (surface / texels).sqrt() } else { 0.0 }
+    }
+
+    /// Root mean square over the surface of ln(texels a surface area / its mean): 0 where texels are equally dense
+    /// everywhere, 0.1 where they vary by 10 %.
+    pub fn density_spread(&self, scene: &Scene) -> f64 {
+        let mean = self.texel_length(scene).powi(2);
+        let (mut squares, mut total) = (0.0, 0.0);
+        for t in 0..self.corners.len() {
+            if let Some([a, b, c]) = self.texel_corners(t) {
+                let (area, texels) = (scene.area(t), 0.5 * (b - a).perp_dot(c - a).abs());
+                if texels > 0.0 {
+                    squares += area * (texels * mean / area).ln().powi(2);
+                    total += area;
+                }
+            }
+        }
+        if total > 0.0 { (squares / total).sqrt() } else { 0.0 }
+    }
+}
+
+/// The file's own coordinates; the error says what is wrong with them.
+fn own(scene: &Scene, layout: Layout) -> std::result::Result<Atlas, String> {
+    if scene.texcoords.is_empty() {
+        return Err("there are none".into());
+    }
+    let triangle = |t: usize| format!("triangle {}", scene.triangles[t].source + 1);
+    if let Some(t) = (0..scene.texcoords.len())
+        .find(|&t| scene.texcoords[t].iter().any(|uv| uv.min_element() < 0.0 || uv.max_element() > 1.0))
+    {
+        return Err(format!("those of {} lie outside 0..1", triangle(t)));
+    }
+    let doubled = |[a, b, c]: [DVec2; 3]| (b - a).perp_dot(c - a).abs();
+    if let Some(t) = (0..scene.texcoords.len()).find(|&t| doubled(scene.texcoords[t]) == 0.0) {
+        return Err(format!("those of {} enclose no area", triangle(t)));
+    }
+    let pairs = overlap::find(&scene.texcoords, 3);
+    if !pairs.is_empty() {
+        let named: Vec<_> =
+            pairs.iter().map(|&[t, u]| format!("{} and {}", triangle(t), triangle(u))).collect();
+        return Err(format!("those of {} overlap", named.join(", of ")));
+    }
+    let area: f64 = scene.texcoords.iter().map(|&uv| 0.5 * doubled(uv)).sum();
+    let side = match layout {
+        Layout::Resolution(side) => side,
+        Layout::Texel(length, _) => {
+            let surface: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
+            ((surface / area).sqrt() / length).ceil().max(1.0) as usize
+        }
+    };
+    if side > LARGEST {
+        return Err(format!("texels of this length would need {side} of them a side"));
+    }
+    let (coordinates, corners) = share(scene);
+    let (chart, charts) = components(scene, &corners);
+    let page = vec![0; corners.len()];
+    Ok(Atlas {
+        width: side,
+        height: side,
+        pages: 1,
+        coordinates,
+        corners,
+        chart,
+        page,
+        charts,
+        refused: None,
+    })
+}
+
+/// Corners of the same vertex with the same coordinates share them.
+fn share(scene: &Scene) -> (Vec<DVec2>, Vec<[u32; 3]>) {
+    let (mut known, mut coordinates) = (HashMap::new(), Vec::new());
+    let corners = (0..scene.triangles.len())
+        .map(|t| {
+            std::array::from_fn(|k| {
+                let uv = scene.texcoords[t][k] + 0.0;
+                let key = (scene.triangles[t].vertices[k], uv.to_array().map(f64::to_bits));
+                *known.entry(key).or_insert_with(|| {
+                    coordinates.push(uv);
+                    coordinates.len() as u32 - 1
+                })
+            })
+        })
+        .collect();
+    (coordinates, corners)
+}
+
+/// Numbers the charts: triangles that share an edge in the map.
+fn components(scene: &Scene, corners: &[[u32; 3]]) -> (Vec<u32>, usize) {
+    let mut forest = Forest::new(corners.len());
+    let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
+    for (t, c) in corners.iter().enumerate() {
+        for k in 0..3 {
+            let (a, b) = (c[k], c[(k + 1) % 3]);
+            match edges.entry((a.min(b), a.max(b))) {
+                std::collections::hash_map::Entry::Occupied(other) => forest.unite(t, *other.get()),
+                std::collections::hash_map::Entry::Vacant(place) => drop(place.insert(t)),
+            }
+        }
+    }
+    debug_assert_eq!(corners.len(), scene.triangles.len());
+    forest.numbers()
+}
+
+/// Disjoint sets.
+pub(super) struct Forest(Vec<u32>);
+
+impl Forest {
+    pub(super) fn new(n: usize) -> Forest {
+        Forest((0..n as u32).collect())
+    }
+
+    fn root(&mut self, mut i: usize) -> usize {
+        while self.0[i] as usize != i {
+            self.0[i] = self.0[self.0[i] as usize];
+            i = self.0[i] as usize;
+        }
+        i
+    }
+
+    pub(super) fn unite(&mut self, i: usize, j: usize) {
+        let (i, j) = (self.root(i), self.root(j));
+        self.0[i.max(j)] = i.min(j) as u32;
+    }
+
+    /// The number of the set of each, in the order of their first members; and how many sets there are.
+    pub(super) fn numbers(mut self) -> (Vec<u32>, usize) {
+        let (mut count, mut numbers) = (0, vec![NONE; self.0.len()]);
+        for i in 0..self.0.len() {
+            let root = self.root(i);
+            if root == i {
+                numbers[i] = count;
+                count += 1;
+            } else {
+                numbers[i] = numbers[root];
+            }
+        }
+        (numbers, count as usize)
+    }
+}
+
+/// Least width of the convex hull of points: it is attained across one of the hull's edges.
+fn width(mut points: Vec<DVec2>) -> f64 {
+    points.sort_unstable_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    points.dedup();
+    // Andrew's monotone chain.
+    let mut hull: Vec<DVec2> = Vec::new();
+    for pass in 0..2 {
+        let start = hull.len();
+        let mut add = |p: DVec2| {
+            while hull.len() >= start + 2
+                && (hull[hull.len() - 1] - hull[hull.len() - 2]).perp_dot(p - hull[hull.len() - 1]) <= 0.0
+            {
+                hull.pop();
+            }
+            hull.push(p);
+        };
+        if pass == 0 {
+            points.iter().copied().for_each(&mut add)
+        } else {
+            points.iter().rev().copied().for_each(&mut add)
+        }
+        hull.pop();
+    }
+    if hull.len() < 3 {
+        return 0.0;
+    }
+    let across = |k: usize| {
+        let (a, b) = (hull[k], hull[(k + 1) % hull.len()]);
+        let edge = (b - a).normalize();
+        hull.iter().map(|&p| edge.perp_dot(p - a).abs()).fold(0.0, f64::max)
+    };
+    (0..hull.len()).map(across).fold(f64::INFINITY, f64::min)
+}

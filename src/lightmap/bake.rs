@@ -1,0 +1,138 @@
+//! The way from a solution to a finished map.
+
+use super::{
+    Atlas, BakeOptions, Coverage, Flux, Lightmap, Texel, denoise,
+    gather::{self, Noisy},
+    grid::Grid,
+    seams::Seams,
+    texels,
+};
+use crate::{
+    Progress, Result, output::final_gather::FinalGather, patch::Patches, scene::Scene, solve::Solution,
+    trace::Tracer,
+};
+
+/// Computes a map from a solution.
+///
+/// # Errors
+/// [`Error::Stopped`](crate::Error::Stopped).
+///
+/// # Panics
+/// When the solution is not one of these patches, or the atlas not one of this scene.
+pub fn bake(
+    scene: &Scene,
+    tracer: &Tracer,
+    (patches, solution): (&Patches, &Solution),
+    atlas: Atlas,
+    options: &BakeOptions,
+    progress: &Progress,
+) -> Result<Lightmap> {
+    assert_eq!(atlas.corners.len(), scene.triangles.len(), "the atlas is of another scene");
+    let sides = texels::lit_sides(patches, solution);
+    let coverage = Coverage::new(scene, &atlas);
+    let source = FinalGather::new(scene, tracer, patches, solution, 1);
+    let mut cells = if options.final_gather == 0 {
+        Cells::exact(texels::means(&atlas, &coverage, patches, solution, &sides))
+    } else {
+        let effort = (options.final_gather, options.seed);
+        Cells::gathered(gather::gather(&atlas, &coverage, tracer, &sides, &source, effort, progress)?)
+    };
+    let mut map = Lightmap {
+        irradiance: vec![[0.0; 3]; atlas.texels()],
+        texels: vec![Texel::Empty; atlas.texels()],
+        standard_error: Vec::new(),
+        open: cells.open.clone(),
+        flux: Flux::default(),
+        steps: Vec::new(),
+        seam_samples: 0,
+        seam_differences: [[0.0; 3]; 2],
+        other_sides_area: 0.0,
+        unmapped_area: 0.0,
+        atlas,
+        coverage,
+        sides,
+    };
+    map.add_up_solution(patches, solution);
+    map.show(&cells);
+    map.flux.map = map.surface_flux();
+    map.flux.standard_error = map.flux_error();
+    let grid = Grid::new(&map.atlas, &map.coverage);
+    progress.check()?;
+    if options.final_gather == 0 {
+        // Counted by the patches above, which tell nothing of it; a final gather knows from its rays.
+        let hidden = gather::hidden(&map.atlas, &map.coverage, tracer, &map.sides, &source, options.seed);
+        cells.open.iter_mut().zip(hidden).filter(|(_, hidden)| *hidden).for_each(|(open, _)| *open = 0.0);
+        map.step("hide", |map| {
+            map.open.clone_from(&cells.open);
+            map.show(&cells);
+        });
+    }
+    if options.denoise && options.final_gather > 0 {
+        let smooth = cells.denoised(&grid, &map.coverage);
+        map.step("denoise", |map| map.show(&smooth));
+    }
+    // Seams are compared by bilinear samples, which read texels outside the charts.
+    if options.dilate || options.close_seams {
+        map.step("dilate", |map| map.dilate(&grid));
+    }
+    progress.check()?;
+    if options.close_seams {
+        let seams = Seams::new(scene, &map.atlas, &map.sides);
+        map.seam_samples = seams.points();
+        map.seam_differences[0] = seams.difference(&map.irradiance);
+        map.step("seams", |map| {
+            let holds_surface = |at: usize| map.texels[at] == Texel::Valid;
+            seams.close(&mut map.irradiance, holds_surface);
+        });
+        map.seam_differences[1] = seams.difference(&map.irradiance);
+    }
+    if !options.dilate {
+        map.clear();
+    }
+    map.flux.finished = map.surface_flux();
+    Ok(map)
+}
+
+/// Values of covered texels.
+#[derive(Clone)]
+pub(super) struct Cells {
+    direct: Vec<Noisy>,
+    reflected: Vec<Noisy>,
+    pub(super) open: Vec<f32>,
+    /// Whether values have error bars.
+    pub(super) sampled: bool,
+}
+
+impl Cells {
+    fn gathered(texels: Vec<gather::Texel>) -> Cells {
+        Cells {
+            direct: texels.iter().map(|t| t.direct).collect(),
+            reflected: texels.iter().map(|t| t.reflected).collect(),
+            open: texels.iter().map(|t| t.open).collect(),
+            sampled: true,
+        }
+    }
+
+    /// Exact means.
+    fn exact(means: Vec<[f32; 3]>) -> Cells {
+        let reflected: Vec<Noisy> =
+            means.into_iter().map(|mean| Noisy { mean, variance: [0.0; 3] }).collect();
+        let n = reflected.len();
+        Cells { direct: vec![Noisy::default(); n], reflected, open: vec![1.0; n], sampled: false }
+    }
+
+    fn denoised(&self, grid: &Grid, coverage: &Coverage) -> Cells {
+        let counts = |i: usize| self.open[i] > 0.0;
+        let [direct, reflected] =
+            [&self.direct, &self.reflected].map(|signal| denoise::filter(grid, coverage, signal, counts));
+        Cells { direct, reflected, ..self.clone() }
+    }
+
+    pub(super) fn mean(&self, i: usize) -> [f32; 3] {
+        std::array::from_fn(|c| self.direct[i].mean[c] + self.reflected[i].mean[c])
+    }
+
+    pub(super) fn standard_error(&self, i: usize) -> [f32; 3] {
+        std::array::from_fn(|c| (self.direct[i].variance[c] + self.reflected[i].variance[c]).sqrt())
+    }
+}

@@ -1,0 +1,368 @@
+//! Lightmaps: the irradiance of a scene's surface as an image.
+//!
+//! [`Atlas`] says where in the map each triangle lies, [`Coverage`] which parts of which triangles each texel holds.
+//! [`bake`] gives every texel the mean irradiance of that part, exactly from the patches or sharper by a final gather,
+//! and then prepares the map for bilinear sampling: noise is taken out, texels without surface get values, seams are
+//! closed. Each of these steps can be left out and says what it did to the energy.
+//!
+//! The map is of the fronts of triangles; of the back where no light reaches the front but some reaches the back.
+
+mod atlas;
+mod bake;
+mod coverage;
+mod denoise;
+mod dilation;
+mod gather;
+mod grid;
+mod overlap;
+mod raster;
+pub mod report;
+mod seams;
+mod texels;
+mod unwrap;
+pub mod write;
+
+use std::f64::consts::PI;
+
+use glam::DVec2;
+
+pub use self::{
+    atlas::{Atlas, Coordinates, LARGEST, Layout, NONE, PAGE},
+    bake::bake,
+    coverage::{Coverage, Piece},
+    raster::Polygon,
+};
+use self::{bake::Cells, grid::Grid};
+use crate::{
+    output::final_gather::outgoing,
+    patch::Patches,
+    scene::Scene,
+    solve::Solution,
+    tone::{luminance, rgb},
+    trace::Hit,
+};
+
+/// How a map is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BakeOptions {
+    /// Hemisphere rays of the final gather a texel, and as many to lamps; 0 takes the patches as they are.
+    pub final_gather: u32,
+    /// Whether noise of the final gather is taken out as far as its error bars allow.
+    pub denoise: bool,
+    /// Whether texels without surface get values for bilinear sampling.
+    pub dilate: bool,
+    /// Whether both sides of seams are made to agree.
+    pub close_seams: bool,
+    /// Everything is a function of it.
+    pub seed: u64,
+}
+
+impl Default for BakeOptions {
+    /// 32 rays a texel and all steps, seed 0.
+    fn default() -> Self {
+        BakeOptions { final_gather: 32, denoise: true, dilate: true, close_seams: true, seed: 0 }
+    }
+}
+
+/// What a texel holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Texel {
+    /// No surface, and black.
+    Empty,
+    /// Irradiance of surface.
+    Valid,
+    /// Surface that no light can reach, inside a solid; the value, if any, comes from neighbours.
+    Hidden,
+    /// No surface; the value comes from neighbours.
+    Dilated,
+}
+
+/// What a step did to the map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// `hide`, `denoise`, `dilate` or `seams`.
+    pub name: &'static str,
+    /// By how much it changed the flux on the surface, W.
+    pub flux_change: [f64; 3],
+    /// The change relative to the flux before, of the channel where it is largest.
+    pub relative: f64,
+}
+
+/// Flux on the surface, Σ area · E, in W.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Flux {
+    /// By the solver, on the sides of triangles that the map is of.
+    pub solver: [f64; 3],
+    /// By the texels as computed.
+    pub map: [f64; 3],
+    /// Standard error of that from the final gather; what the solver is off by is not in it.
+    pub standard_error: [f64; 3],
+    /// By the finished texels.
+    pub finished: [f64; 3],
+    /// By the solver, on triangles that have no place in the map.
+    pub unmapped: [f64; 3],
+    /// By the solver, on the sides of triangles that the map is not of.
+    pub other_sides: [f64; 3],
+}
+
+/// The irradiance of a scene's surface as an image.
+#[derive(Debug, Clone)]
+pub struct Lightmap {
+    atlas: Atlas,
+    coverage: Coverage,
+    /// Whether the map is of the front of each triangle.
+    sides: Vec<bool>,
+    irradiance: Vec<[f32; 3]>,
+    texels: Vec<Texel>,
+    /// Standard error of each covered texel; empty without a final gather.
+    standard_error: Vec<[f32; 3]>,
+    /// Share of the covered part that is not hidden, of each covered texel.
+    open: Vec<f32>,
+    flux: Flux,
+    steps: Vec<Step>,
+    seam_samples: usize,
+    /// Differences across seams before and after they were closed.
+    seam_differences: [[f64; 3]; 2],
+    other_sides_area: f64,
+    unmapped_area: f64,
+}
+
+impl Lightmap {
+    /// Where each triangle lies.
+    pub fn atlas(&self) -> &Atlas {
+        &self.atlas
+    }
+
+    /// Which texels hold which surface.
+    pub fn coverage(&self) -> &Coverage {
+        &self.coverage
+    }
+
+    /// Whether the map is of the front of a triangle, not of its back.
+    pub fn is_of_front(&self, triangle: usize) -> bool {
+        self.sides[triangle]
+    }
+
+    /// Irradiance of all texels, W/m²: page by page, row by row from below.
+    pub fn irradiance(&self) -> &[[f32; 3]] {
+        &self.irradiance
+    }
+
+    /// What every texel holds, in the same order.
+    pub fn texels(&self) -> &[Texel] {
+        &self.texels
+    }
+
+    /// Standard error of every covered texel ([`Coverage::texels`]) from the final gather; empty without one. What
+    /// the solution itself is off by is not in it, nor what the steps after the gather may have added.
+    pub fn standard_error(&self) -> &[[f32; 3]] {
+        &self.standard_error
+    }
+
+    /// Energy of the map against the solver's.
+    pub fn flux(&self) -> &Flux {
+        &self.flux
+    }
+
+    /// What each step after the computation did.
+    pub fn steps(&self) -> &[Step] {
+        &self.steps
+    }
+
+    /// Number of points at which seams were compared, and the root mean square of the differences across them, a
+    /// channel, before and after they were closed.
+    pub fn seams(&self) -> (usize, [[f64; 3]; 2]) {
+        (self.seam_samples, self.seam_differences)
+    }
+
+    /// Area of sides that are lit and have no texels, because the map is of the other side of their triangles.
+    pub fn other_sides_area(&self) -> f64 {
+        self.other_sides_area
+    }
+
+    /// Area of triangles without a place in the map.
+    pub fn unmapped_area(&self) -> f64 {
+        self.unmapped_area
+    }
+
+    /// Area, not hidden, of covered texel `i`.
+    pub fn open_area(&self, i: usize) -> f64 {
+        self.coverage.area(i) * f64::from(self.open[i])
+    }
+
+    /// Irradiance at a point of a triangle, read from the map bilinearly as a viewer does; `None` for triangles without a
+    /// place in it.
+    pub fn at(&self, triangle: usize, barycentric: [f64; 3]) -> Option<[f64; 3]> {
+        let corners = self.atlas.texel_corners(triangle)?;
+        let p: DVec2 = (0..3).map(|k| corners[k] * barycentric[k]).sum();
+        let mut sum = [0.0; 3];
+        for (at, weight) in bilinear(&self.atlas, self.atlas.page[triangle] as usize, p) {
+            (0..3).for_each(|c| sum[c] += weight * f64::from(self.irradiance[at as usize][c]));
+        }
+        Some(sum)
+    }
+
+    /// Radiance that leaves the point that a ray hit, from the map alone; sides that it is not of are black but for
+    /// what they emit.
+    pub fn radiance(&self, scene: &Scene, hit: &Hit) -> [f64; 3] {
+        let t = hit.triangle as usize;
+        let irradiance = self.at(t, hit.barycentric.map(f64::from)).filter(|_| hit.front == self.sides[t]);
+        outgoing(scene, hit, irradiance.unwrap_or_default().into())
+    }
+
+    /// Root mean square of the standard errors over the lit surface relative to its mean irradiance, of the worst
+    /// channel; 0 without a final gather.
+    pub fn relative_error(&self) -> f64 {
+        let (mut area, mut squares, mut sums) = (0.0, [0.0; 3], [0.0; 3]);
+        for i in 0..self.standard_error.len() {
+            let a = self.open_area(i);
+            area += a;
+            for c in 0..3 {
+                squares[c] += a * f64::from(self.standard_error[i][c]).powi(2);
+                sums[c] += a * f64::from(self.irradiance[self.coverage.texels()[i] as usize][c]);
+            }
+        }
+        (0..3)
+            .filter(|&c| sums[c] > 0.0)
+            .map(|c| (squares[c] / area).sqrt() / (sums[c] / area))
+            .fold(0.0, f64::max)
+    }
+
+    /// Radiosity of every texel that has a value, W/m², with the mean reflectance and emission of what it holds.
+    fn radiosity(&self, scene: &Scene) -> Vec<[f32; 3]> {
+        use rayon::prelude::*;
+        let mut out = vec![[0.0; 3]; self.irradiance.len()];
+        let values: Vec<[f32; 3]> = (0..self.coverage.len())
+            .into_par_iter()
+            .map(|i| {
+                let e = self.irradiance[self.coverage.texels()[i] as usize];
+                let (mut sum, mut total) = ([0.0; 3], 0.0);
+                for piece in self.coverage.pieces(i) {
+                    let t = piece.triangle as usize;
+                    let part = self.coverage.barycentric_part(&self.atlas, i, t);
+                    let whole: f64 = part.fan().map(|(_, share)| share).sum();
+                    for (corners, share) in part.fan().filter(|(_, share)| *share > 0.0) {
+                        let weight = piece.area * share / whole;
+                        let rho = scene.mean_reflectance(t, &corners);
+                        let emitted = if self.sides[t] { scene.mean_emission(t, &corners) } else { [0.0; 3] };
+                        (0..3).for_each(|c| sum[c] += weight * (PI * emitted[c] + rho[c] * f64::from(e[c])));
+                        total += weight;
+                    }
+                }
+                sum.map(|s| if total > 0.0 { (s / total) as f32 } else { 0.0 })
+            })
+            .collect();
+        for (&at, value) in self.coverage.texels().iter().zip(values) {
+            out[at as usize] = value;
+        }
+        out
+    }
+
+    /// Puts values into the texels that hold open surface.
+    fn show(&mut self, cells: &Cells) {
+        for (i, &at) in self.coverage.texels().iter().enumerate() {
+            let open = cells.open[i] > 0.0;
+            self.irradiance[at as usize] = if open { cells.mean(i) } else { [0.0; 3] };
+            self.texels[at as usize] = if open { Texel::Valid } else { Texel::Hidden };
+        }
+        if cells.sampled {
+            self.standard_error = (0..cells.open.len()).map(|i| cells.standard_error(i)).collect();
+        }
+    }
+
+    fn dilate(&mut self, grid: &Grid) {
+        let mut owner = vec![NONE; self.texels.len()];
+        for (i, &at) in self.coverage.texels().iter().enumerate() {
+            if self.open[i] > 0.0 {
+                owner[at as usize] = grid.chart(i);
+            }
+        }
+        dilation::dilate(grid, &mut owner, &mut self.irradiance);
+        for (texel, owner) in self.texels.iter_mut().zip(owner) {
+            if *texel == Texel::Empty && owner != NONE {
+                *texel = Texel::Dilated;
+            }
+        }
+    }
+
+    /// Takes the values from texels without open surface.
+    fn clear(&mut self) {
+        for (texel, value) in self.texels.iter_mut().zip(&mut self.irradiance) {
+            if *texel == Texel::Dilated {
+                *texel = Texel::Empty;
+            }
+            if *texel != Texel::Valid {
+                *value = [0.0; 3];
+            }
+        }
+        self.steps.retain(|step| step.name != "dilate");
+    }
+
+    /// Does a step and notes what it does to the flux.
+    fn step(&mut self, name: &'static str, work: impl FnOnce(&mut Lightmap)) {
+        let before = self.surface_flux();
+        work(self);
+        let after = self.surface_flux();
+        let flux_change: [f64; 3] = std::array::from_fn(|c| after[c] - before[c]);
+        let relative = (0..3).filter(|&c| before[c] > 0.0).map(|c| flux_change[c] / before[c]);
+        let relative = relative.fold(0.0, |worst: f64, x| if x.abs() > worst.abs() { x } else { worst });
+        self.steps.push(Step { name, flux_change, relative });
+    }
+
+    /// Σ area · E over the texels that hold open surface.
+    fn surface_flux(&self) -> [f64; 3] {
+        let mut flux = [0.0; 3];
+        for (i, &at) in self.coverage.texels().iter().enumerate() {
+            let (area, e) = (self.open_area(i), self.irradiance[at as usize]);
+            (0..3).for_each(|c| flux[c] += area * f64::from(e[c]));
+        }
+        flux
+    }
+
+    fn flux_error(&self) -> [f64; 3] {
+        let mut squares = [0.0; 3];
+        for (i, error) in self.standard_error.iter().enumerate() {
+            let area = self.open_area(i);
+            (0..3).for_each(|c| squares[c] += (area * f64::from(error[c])).powi(2));
+        }
+        squares.map(f64::sqrt)
+    }
+
+    /// The solver's flux on what the map is of, and on what it is not of.
+    fn add_up_solution(&mut self, patches: &Patches, solution: &Solution) {
+        let channels = solution.channels;
+        for i in 0..patches.len() {
+            let t = patches.triangle(i);
+            let e = rgb(&solution.irradiance[i * channels..][..channels]);
+            let of_map = patches.is_front(i) == self.sides[t];
+            let area = patches.area(i);
+            let sum = if !of_map {
+                self.other_sides_area += if luminance(e) > 0.0 { area } else { 0.0 };
+                &mut self.flux.other_sides
+            } else if self.atlas.chart[t] == NONE {
+                self.unmapped_area += area;
+                &mut self.flux.unmapped
+            } else {
+                &mut self.flux.solver
+            };
+            (0..3).for_each(|c| sum[c] += area * e[c]);
+        }
+    }
+}
+
+/// The four texels that a bilinear sample at a point reads, `p` in texels of its page, and their weights. Values are at
+/// the centres of texels; beyond the outermost centres they go on.
+fn bilinear(atlas: &Atlas, page: usize, p: DVec2) -> [(u32, f64); 4] {
+    let most = DVec2::new((atlas.width - 1) as f64, (atlas.height - 1) as f64);
+    let q = (p - 0.5).clamp(DVec2::ZERO, most);
+    let low = q.floor();
+    let f = q - low;
+    let high = (low + 1.0).min(most);
+    let at = |x: f64, y: f64| ((page * atlas.height + y as usize) * atlas.width + x as usize) as u32;
+    [
+        (at(low.x, low.y), (1.0 - f.x) * (1.0 - f.y)),
+        (at(high.x, low.y), f.x * (1.0 - f.y)),
+        (at(low.x, high.y), (1.0 - f.x) * f.y),
+        (at(high.x, high.y), f.x * f.y),
+    ]
+}

@@ -1,0 +1,325 @@
+//! The figures of a bake as JSON.
+
+use std::io::{self, Write};
+
+use serde::Serialize;
+
+use super::{BakeOptions, Lightmap, Texel, atlas::NONE};
+use crate::{
+    output::report::{EnergyReport, SceneReport, Seconds},
+    scene::Scene,
+};
+
+/// A step that changes the flux by more than this share is worth a warning.
+const NOTABLE: f64 = 1e-3;
+/// The same of light on sides without texels. Some always gets in where patches reach under a wall.
+const NOTABLE_OTHER_SIDES: f64 = 1e-2;
+
+/// What `radiosity bake` writes to `report.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BakeReport {
+    /// Version of the program.
+    pub version: &'static str,
+    /// What was computed on.
+    pub scene: SceneReport,
+    /// Where the light went, by the solver.
+    pub energy: EnergyReport,
+    /// Layout of the map.
+    pub atlas: AtlasReport,
+    /// What the texels hold.
+    pub texels: TexelsReport,
+    /// Energy of the map.
+    pub flux: FluxReport,
+    /// What was done to the map after it was computed.
+    pub steps: Vec<StepReport>,
+    /// Differences across seams.
+    pub seams: SeamsReport,
+    /// Surface that the map is not of.
+    pub left_out: LeftOutReport,
+    /// Root mean square over the surface of the texels' standard errors, relative to the mean irradiance, of the worst
+    /// channel, as denoised; `null` without a final gather. What the solution is off by is not in it.
+    pub rms_relative: Option<f64>,
+    /// Files written, in the output directory.
+    pub files: Vec<String>,
+    /// Things to look at, a sentence each.
+    pub warnings: Vec<String>,
+    /// Time of each stage.
+    pub seconds: BakeSeconds,
+    /// Most memory held at any time; `null` where the operating system does not tell.
+    pub peak_bytes: Option<u64>,
+    /// What was asked for.
+    pub options: BakeOptionsReport,
+}
+
+/// Layout of the map.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AtlasReport {
+    /// Texels in a row of a page.
+    pub width: usize,
+    /// Rows of a page.
+    pub height: usize,
+    /// Number of pages.
+    pub pages: usize,
+    /// `file` or `made`.
+    pub coordinates: &'static str,
+    /// Why the file's own were not used; `null` where they were.
+    pub refused: Option<String>,
+    /// Number of charts.
+    pub charts: usize,
+    /// Charts thinner than two texels.
+    pub thin_charts: usize,
+    /// Share of the mapped surface that they hold.
+    pub thin_share: f64,
+    /// Texels that two charts share.
+    pub shared_texels: usize,
+    /// Root of the mean surface area a texel, in the scene's unit.
+    pub texel_length: f64,
+    /// Root mean square of ln(texels an area / its mean).
+    pub density_spread: f64,
+}
+
+/// How many texels hold what.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct TexelsReport {
+    /// Surface.
+    pub valid: usize,
+    /// Surface inside solids.
+    pub hidden: usize,
+    /// No surface, but a value from neighbours.
+    pub dilated: usize,
+    /// Nothing.
+    pub empty: usize,
+}
+
+/// Flux on the surface, W.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FluxReport {
+    /// By the solver.
+    pub solver: [f64; 3],
+    /// By the texels as computed.
+    pub map: [f64; 3],
+    /// (map - solver) / solver of the worst channel.
+    pub relative_difference: f64,
+    /// Standard error of the map's flux from the final gather.
+    pub standard_error: [f64; 3],
+    /// By the texels as written.
+    pub finished: [f64; 3],
+}
+
+/// What a step did.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct StepReport {
+    /// Its name.
+    pub name: &'static str,
+    /// By how much it changed the flux, W.
+    pub flux_change: [f64; 3],
+    /// The same relative to the flux before, of the worst channel.
+    pub relative: f64,
+}
+
+/// Differences across seams, W/m².
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SeamsReport {
+    /// Points compared.
+    pub samples: usize,
+    /// Root mean square before they were closed.
+    pub before: [f64; 3],
+    /// And after.
+    pub after: [f64; 3],
+}
+
+/// Surface without texels.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct LeftOutReport {
+    /// Area of lit sides whose triangle is mapped by its other side, which is lit too.
+    pub other_sides_area: f64,
+    /// Flux on them, W.
+    pub other_sides_flux: [f64; 3],
+    /// Triangles mapped by their backs, because only those are lit.
+    pub mapped_by_back: usize,
+    /// Area of triangles that are too thin to have a place in the map.
+    pub unmapped_area: f64,
+    /// Flux on them, W.
+    pub unmapped_flux: [f64; 3],
+}
+
+/// Wall-clock time of each stage in seconds.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct BakeSeconds {
+    /// The stages of a solution.
+    #[serde(flatten)]
+    pub stages: Seconds,
+    /// Laying out the charts.
+    pub atlas: f64,
+    /// Computing the texels.
+    pub texels: f64,
+}
+
+/// What was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct BakeOptionsReport {
+    /// Rays of the final gather a texel.
+    pub final_gather: u32,
+    /// Whether noise was taken out.
+    pub denoise: bool,
+    /// Whether texels without surface were filled.
+    pub dilate: bool,
+    /// Whether seams were closed.
+    pub close_seams: bool,
+    /// Seed.
+    pub seed: u64,
+    /// Irradiance shown as white in `lightmap.png`, W/m².
+    pub white: f64,
+}
+
+impl BakeReport {
+    /// Collects the figures of a map. Files, times, peak memory and the scene's warnings are for the caller to add.
+    pub fn new(
+        map: &Lightmap,
+        scene: &Scene,
+        scene_report: SceneReport,
+        energy: EnergyReport,
+        options: &BakeOptions,
+    ) -> BakeReport {
+        let (samples, [before, after]) = map.seams();
+        let flux = map.flux();
+        let differences =
+            (0..3).filter(|&c| flux.solver[c] > 0.0).map(|c| flux.map[c] / flux.solver[c] - 1.0);
+        let worst = |x: f64, y: f64| if y.abs() > x.abs() { y } else { x };
+        let mut report = BakeReport {
+            version: env!("CARGO_PKG_VERSION"),
+            scene: scene_report,
+            energy,
+            atlas: AtlasReport::new(map, scene),
+            texels: TexelsReport::new(map),
+            flux: FluxReport {
+                solver: flux.solver,
+                map: flux.map,
+                relative_difference: differences.fold(0.0, worst),
+                standard_error: flux.standard_error,
+                finished: flux.finished,
+            },
+            steps: map
+                .steps()
+                .iter()
+                .map(|s| StepReport { name: s.name, flux_change: s.flux_change, relative: s.relative })
+                .collect(),
+            seams: SeamsReport { samples, before, after },
+            left_out: LeftOutReport {
+                other_sides_area: map.other_sides_area(),
+                other_sides_flux: flux.other_sides,
+                mapped_by_back: (0..scene.triangles.len()).filter(|&t| !map.is_of_front(t)).count(),
+                unmapped_area: map.unmapped_area(),
+                unmapped_flux: flux.unmapped,
+            },
+            rms_relative: (options.final_gather > 0).then(|| map.relative_error()),
+            files: Vec::new(),
+            warnings: Vec::new(),
+            seconds: BakeSeconds::default(),
+            peak_bytes: None,
+            options: BakeOptionsReport {
+                final_gather: options.final_gather,
+                denoise: options.denoise,
+                dilate: options.dilate,
+                close_seams: options.close_seams,
+                seed: options.seed,
+                white: map.exposure().white(),
+            },
+        };
+        report.warnings = report.objections();
+        report
+    }
+
+    /// What a user should look at.
+    fn objections(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        let atlas = &self.atlas;
+        if atlas.thin_charts > 0 {
+            warnings.push(format!(
+                "{} of {} charts, with {:.2} % of the surface, are thinner than two texels: choose more texels",
+                atlas.thin_charts,
+                atlas.charts,
+                100.0 * atlas.thin_share
+            ));
+        }
+        if atlas.shared_texels > 0 {
+            warnings.push(format!(
+                "{} texels belong to two charts: light leaks between them",
+                atlas.shared_texels
+            ));
+        }
+        for step in self.steps.iter().filter(|step| step.relative.abs() > NOTABLE) {
+            warnings.push(format!(
+                "the step {} changed the flux by {:+.2} %",
+                step.name,
+                100.0 * step.relative
+            ));
+        }
+        let left_out = &self.left_out;
+        let other_sides = share(left_out.other_sides_flux, self.flux.solver);
+        if other_sides > NOTABLE_OTHER_SIDES {
+            warnings.push(format!(
+                "lit on both sides, mapped on one: an area of {:.4e} with {:.2} % of the flux has no texels",
+                left_out.other_sides_area,
+                100.0 * other_sides
+            ));
+        }
+        if left_out.unmapped_area > 0.0 {
+            warnings.push(format!(
+                "triangles too thin for the map, with an area of {:.4e}, have no texels",
+                left_out.unmapped_area
+            ));
+        }
+        warnings
+    }
+
+    /// Writes it as indented JSON with a line end after it.
+    ///
+    /// # Errors
+    /// What `out` says.
+    pub fn write(&self, mut out: &mut dyn Write) -> io::Result<()> {
+        serde_json::to_writer_pretty(&mut out, self)?;
+        out.write_all(b"\n")
+    }
+}
+
+/// The largest share of a whole, over the channels.
+fn share(part: [f64; 3], whole: [f64; 3]) -> f64 {
+    (0..3).filter(|&c| whole[c] > 0.0).map(|c| part[c] / whole[c]).fold(0.0, f64::max)
+}
+
+impl AtlasReport {
+    fn new(map: &Lightmap, scene: &Scene) -> AtlasReport {
+        let atlas = map.atlas();
+        let (thin_charts, thin_share) = atlas.thin_charts(scene);
+        debug_assert!(atlas.chart.iter().all(|&c| c == NONE || (c as usize) < atlas.charts));
+        AtlasReport {
+            width: atlas.width,
+            height: atlas.height,
+            pages: atlas.pages,
+            coordinates: if atlas.refused.is_none() { "file" } else { "made" },
+            refused: atlas.refused.clone(),
+            charts: atlas.charts,
+            thin_charts,
+            thin_share,
+            shared_texels: atlas.shared_texels(),
+            texel_length: atlas.texel_length(scene),
+            density_spread: atlas.density_spread(scene),
+        }
+    }
+}
+
+impl TexelsReport {
+    fn new(map: &Lightmap) -> TexelsReport {
+        let mut count = TexelsReport::default();
+        for texel in map.texels() {
+            *match texel {
+                Texel::Valid => &mut count.valid,
+                Texel::Hidden => &mut count.hidden,
+                Texel::Dilated => &mut count.dilated,
+                Texel::Empty => &mut count.empty,
+            } += 1;
+        }
+        count
+    }
+}

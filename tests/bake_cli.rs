@@ -1,0 +1,192 @@
+//! Lightmaps, as the shell sees them.
+
+mod cli_common;
+
+use std::fs;
+
+use cli_common::{Here, stderr};
+use glam::{DVec2, DVec3, dvec3};
+use radiosity::Scene;
+
+const MTL: &str = "newmtl wall\nKd 0.5 0.5 0.5\nnewmtl lamp\nKd 0 0 0\nKe 5 5 5\n";
+/// A square floor and a lamp above it, both with the same texture coordinates.
+const OBJ: &str = "mtllib scene.mtl\nv 0 0 0\nv 0 0 1\nv 1 0 1\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 1 1 1\nv 0 1 1\n\
+    vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl wall\nf 1/1 2/2 3/3 4/4\nusemtl lamp\nf 5/1 6/2 7/3 8/4\n";
+
+fn here() -> Here {
+    Here::new(OBJ, MTL)
+}
+
+fn cornell() -> String {
+    format!("{}/meshes/cornell-box.obj", env!("CARGO_MANIFEST_DIR"))
+}
+
+fn bake(here: &Here, arguments: &str) {
+    let output = here.run(&format!("bake {arguments} --quality draft --quiet"));
+    assert_eq!(output.status.code(), Some(0), "{arguments}: {}", stderr(&output));
+    assert!(output.stdout.is_empty());
+}
+
+/// Weights of the corners of a triangle at a point of its plane.
+fn barycentric([a, b, c]: [DVec3; 3], p: DVec3) -> [f64; 3] {
+    let n = (b - a).cross(c - a);
+    let share = |u: DVec3, v: DVec3| (u - p).cross(v - p).dot(n) / n.length_squared();
+    [share(b, c), share(c, a), share(a, b)]
+}
+
+#[test]
+fn the_files_alone_tell_the_light_at_a_point() {
+    let here = here();
+    bake(&here, &format!("{} -o out/deep --resolution 128 --mask --standard-error", cornell()));
+    let mut names: Vec<_> = fs::read_dir(here.path("out/deep"))
+        .unwrap()
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    let expected = [
+        "lightmap.exr",
+        "lightmap.hdr",
+        "lightmap.png",
+        "mask.png",
+        "report.json",
+        "scene.mtl",
+        "scene.obj",
+        "scene.png",
+        "standard-error.exr",
+    ];
+    assert_eq!(names, expected);
+    let report = here.json("out/deep/report.json");
+    assert_eq!(report["files"].as_array().unwrap().len(), expected.len() - 1);
+    assert_eq!((&report["atlas"]["width"], &report["atlas"]["pages"]), (&128.into(), &1.into()));
+
+    // On the floor, on the green and red walls, on top of the short block.
+    let probes = [
+        (dvec3(80.0, 0.0, 420.0), DVec3::Y),
+        (dvec3(470.0, 0.0, 80.0), DVec3::Y),
+        (dvec3(0.0, 400.0, 150.0), DVec3::X),
+        (dvec3(556.0, 150.0, 400.0), -DVec3::X),
+        (dvec3(186.0, 165.0, 168.0), DVec3::Y),
+    ];
+    let lines: Vec<String> =
+        probes.iter().map(|(p, n)| format!("{} {} {} {} {} {}", p.x, p.y, p.z, n.x, n.y, n.z)).collect();
+    fs::write(here.path("points.txt"), lines.join("\n")).unwrap();
+    here.run(&format!("probe {} --points points.txt -o truth.txt --spp 4096", cornell()));
+    let truth = String::from_utf8(here.read("truth.txt")).unwrap();
+
+    let scene = Scene::load(here.path("out/deep/scene.obj")).unwrap();
+    assert!(scene.warnings.is_empty(), "{:?}", scene.warnings);
+    let map = image::open(here.path("out/deep/lightmap.exr")).unwrap().to_rgb32f();
+    for ((point, normal), line) in probes.iter().zip(truth.lines()) {
+        let numbers: Vec<f64> = line.split_whitespace().map(|w| w.parse().unwrap()).collect();
+        let (t, weights) = (0..scene.triangles.len())
+            .filter(|&t| scene.normal(t).dot(*normal) > 0.999)
+            .filter(|&t| ((scene.corners(t)[0] - *point).dot(*normal)).abs() < 1e-6)
+            .map(|t| (t, barycentric(scene.corners(t), *point)))
+            .find(|(_, w)| w.iter().all(|&x| x >= 0.0))
+            .unwrap();
+        let uv: DVec2 = (0..3).map(|k| scene.texcoords[t][k] * weights[k]).sum();
+        // v is upwards, rows of an image are downwards.
+        let (x, y) = ((uv.x * 128.0) as u32, ((1.0 - uv.y) * 128.0) as u32);
+        let found = map.get_pixel(x, y).0.map(f64::from);
+        // A texel is 13 mm of a room of 556, its light up to 5 % off beside paths' and texels' noise of 1 %.
+        for c in 0..3 {
+            assert!((found[c] / numbers[6 + c] - 1.0).abs() < 0.1, "{found:?} at {line}");
+        }
+    }
+}
+
+#[test]
+fn the_same_bytes_for_any_number_of_threads() {
+    let here = here();
+    let files = ["lightmap.exr", "lightmap.hdr", "lightmap.png", "scene.obj", "scene.mtl", "scene.png"];
+    let runs: Vec<Vec<Vec<u8>>> = [1, 2, 5]
+        .map(|threads| {
+            bake(
+                &here,
+                &format!("{} -o out --resolution 96 --final-gather 8 --threads {threads}", cornell()),
+            );
+            files.iter().map(|name| here.read(&format!("out/{name}"))).collect()
+        })
+        .into();
+    assert!(runs[0] == runs[1] && runs[0] == runs[2]);
+    bake(&here, &format!("{} -o out --resolution 96 --final-gather 8 --seed 1", cornell()));
+    assert!(here.read("out/lightmap.exr") != runs[0][0], "another seed gives another map");
+}
+
+#[test]
+fn own_coordinates_that_do_not_suit_are_kept_beside() {
+    let here = here();
+    bake(&here, "scene.obj -o out --resolution 32 --final-gather 4 --report out/report.json");
+    let report = here.json("out/report.json");
+    let why = report["atlas"]["refused"].as_str().unwrap();
+    assert!(why.contains("triangle 1 and triangle 3"), "{why}");
+    let [made, original] =
+        ["out/scene.obj", "out/scene-original-uv.obj"].map(|name| Scene::load(here.path(name)).unwrap());
+    assert_eq!(made.triangles, original.triangles);
+    assert_eq!(made.vertices, original.vertices);
+    assert_eq!(original.texcoords, Scene::load(here.path("scene.obj")).unwrap().texcoords);
+    assert_ne!(made.texcoords, original.texcoords);
+    // What has been baked can be used again, here with its own coordinates, which now suit.
+    fs::write(here.path("out/scene.mtl"), MTL).unwrap();
+    bake(&here, "out/scene.obj -o again --resolution 32 --final-gather 0 --keep-uv");
+    assert!(here.json("again/report.json")["atlas"]["refused"].is_null());
+    assert!(!here.path("again/scene-original-uv.obj").exists());
+}
+
+#[test]
+fn pages_have_their_own_files_and_materials() {
+    let here = here();
+    bake(&here, &format!("{} -o out --texel 10 --resolution 100 --final-gather 0", cornell()));
+    let pages = here.json("out/report.json")["atlas"]["pages"].as_u64().unwrap();
+    assert!(pages > 1);
+    let materials = String::from_utf8(here.read("out/scene.mtl")).unwrap();
+    for page in 2..=pages {
+        assert!(materials.contains(&format!("map_Kd scene-{page}.png")));
+        assert!(here.path(&format!("out/lightmap-{page}.exr")).exists());
+    }
+    let scene = Scene::load(here.path("out/scene.obj")).unwrap();
+    assert!(scene.warnings.is_empty(), "{:?}", scene.warnings);
+    assert!(scene.textures.len() as u64 == pages);
+}
+
+#[test]
+fn bad_input_is_told_and_leaves_nothing() {
+    let here = here();
+    let errors = here.fails("bake scene.obj -o out --keep-uv", 2);
+    assert!(errors.contains("triangle 1 and triangle 3") && errors.contains("hint: "), "{errors}");
+    let errors = here.fails(&format!("bake {} -o a/b/c --keep-uv", cornell()), 2);
+    assert!(errors.contains("there are none"), "{errors}");
+    let errors = here.fails(&format!("bake {} -o out --resolution 8", cornell()), 2);
+    assert!(errors.contains("8 x 8 texels is too small") && errors.contains("--resolution"), "{errors}");
+    let errors = here.fails(&format!("bake {} -o out --texel 10 --resolution 30", cornell()), 2);
+    assert!(errors.contains("the smallest page that works is --resolution"), "{errors}");
+    let errors = here.fails(&format!("bake {} -o out --texel 1e-4", cornell()), 2);
+    assert!(errors.contains("longer --texel"), "{errors}");
+    here.fails("bake scene.obj -o out --texel 0", 2);
+    here.fails("bake scene.obj -o out --texel inf", 2);
+    here.fails("bake scene.obj -o out --resolution 0", 2);
+    here.fails("bake scene.obj -o out --final-gather 0 --standard-error", 2);
+    here.fails("bake scene.obj -o out --keep-uv --new-uv", 2);
+    here.fails("bake scene.obj -o scene.mtl", 2);
+    here.fails("bake none.obj -o out", 2);
+}
+
+#[test]
+fn files_of_a_scene_are_never_replaced() {
+    let here = here();
+    let before = (here.read("scene.obj"), here.read("scene.mtl"));
+    let errors = here.fails("bake scene.obj -o .", 2);
+    assert!(errors.contains("no earlier bake wrote"), "{errors}");
+    // A material library of this name belongs to a scene of another.
+    fs::rename(here.path("scene.obj"), here.path("room.obj")).unwrap();
+    let errors = here.fails("bake room.obj -o .", 2);
+    assert!(errors.contains("scene.mtl") && errors.contains("no earlier bake wrote"), "{errors}");
+    assert_eq!((here.read("room.obj"), here.read("scene.mtl")), before);
+    // What was baked may be baked anew, but not onto itself.
+    bake(&here, "room.obj -o out --resolution 32 --final-gather 0");
+    bake(&here, "room.obj -o out --resolution 40 --final-gather 0");
+    assert_eq!(here.json("out/report.json")["atlas"]["width"], 40);
+    fs::write(here.path("out/scene.mtl"), MTL).unwrap();
+    let errors = here.fails("bake out/scene.obj -o out", 2);
+    assert!(errors.contains("would replace the input"), "{errors}");
+}

@@ -1,0 +1,450 @@
+//! Lightmaps against the solver's energy, against path tracing at random points of the surface, and against themselves
+//! across seams.
+
+mod common;
+
+use common::{Corners, Random, icosphere, part, rectangle, room_faces};
+use glam::{DVec3, dvec3};
+use radiosity::{
+    Progress, Scene,
+    form_factor::{CastOptions, FormFactors},
+    lightmap::{Atlas, BakeOptions, Coordinates, Layout, Lightmap, NONE, Texel, bake},
+    monte_carlo::{Effort, PathOptions, PathTracer, Receiver},
+    patch::{Patches, Subdivision},
+    solve::{Solution, SolveOptions, solve},
+    trace::{Tracer, sampling::square_to_triangle},
+};
+
+struct Solved {
+    scene: Scene,
+    tracer: Tracer,
+    patches: Patches,
+    solution: Solution,
+}
+
+fn solved(scene: Scene, patches: usize, rays: f64) -> Solved {
+    let tracer = Tracer::new(&scene);
+    let mut patches = Patches::subdivide(&scene, &Subdivision::Count(patches));
+    let options = CastOptions { rays, ..CastOptions::default() };
+    let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
+    let solution = solve(&form_factors, &patches, &SolveOptions::default(), &Progress::new()).unwrap();
+    Solved { scene, tracer, patches, solution }
+}
+
+impl Solved {
+    fn atlas(&self, layout: Layout) -> Atlas {
+        Atlas::new(&self.scene, &self.tracer, layout, Coordinates::Auto).unwrap()
+    }
+
+    fn bake(&self, layout: Layout, options: &BakeOptions) -> Lightmap {
+        let solution = (&self.patches, &self.solution);
+        let atlas = self.atlas(layout);
+        bake(&self.scene, &self.tracer, solution, atlas, options, &Progress::new()).unwrap()
+    }
+
+    /// Differences of the map, sampled bilinearly, from path tracing at random points of the surface.
+    fn against_paths(&self, map: &Lightmap, points: usize, paths: u32) -> Comparison {
+        let mut random = Random::new(7);
+        let areas: Vec<f64> = (0..self.scene.triangles.len()).map(|t| self.scene.area(t)).collect();
+        let total: f64 = areas.iter().sum();
+        let places: Vec<(usize, [f64; 3])> = (0..points)
+            .map(|_| {
+                let mut left = random.next() * total;
+                let t = areas.iter().position(|a| {
+                    left -= a;
+                    left < 0.0
+                });
+                let at = square_to_triangle(random.next() as f32, random.next() as f32);
+                (t.unwrap_or(areas.len() - 1), at.map(f64::from))
+            })
+            .collect();
+        let receivers: Vec<Receiver> = places
+            .iter()
+            .map(|&(t, at)| Receiver::on_triangle(&self.tracer, t, at, map.is_of_front(t)))
+            .collect();
+        let tracer = PathTracer::new(&self.scene, &self.tracer, PathOptions::default());
+        let effort = Effort { samples: paths, ..Effort::default() };
+        let truth = tracer.irradiances(&receivers, &effort, &Progress::new()).unwrap();
+        let mut sums = Comparison::default();
+        for (&(t, at), truth) in places.iter().zip(&truth) {
+            let found = map.at(t, at).unwrap()[0];
+            let (e, se) = (truth.mean[0], truth.standard_error[0]);
+            // Nothing arrives inside solids, and what the map shows there comes from neighbours.
+            if e > 0.0 {
+                sums.add(found - e, se, e);
+            }
+        }
+        sums
+    }
+}
+
+#[derive(Default, Debug)]
+struct Comparison {
+    n: f64,
+    squares: f64,
+    noise: f64,
+    difference: f64,
+    mean: f64,
+}
+
+impl Comparison {
+    fn add(&mut self, difference: f64, standard_error: f64, mean: f64) {
+        self.n += 1.0;
+        self.squares += difference.powi(2);
+        self.noise += standard_error.powi(2);
+        self.difference += difference;
+        self.mean += mean;
+    }
+
+    /// Root mean square difference beyond the noise of the paths, relative to the mean.
+    fn rms(&self) -> f64 {
+        ((self.squares - self.noise).max(0.0) / self.n).sqrt() / (self.mean / self.n)
+    }
+
+    /// Mean difference, relative to the mean; and its standard error.
+    fn bias(&self) -> (f64, f64) {
+        (self.difference / self.mean, self.squares.sqrt() / self.mean)
+    }
+}
+
+const RED: [f64; 3] = [0.6, 0.1, 0.1];
+
+/// A room of 2 x 2 x 2 with a lamp in its ceiling, and something in it.
+fn furnished(things: Vec<Corners>) -> Scene {
+    let mut faces = room_faces(DVec3::splat(-1.0), DVec3::ONE);
+    let (x, y) = (DVec3::X, DVec3::Y);
+    let strip = |from: DVec3, u: DVec3, v: DVec3| rectangle(from + DVec3::Z, v, u);
+    faces[5] = [
+        strip(-x - y, 2.0 * x, 0.6 * y),
+        strip(-x + 0.4 * y, 2.0 * x, 0.6 * y),
+        strip(-x - 0.4 * y, 0.6 * x, 0.8 * y),
+        strip(0.4 * x - 0.4 * y, 0.6 * x, 0.8 * y),
+    ]
+    .concat();
+    let mut parts: Vec<common::Part> = faces.into_iter().map(|face| part(face, 0.7, 0.0)).collect();
+    parts[0].reflectance = RED;
+    parts.push(part(strip(-0.4 * x - 0.4 * y, 0.8 * x, 0.8 * y), 0.0, 10.0));
+    if !things.is_empty() {
+        parts.push(part(things, 0.6, 0.0));
+    }
+    common::scene(&parts)
+}
+
+/// A torus round the vertical axis through `centre`; fronts outside.
+fn torus(centre: DVec3, (large, small): (f64, f64), (n, m): (usize, usize)) -> Vec<Corners> {
+    let at = |i: usize, j: usize| {
+        let [u, v] =
+            [(i % n) as f64 / n as f64, (j % m) as f64 / m as f64].map(|x| x * std::f64::consts::TAU);
+        let r = large + small * v.cos();
+        centre + dvec3(r * u.cos(), r * u.sin(), small * v.sin())
+    };
+    let quad = |i: usize, j: usize| {
+        let (a, b, c, d) = (at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1));
+        [[a, b, c], [a, c, d]]
+    };
+    (0..n).flat_map(|i| (0..m).flat_map(move |j| quad(i, j))).collect()
+}
+
+/// All steps, with as many rays as by default.
+fn finished(s: &Solved, side: usize) -> Lightmap {
+    s.bake(Layout::Resolution(side), &BakeOptions::default())
+}
+
+/// Bounds on the difference from path tracing at points: `rms` is the map's own, for texels of a given size lose what is
+/// finer than they are (edges of shadows: halving texels takes about a third off); the bias must be none beyond four
+/// standard errors of the comparison and half a percent that patches and texels may cost.
+#[track_caller]
+fn assert_shows_the_light(s: &Solved, side: usize, rms: f64) {
+    let map = finished(s, side);
+    let found = s.against_paths(&map, 300, 512);
+    assert!(found.rms() < rms, "RMS {:.4}, {rms} is allowed", found.rms());
+    let (bias, error) = found.bias();
+    assert!(bias.abs() < 4.0 * error + 0.005, "bias {bias:.4} with standard error {error:.4}");
+    assert_seams_are_closed(&map);
+}
+
+/// The two sides of seams agree better than the map is known.
+#[track_caller]
+fn assert_seams_are_closed(map: &Lightmap) {
+    let (samples, [before, after]) = map.seams();
+    assert!(samples > 50);
+    let (mut area, mut flux) = (0.0, 0.0);
+    for i in 0..map.coverage().len() {
+        area += map.open_area(i);
+        flux += map.open_area(i) * f64::from(map.irradiance()[map.coverage().texels()[i] as usize][0]);
+    }
+    let noise = map.relative_error() * flux / area;
+    assert!(after[0] < noise && after[0] < 0.2 * before[0], "{before:?} {after:?}, noise {noise}");
+}
+
+#[test]
+fn a_box_is_lit_as_paths_light_it() {
+    // 0.7 % was found.
+    assert_shows_the_light(&solved(furnished(vec![]), 2000, 256.0), 160, 0.015);
+}
+
+#[test]
+fn curved_meshes_are_lit_as_paths_light_them() {
+    // 2.1 and 2.0 % were found.
+    let torus = torus(dvec3(0.1, 0.0, -0.3), (0.5, 0.2), (48, 24));
+    assert_shows_the_light(&solved(furnished(torus), 4000, 128.0), 160, 0.035);
+    assert_shows_the_light(&solved(furnished(icosphere(0.5, 3)), 4000, 128.0), 160, 0.035);
+}
+
+#[test]
+fn an_occluded_room_is_lit_as_paths_light_it() {
+    // 2.5 % was found.
+    assert_shows_the_light(&solved(common::load("door-ajar"), 4000, 256.0), 160, 0.045);
+}
+
+#[test]
+fn more_texels_show_the_light_better() {
+    // What is left beside noise is what texels are too large for. Shadows' edges cross a share of the texels that falls
+    // with their size, and each is off by no less: the error falls with the root of the size at least.
+    let s = solved(common::load("cornell-box"), 4000, 128.0);
+    let [coarse, fine] = [64, 256].map(|side| s.against_paths(&finished(&s, side), 300, 512).rms());
+    assert!(fine < 0.5 * coarse, "{fine} with 256 texels, {coarse} with 64");
+}
+
+#[test]
+fn the_map_holds_the_flux_of_the_solver() {
+    let plain = BakeOptions { final_gather: 0, dilate: false, close_seams: false, ..BakeOptions::default() };
+    for (scene, side) in [
+        (common::load("cornell-box"), 100),
+        (common::load("textured"), 64),
+        (furnished(icosphere(0.5, 2)), 77),
+    ] {
+        let s = solved(scene, 2000, 64.0);
+        let map = s.bake(Layout::Resolution(side), &plain);
+        let flux = map.flux();
+        assert_eq!(flux.unmapped, [0.0; 3]);
+        for c in 0..3 {
+            assert!((flux.map[c] / flux.solver[c] - 1.0).abs() < 1e-6, "{flux:?}");
+        }
+        // The covered parts of texels make up the surface.
+        let covered: f64 = (0..map.coverage().len()).map(|i| map.coverage().area(i)).sum();
+        let surface: f64 = (0..s.scene.triangles.len()).map(|t| s.scene.area(t)).sum();
+        assert!((covered / surface - 1.0).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn a_gathered_map_holds_the_flux_of_the_solver_within_its_error() {
+    // In the empty room no surface is hidden, and nothing but noise and the size of patches sets the two apart. The
+    // patches' own standard error of 256 rays on the mean is below 0.1 % there.
+    let s = solved(furnished(vec![]), 4000, 256.0);
+    let map = s.bake(Layout::Resolution(64), &BakeOptions { final_gather: 64, ..BakeOptions::default() });
+    let flux = map.flux();
+    for c in 0..3 {
+        let off = (flux.map[c] - flux.solver[c]).abs();
+        assert!(off < 5.0 * flux.standard_error[c] + 2e-3 * flux.solver[c], "{flux:?}");
+        assert!(flux.standard_error[c] < 1e-3 * flux.solver[c]);
+    }
+    for step in map.steps() {
+        assert!(step.relative.abs() < 1e-3, "{step:?}");
+    }
+}
+
+/// Squared differences of green between two maps, summed over the texels that hold surface.
+fn squares(a: &Lightmap, b: &Lightmap) -> f64 {
+    let difference = |&at: &u32| [a, b].map(|map| f64::from(map.irradiance()[at as usize][1]));
+    a.coverage().texels().iter().map(difference).map(|[x, y]| (x - y).powi(2)).sum()
+}
+
+#[test]
+fn error_bars_of_texels_cover_what_many_rays_find() {
+    let raw = BakeOptions { denoise: false, dilate: false, close_seams: false, ..BakeOptions::default() };
+    let s = solved(furnished(vec![]), 2000, 128.0);
+    let bake = |options: BakeOptions| s.bake(Layout::Resolution(64), &options);
+    let few = bake(BakeOptions { final_gather: 16, seed: 1, ..raw });
+    let many = bake(BakeOptions { final_gather: 1024, seed: 2, ..raw });
+    let expected: f64 = [&few, &many]
+        .iter()
+        .flat_map(|map| map.standard_error().iter().map(|error| f64::from(error[1]).powi(2)))
+        .sum();
+    // More than a thousand texels with three degrees of freedom each: the ratio of variances would be known to 5 % if
+    // samples were normal. They are skewed, and the squares of a few bright texels lead.
+    let found = squares(&few, &many);
+    let ratio = found / expected;
+    assert!(few.coverage().len() > 1000 && (0.7..1.4).contains(&ratio), "{ratio}");
+    // Planes through 200 texels would leave a hundredth of it where light is straight; within a third of a wall's
+    // length, as these are, it is not everywhere. A quarter was found; the error bars need to be used for any of it.
+    let smooth = bake(BakeOptions { denoise: true, final_gather: 16, seed: 1, ..raw });
+    let left = squares(&smooth, &many);
+    assert!(left < 0.4 * found, "{left} of {found}");
+}
+
+#[test]
+fn charts_neither_overlap_nor_touch() {
+    let scenes = [
+        common::load("cornell-box"),
+        common::load("door-ajar"),
+        furnished(torus(DVec3::ZERO, (0.5, 0.2), (48, 24))),
+    ];
+    for scene in scenes {
+        let tracer = Tracer::new(&scene);
+        for side in [128, 300] {
+            let atlas = Atlas::new(&scene, &tracer, Layout::Resolution(side), Coordinates::New).unwrap();
+            assert_eq!((atlas.width, atlas.height, atlas.pages), (side, side, 1));
+            let coverage = radiosity::lightmap::Coverage::new(&scene, &atlas);
+            let mut chart = vec![NONE; side * side];
+            for (i, &at) in coverage.texels().iter().enumerate() {
+                // No texel holds more surface than fits: charts cover each texel at most once.
+                let filled: f64 = coverage
+                    .pieces(i)
+                    .iter()
+                    .map(|p| {
+                        let [a, b, c] = atlas.texel_corners(p.triangle as usize).unwrap();
+                        let texels = 0.5 * (b - a).perp_dot(c - a).abs();
+                        p.area / scene.area(p.triangle as usize) * texels
+                    })
+                    .sum();
+                assert!(filled < 1.0 + 1e-4, "{filled}");
+                chart[at as usize] = coverage.chart(&atlas, i);
+                assert!(
+                    coverage.pieces(i).iter().all(|p| atlas.chart[p.triangle as usize] == chart[at as usize])
+                );
+            }
+            // Two empty texels or more lie between charts, so that a bilinear sample reads one alone.
+            for (at, &c) in chart.iter().enumerate().filter(|(_, c)| **c != NONE) {
+                let (x, y) = (at % side, at / side);
+                for (dx, dy) in [(1, 0), (2, 0), (0, 1), (0, 2), (1, 1), (2, 2)] {
+                    if x + dx < side && y + dy < side {
+                        let other = chart[(y + dy) * side + x + dx];
+                        assert!(other == c || other == NONE);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_floor_under_a_block_is_hidden_and_not_black() {
+    let s = solved(common::load("cornell-box"), 2000, 64.0);
+    // The floor is the first quad; the short block stands on it round (186, 0, 168), the room is lit at (100, 0, 400).
+    for final_gather in [0, 16] {
+        let map = s.bake(Layout::Resolution(128), &BakeOptions { final_gather, ..BakeOptions::default() });
+        let at = |point: DVec3| {
+            let (t, b) = (0..2)
+                .map(|t| (t, barycentric(s.scene.corners(t), point)))
+                .find(|(_, b)| b.iter().all(|&x| x >= 0.0))
+                .unwrap();
+            let corners = map.atlas().texel_corners(t).unwrap();
+            let p: glam::DVec2 = (0..3).map(|k| corners[k] * b[k]).sum();
+            (map.texels()[p.y as usize * 128 + p.x as usize], map.at(t, b).unwrap()[0])
+        };
+        let (under, value) = at(dvec3(186.0, 0.0, 168.0));
+        let (open, lit) = at(dvec3(100.0, 0.0, 400.0));
+        assert_eq!((under, open), (Texel::Hidden, Texel::Valid));
+        assert!(value > 0.05 * lit, "{value} under the block, {lit} beside it");
+    }
+}
+
+fn barycentric([a, b, c]: Corners, p: DVec3) -> [f64; 3] {
+    let n = (b - a).cross(c - a);
+    let share = |u: DVec3, v: DVec3| (u - p).cross(v - p).dot(n) / n.length_squared();
+    [share(b, c), share(c, a), share(a, b)]
+}
+
+#[test]
+fn a_room_that_shows_its_backs_is_mapped_by_them() {
+    // Walls the wrong way round, the lamp the right way: light reaches their backs alone.
+    let mut scene = furnished(vec![]);
+    for t in 0..scene.triangles.len() {
+        if !scene.emits(t) {
+            scene.triangles[t].vertices.swap(1, 2);
+        }
+    }
+    let s = solved(scene, 500, 64.0);
+    let map = s.bake(Layout::Resolution(64), &BakeOptions::default());
+    for t in 0..s.scene.triangles.len() {
+        assert_eq!(map.is_of_front(t), s.scene.emits(t));
+    }
+    assert_eq!(map.flux().other_sides, [0.0; 3]);
+    assert!(map.texels().iter().all(|&texel| texel != Texel::Hidden));
+    let straight = solved(furnished(vec![]), 500, 64.0).bake(Layout::Resolution(64), &BakeOptions::default());
+    let ratio = map.flux().map[0] / straight.flux().map[0];
+    assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
+}
+
+#[test]
+fn texels_of_a_length_take_as_many_pages_as_they_need() {
+    let scene = common::load("cornell-box");
+    let tracer = Tracer::new(&scene);
+    let make = |layout| Atlas::new(&scene, &tracer, layout, Coordinates::Auto);
+    let one = make(Layout::Texel(10.0, 4096)).unwrap();
+    assert_eq!(one.pages, 1);
+    assert!((one.texel_length(&scene) / 10.0 - 1.0).abs() < 0.02);
+    // Every wall is 56 texels a side, and four do not fit a page of 100.
+    let several = make(Layout::Texel(10.0, 100)).unwrap();
+    assert!(several.pages > 1 && several.width <= 100 && several.height <= 100);
+    assert!(several.density_spread(&scene) < 0.05, "texels are equally dense everywhere");
+    let message = make(Layout::Texel(10.0, 40)).unwrap_err().to_string();
+    assert!(message.contains("does not fit a page of 40 x 40"), "{message}");
+    let map = solved(scene.clone(), 500, 16.0).bake(Layout::Texel(10.0, 100), &BakeOptions::default());
+    assert!(map.texels().iter().all(|&texel| texel != Texel::Empty), "every page is filled");
+}
+
+#[test]
+fn the_smallest_map_that_works_is_told_and_works() {
+    let scene = common::load("cornell-box");
+    let tracer = Tracer::new(&scene);
+    let make = |side| Atlas::new(&scene, &tracer, Layout::Resolution(side), Coordinates::Auto);
+    let error = make(8).unwrap_err();
+    let hint = error.hint().unwrap();
+    let least: usize = hint.rsplit(' ').next().unwrap().parse().unwrap();
+    assert!(least > 8 && make(least).is_ok(), "{hint}");
+}
+
+#[test]
+fn own_coordinates_are_kept_where_they_suit() {
+    let square = |scene: &mut Scene, map: fn(glam::DVec2) -> glam::DVec2| {
+        let uv = [(0., 0.), (1., 0.), (1., 1.), (0., 1.)].map(|(u, v)| map(glam::dvec2(u, v)));
+        scene.texcoords = vec![[uv[0], uv[1], uv[2]], [uv[0], uv[2], uv[3]]];
+    };
+    let mut scene = common::scene(&[part(common::level_square(1.0, 0.0, true), 0.5, 1.0)]);
+    let tracer = Tracer::new(&scene);
+    let make = |scene: &Scene, whose| Atlas::new(scene, &tracer, Layout::Resolution(16), whose);
+    square(&mut scene, |uv| 0.1 + 0.5 * uv);
+    let own = make(&scene, Coordinates::Auto).unwrap();
+    assert!(own.refused.is_none() && own.charts == 1);
+    assert_eq!(own.coordinates[own.corners[0][0] as usize], glam::dvec2(0.1, 0.1));
+    square(&mut scene, |uv| 0.1 + uv);
+    assert!(make(&scene, Coordinates::Auto).unwrap().refused.unwrap().contains("outside 0..1"));
+    assert!(
+        make(&scene, Coordinates::File).unwrap_err().to_string().contains("those of triangle 1 lie outside")
+    );
+    scene.texcoords[0] = [(0., 0.), (1., 0.), (1., 1.)].map(|(u, v)| glam::dvec2(u, v));
+    scene.texcoords[1] = scene.texcoords[0];
+    let message = make(&scene, Coordinates::File).unwrap_err().to_string();
+    assert!(message.contains("triangle 1 and triangle 2 overlap"), "{message}");
+}
+
+#[test]
+fn every_step_can_be_left_out() {
+    let s = solved(furnished(icosphere(0.5, 1)), 500, 32.0);
+    let all = BakeOptions { final_gather: 4, ..BakeOptions::default() };
+    let names = |options: BakeOptions| -> Vec<&str> {
+        let map = s.bake(Layout::Resolution(64), &options);
+        let empty = map.texels().iter().filter(|&&t| t == Texel::Empty).count();
+        assert_eq!(empty == 0, options.dilate);
+        // Dilation writes nowhere but where there is no surface, and nothing else writes there without it.
+        for (&texel, value) in map.texels().iter().zip(map.irradiance()) {
+            assert!(texel != Texel::Empty || *value == [0.0; 3]);
+            assert!(value.iter().all(|x| x.is_finite() && *x >= 0.0));
+        }
+        map.steps().iter().map(|step| step.name).collect()
+    };
+    assert_eq!(names(all), ["denoise", "dilate", "seams"]);
+    assert_eq!(names(BakeOptions { denoise: false, ..all }), ["dilate", "seams"]);
+    assert_eq!(names(BakeOptions { dilate: false, ..all }), ["denoise", "seams"]);
+    assert_eq!(names(BakeOptions { close_seams: false, ..all }), ["denoise", "dilate"]);
+    assert_eq!(names(BakeOptions { final_gather: 0, ..all }), ["hide", "dilate", "seams"]);
+    // Dilation changes no texel that holds surface.
+    let [with, without] = [true, false]
+        .map(|dilate| s.bake(Layout::Resolution(64), &BakeOptions { dilate, close_seams: false, ..all }));
+    for (k, &texel) in without.texels().iter().enumerate() {
+        assert!(texel != Texel::Valid || with.irradiance()[k] == without.irradiance()[k]);
+    }
+}
