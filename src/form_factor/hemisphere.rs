@@ -198,7 +198,7 @@ impl Hits {
                 .collect();
             self.mean_kernels.extend(kernels);
             let before = self.rays();
-            let old = self.make_room(first..last, |i, kernel| wanted(i, kernel));
+            let old = self.make_room(first..last, &wanted);
             progress.begin(self.rays() - before);
             self.cast(tracer, patches, first, &old, seed, progress)?;
             let seen = backs_seen(patches, self);
