@@ -8,7 +8,7 @@
 //! The first term is summed from the rays of the replicate, its closure included; the second, the error that a patch
 //! inherits through the light of others, is a Neumann series. The spread of dE_k over the K replicates would give
 //! the standard error of their mean, sqrt(Σ dE_k² / (K (K - 1))), were they independent; they are parts of one sequence,
-//! and together [better](stratification) than that.
+//! and together better than that: see `stratification`.
 
 use rayon::prelude::*;
 
