@@ -27,8 +27,8 @@ use shadow::Sources;
 /// Sparse matrix with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns.
 pub type Matrix = CsMatI<f32, u32, usize>;
 
-/// Patches smaller than this share of the mean patch exchange as much as if they were that large: less would leave the range
-/// of single precision, and what that adds to the energy does not show in double precision.
+/// Patches smaller than this share of the mean patch count as that large: exchange areas would leave the range of single
+/// precision otherwise, and what that adds to the energy does not show in double precision.
 const LEAST_AREA: f64 = 1e-20;
 
 /// What a form factor may exceed 1 by: rows are closed to about as much.
@@ -157,12 +157,16 @@ impl FormFactors {
         Ok(Self::from_hits(hits, tracer, patches, &options))
     }
 
-    fn from_hits(hits: Hits, tracer: &Tracer, patches: &Patches, options: &CastOptions) -> FormFactors {
-        let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
+    fn from_hits(mut hits: Hits, tracer: &Tracer, patches: &Patches, options: &CastOptions) -> FormFactors {
+        let mut areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
         let (n, scale, options, estimator) = (areas.len(), tracer.scale(), *options, options.estimator);
         // In units of the mean area no exchange area leaves the range of single precision.
         let mean = areas.iter().sum::<f64>() / n as f64;
-        let relative: Vec<f64> = areas.iter().map(|a| (a / mean).max(LEAST_AREA)).collect();
+        areas.iter_mut().for_each(|a| *a = a.max(LEAST_AREA * mean));
+        let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
+        if estimator == Estimator::Pooled {
+            hits.withdraw_hidden(&relative);
+        }
         let densities = Densities::new(&hits, &relative, scale * (scale / mean));
         let own = reciprocity::count(&hits, &densities);
         let one_way = reciprocity::one_way_deviation(&own, &hits, &areas);
@@ -335,7 +339,7 @@ impl FormFactors {
         })
     }
 
-    /// Area of each patch.
+    /// Area of each patch; at least 10⁻²⁰ of their mean.
     pub fn areas(&self) -> &[f64] {
         &self.areas
     }
