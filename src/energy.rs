@@ -26,6 +26,8 @@ pub struct EnergyLedger {
     pub solver_part: Vec<f64>,
     /// Σ_j B_j Σ_i (A_j F_ji - A_i F_ij).
     pub reciprocity_part: Vec<f64>,
+    /// Σ A B: what leaves the patches, again with every bounce.
+    pub leaving: Vec<f64>,
 }
 
 impl EnergyLedger {
@@ -51,7 +53,8 @@ impl EnergyLedger {
             absorbed: zero.clone(),
             escaped: zero.clone(),
             solver_part: zero.clone(),
-            reciprocity_part: zero,
+            reciprocity_part: zero.clone(),
+            leaving: zero,
         };
         for i in 0..form_factors.len() {
             for c in 0..channels {
@@ -61,6 +64,7 @@ impl EnergyLedger {
                 ledger.emitted[c] += areas[i] * be;
                 ledger.absorbed[c] += areas[i] * (1.0 - rho) * e;
                 ledger.escaped[c] += areas[i] * b * escaped[i];
+                ledger.leaving[c] += areas[i] * b;
                 ledger.solver_part[c] += areas[i] * (be + rho * e - b);
                 ledger.reciprocity_part[c] += b * (sent[i] - taken[i]);
             }
@@ -81,6 +85,12 @@ impl EnergyLedger {
     /// The reciprocity defect's part of the imbalance, relative to what is emitted, of the channel where it is worst.
     pub fn relative_reciprocity_part(&self) -> f64 {
         self.worst(|c| self.reciprocity_part[c])
+    }
+
+    /// One rounding of the light that leaves the patches, relative to what is emitted, of the channel where it is worst: no
+    /// balance can be closer. It matters where nearly all is reflected.
+    pub fn rounding(&self) -> f64 {
+        self.worst(|c| f64::EPSILON * self.leaving[c])
     }
 
     fn worst(&self, power: impl Fn(usize) -> f64) -> f64 {

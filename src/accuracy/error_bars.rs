@@ -13,7 +13,7 @@
 use rayon::prelude::*;
 
 use crate::{
-    form_factor::{FormFactors, hemisphere::REPLICATES, replicates::Deviation},
+    form_factor::{FormFactors, hemisphere::REPLICATES, magnitude, replicates::Deviation},
     solve::{Radiometry, Solution},
 };
 
@@ -61,7 +61,8 @@ impl ErrorBars {
         reflectance: &[[f64; C]],
         solution: &Solution,
     ) -> Option<ErrorBars> {
-        let deviations = propagate(form_factors, reflectance, solution)?;
+        let unit = magnitude(&solution.radiosity);
+        let deviations = propagate(form_factors, reflectance, solution, unit)?;
         let areas = form_factors.areas();
         let total: f64 = areas.iter().sum();
         let mut mean = [[0f64; REPLICATES]; C];
@@ -77,9 +78,9 @@ impl ErrorBars {
             channels: C,
             standard_error: smoothed_errors(form_factors, &deviations)
                 .into_iter()
-                .map(|error| stratified * error)
+                .map(|error| unit * stratified * error)
                 .collect(),
-            of_mean: mean.iter().map(|deviations| stratified * standard_error(deviations)).collect(),
+            of_mean: mean.iter().map(|deviations| unit * stratified * standard_error(deviations)).collect(),
         })
     }
 }
@@ -159,14 +160,17 @@ pub fn relative_rms(values: &[f64], irradiance: &[f64], areas: &[f64]) -> f64 {
     if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
 }
 
-/// The deviations dE_k of all patches.
+/// The deviations dE_k of all patches, divided by `unit`: single precision holds them then.
 fn propagate<const C: usize>(
     form_factors: &FormFactors,
     reflectance: &[[f64; C]],
     solution: &Solution,
+    unit: f64,
 ) -> Option<Vec<Deviation<C>>> {
-    let local =
-        form_factors.deviations(solution.radiosity.as_chunks().0, solution.irradiance.as_chunks().0)?;
+    let scaled = |values: &[f64]| -> Vec<[f64; C]> {
+        values.as_chunks::<C>().0.iter().map(|x| x.map(|x| x / unit)).collect()
+    };
+    let local = form_factors.deviations(&scaled(&solution.radiosity), &scaled(&solution.irradiance))?;
     let mut total = local.clone();
     let mut size = root_mean_square(&total);
     for _ in 0..MOST_BOUNCES {

@@ -276,7 +276,7 @@ impl Validation {
                 objections.push(format!("{what} is {value:.2e}, {limit:.0e} is allowed"));
             }
         };
-        limit("the energy imbalance", self.energy.imbalance(), 1e-9);
+        limit("the energy imbalance", self.energy.imbalance(), 1e-9 + 64.0 * self.energy.rounding());
         limit("the row sum deviation", self.solved.form_factors.row_sum_deviation().after, 1e-9);
         limit("the reciprocity deviation", self.solved.form_factors.reciprocity_deviation().after, 1e-9);
         for (name, comparison) in self.comparisons() {

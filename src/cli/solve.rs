@@ -178,7 +178,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
         let names = outputs::names(&[&args.output, &args.report]);
         to_stdout(&summary::table(&report, patches, &computed.chosen, args.exposure, &names));
     }
-    Ok(verdict(args, &report))
+    Ok(verdict(args, &report, energy.rounding()))
 }
 
 fn compute(
@@ -226,10 +226,14 @@ fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Resu
     file.write(|out| ply::encode(out, scene, patches, solution, &options))
 }
 
-/// Whether the energy balances. Form factors from one side never do: that is what they are there to show.
-fn verdict(args: &SolveArgs, report: &SolveReport) -> Outcome {
-    let (imbalance, allowed) = (report.energy.imbalance, ROUNDING + args.tolerance);
+/// Whether form factors are shares, and the energy balances. Form factors from one side never do: that is what they are there to show.
+fn verdict(args: &SolveArgs, report: &SolveReport, rounding: f64) -> Outcome {
+    let (imbalance, allowed) = (report.energy.imbalance, ROUNDING + args.tolerance + 64.0 * rounding);
+    let strays = report.form_factors.out_of_range;
     match args.estimator {
+        _ if strays > 0 => {
+            Outcome::CheckFailed(format!("{}: {strays} form factors are outside 0 to 1", report.scene.file))
+        }
         // Also true of NaN.
         EstimatorName::Pooled if imbalance.abs().partial_cmp(&allowed).is_none_or(|o| o.is_gt()) => {
             Outcome::CheckFailed(format!(

@@ -21,6 +21,7 @@ use rayon::prelude::*;
 use super::{
     Matrix,
     hemisphere::{Hits, LINKED},
+    magnitude,
     reciprocity::Densities,
     row,
 };
@@ -44,7 +45,7 @@ const ENOUGH: f64 = 1e-3;
 const MOST_ROUNDS: usize = 60;
 
 /// Calibrates the pooled exchange areas; `escaped` are the shares of light that leave the scene. Returns the radiosity that
-/// it calibrated with, interleaved channels.
+/// it calibrated with, interleaved channels, in a unit of its own.
 pub(super) fn calibrate(
     matrix: &mut Matrix,
     hits: &Hits,
@@ -98,11 +99,14 @@ impl Rows<'_> {
         !self.hits.sources.concern(i, j)
     }
 
-    /// The radiosity after some bounces, each row scaled to its sum.
+    /// The radiosity after some bounces, each row scaled to its sum. In a unit of its own, so that single precision
+    /// holds what comes of it.
     fn radiosity<const C: usize>(&self, patches: &Patches) -> Vec<[f64; C]> {
         let (emission, reflectance) =
             (patches.emission().as_chunks::<C>().0, patches.reflectance().as_chunks::<C>().0);
-        let mut radiosity = emission.to_vec();
+        let unit = magnitude(patches.emission());
+        let emission: Vec<[f64; C]> = emission.iter().map(|be| be.map(|be| be / unit)).collect();
+        let mut radiosity = emission.clone();
         for _ in 0..BOUNCES {
             let next = |i: usize| {
                 let (columns, values) = row(self.matrix, i);

@@ -29,6 +29,10 @@ pub const ESCAPED: u32 = u32::MAX;
 /// The target of a ray that connects a source with another patch: such rays are kept with their geometry.
 pub const LINKED: u32 = u32::MAX - 1;
 
+/// So many hits are expected of other patches' rays at least where none can only mean that a patch is hidden from them: by
+/// chance that happens once in 10⁹ patches.
+const HIDDEN: f64 = 20.0;
+
 /// While casting: the ray met the back of this front patch, which was no unknown yet.
 const BACK: u32 = 1 << 31;
 
@@ -207,6 +211,27 @@ impl Hits {
         }
         name_backs(patches, self);
         Ok(())
+    }
+
+    /// Lets patches lose all light that are not there for others: their own rays meet patches that should have met them
+    /// [many times](HIDDEN), and never did. So it is with one of two faces at the same place, and reciprocity would have to
+    /// send it what it cannot get. Sources are kept.
+    pub(super) fn withdraw_hidden(&mut self, areas: &[f64]) {
+        let density = |i: usize| f64::from(self.rays_of(i)) / areas[i];
+        let (mut met, mut expected) = (vec![false; self.len()], vec![0.0; self.len()]);
+        for i in 0..self.len() {
+            for &j in self.of(i).iter().filter(|&&j| j < LINKED) {
+                met[j as usize] = true;
+                expected[i] += density(j as usize) / density(i);
+            }
+            self.links_of(i).iter().for_each(|link| met[link.to as usize] = true);
+        }
+        for i in (0..self.len()).filter(|&i| !met[i] && expected[i] >= HIDDEN && !self.sources.contains(i)) {
+            self.targets[self.offsets[i]..self.offsets[i + 1]].fill(ESCAPED);
+            self.links[self.link_offsets[i]..self.link_offsets[i + 1]]
+                .iter_mut()
+                .for_each(|link| link.found = Found::Blocked);
+        }
     }
 
     /// Makes room for the rays that patches want, and returns how many each had.

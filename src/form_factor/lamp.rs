@@ -14,6 +14,9 @@ use crate::{patch::Patches, trace::Tracer};
 
 /// More lamps than this are sampled only: each costs about as much as a ray, at every patch.
 const MOST_LAMPS: usize = 16;
+/// Lamps with a smaller area, in unit space, are sampled only: rounding would be all that is left of Lambert's formula. One
+/// sample knows their light as well.
+const LEAST_AREA: f32 = 1e-16;
 /// A patch is cut until it is smaller than this share of its distance to the lamp. The rule's relative error is about the
 /// sixth power of that.
 const NEAR: f64 = 0.125;
@@ -37,7 +40,7 @@ pub(super) struct Lamp {
     density: f64,
 }
 
-/// The lamps of the scene; `None` when they are too many.
+/// The lamps of the scene; `None` when they are too many, or one is too small.
 pub(super) fn few(tracer: &Tracer, patches: &Patches, sources: &Sources) -> Option<Vec<Lamp>> {
     let mut lamps: Vec<Lamp> = Vec::new();
     let of_triangle = |&i: &u32, &j: &u32| patches.triangle(i as usize) == patches.triangle(j as usize);
@@ -47,6 +50,9 @@ pub(super) fn few(tracer: &Tracer, patches: &Patches, sources: &Sources) -> Opti
             * (triangle.corners[1] - triangle.corners[0])
                 .cross(triangle.corners[2] - triangle.corners[0])
                 .length();
+        if area < LEAST_AREA {
+            return None;
+        }
         let level = patches.level(patches.triangle(part[0] as usize));
         let children = f64::from(crate::patch::quadtree::children(level));
         let density = |i: u32| sources.probability(i as usize) * children / f64::from(area);

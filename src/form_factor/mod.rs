@@ -27,6 +27,13 @@ use shadow::Sources;
 /// Sparse matrix with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns.
 pub type Matrix = CsMatI<f32, u32, usize>;
 
+/// Patches smaller than this share of the mean patch count as that large: exchange areas would leave the range of single
+/// precision otherwise, and what that adds to the energy does not show in double precision.
+const LEAST_AREA: f64 = 1e-20;
+
+/// What a form factor may exceed 1 by: rows are closed to about as much.
+const ROUNDING: f64 = 1e-12;
+
 /// How hits become form factors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Estimator {
@@ -150,17 +157,21 @@ impl FormFactors {
         Ok(Self::from_hits(hits, tracer, patches, &options))
     }
 
-    fn from_hits(hits: Hits, tracer: &Tracer, patches: &Patches, options: &CastOptions) -> FormFactors {
-        let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
+    fn from_hits(mut hits: Hits, tracer: &Tracer, patches: &Patches, options: &CastOptions) -> FormFactors {
+        let mut areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
         let (n, scale, options, estimator) = (areas.len(), tracer.scale(), *options, options.estimator);
         // In units of the mean area no exchange area leaves the range of single precision.
         let mean = areas.iter().sum::<f64>() / n as f64;
+        areas.iter_mut().for_each(|a| *a = a.max(LEAST_AREA * mean));
         let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
+        if estimator == Estimator::Pooled {
+            hits.withdraw_hidden(&relative);
+        }
         let densities = Densities::new(&hits, &relative, scale * (scale / mean));
         let own = reciprocity::count(&hits, &densities);
         let one_way = reciprocity::one_way_deviation(&own, &hits, &areas);
         let escaped: Vec<f64> = (0..n).map(|i| own.escaped(i) / f64::from(hits.rays_of(i))).collect();
-        match estimator {
+        let form_factors = match estimator {
             Estimator::OneWay => FormFactors {
                 left: (0..n).map(|i| 1.0 / f64::from(hits.rays_of(i))).collect(),
                 right: vec![1.0; n],
@@ -203,7 +214,9 @@ impl FormFactors {
                 form_factors.reciprocity_deviation.before = one_way;
                 form_factors
             }
-        }
+        };
+        debug_assert_eq!(form_factors.out_of_range(), 0, "form factors are shares");
+        form_factors
     }
 
     /// Form factors from a symmetric matrix of exchange areas A_i F_ij, in any one unit of area, the patches' areas in
@@ -326,7 +339,7 @@ impl FormFactors {
         })
     }
 
-    /// Area of each patch.
+    /// Area of each patch; at least 10⁻²⁰ of their mean.
     pub fn areas(&self) -> &[f64] {
         &self.areas
     }
@@ -354,6 +367,17 @@ impl FormFactors {
     /// Bytes held by the matrix, its scaling and the hits.
     pub fn bytes(&self) -> usize {
         8 * self.matrix.nnz() + 8 * 5 * self.len() + self.hits().map_or(0, Hits::bytes)
+    }
+
+    /// How many form factors, escaped shares included, are no shares: negative, above one by more than rounding, or not
+    /// numbers. None, or there is an error in the program.
+    pub fn out_of_range(&self) -> usize {
+        let is_share = |x: f64| (0.0..=1.0 + ROUNDING).contains(&x);
+        let of_row = |i: usize| {
+            let here = usize::from(!is_share(self.escaped[i]));
+            here + self.row(i).filter(|&(_, x)| !is_share(x)).count()
+        };
+        (0..self.len()).into_par_iter().with_min_len(128).map(of_row).sum()
     }
 
     /// Largest |row sum + escaped share - 1|, before and after the closure.
@@ -449,6 +473,14 @@ impl FormFactors {
 fn siblings(patches: &Patches) -> Vec<usize> {
     let block = |i: usize| (patches.triangle(i), patches.is_front(i), patches.child(i) >> 4);
     (1..=patches.len()).filter(|&i| i == patches.len() || block(i) != block(i - 1)).collect()
+}
+
+/// The power of two next below the largest value, or 1 where there is none: dividing by it costs no rounding, and brings
+/// squares and single precision into range, however bright or dark a scene is.
+pub(crate) fn magnitude(values: &[f64]) -> f64 {
+    let largest = values.iter().copied().fold(0.0, f64::max);
+    // Not below what has an inverse.
+    if largest > 0.0 { 2f64.powi(largest.log2().floor().clamp(-1000.0, 1000.0) as i32) } else { 1.0 }
 }
 
 /// Columns and values of a row.

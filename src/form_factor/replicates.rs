@@ -18,7 +18,7 @@ pub(super) struct Samples {
     pub(super) escapes: Vec<Escape>,
     /// Areas in the unit of `densities`.
     pub(super) areas: Vec<f64>,
-    /// The radiosity after some bounces, interleaved channels.
+    /// The radiosity after some bounces, interleaved channels, in a unit of its own.
     pub(super) radiosity: Vec<f64>,
     /// Where each run of patches ends that are close to each other.
     pub(super) siblings: Vec<usize>,

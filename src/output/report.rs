@@ -79,6 +79,8 @@ pub struct FormFactorsReport {
     pub escaped_fraction: f64,
     /// Rays that hit the back of a surface.
     pub back_hits: u64,
+    /// Form factors outside 0 to 1: none, or something is wrong.
+    pub out_of_range: usize,
     /// Largest |sum of a row + its escaped share - 1|.
     pub row_sum_deviation: BeforeAfter,
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j).
@@ -272,6 +274,7 @@ impl FormFactorsReport {
             bytes: form_factors.bytes(),
             escaped_fraction: escaped as f64 / count(<[u32]>::len).max(1) as f64,
             back_hits: hits.map_or(0, |h| h.back_hits()),
+            out_of_range: form_factors.out_of_range(),
             row_sum_deviation: form_factors.row_sum_deviation().into(),
             reciprocity_deviation: form_factors.reciprocity_deviation().into(),
         }

@@ -8,7 +8,7 @@
 //! have y = 0. Hestenes and Stiefel 1952; the channels run side by side through one product an iteration.
 
 use super::{Iterate, SolveOptions, System};
-use crate::{Progress, Result};
+use crate::{Progress, Result, form_factor::magnitude};
 
 /// Iterates until the true residual is small. Recursive residuals drift from the true ones in ill-conditioned rooms
 /// (reflectances of 1 - 10⁻⁶ and up), so that convergence is judged by the true residual and restarted where needed.
@@ -57,7 +57,7 @@ fn correct<const C: usize>(
     progress: &Progress,
 ) -> Result<Vec<[f64; C]>> {
     let n = radiosity.len();
-    let areas = system.form_factors.areas();
+    let areas = areas(system);
     // y = G⁻¹ d = d sqrt(A / ρ): the residual r of d is ρ times something, so that G⁻¹ r = sqrt(ρ A) (r / ρ).
     let gain: Vec<[f64; C]> =
         (0..n).map(|i| system.reflectance[i].map(|rho| (rho / areas[i]).sqrt())).collect();
@@ -75,7 +75,7 @@ fn correct<const C: usize>(
     let goal = (0.03 * reduction.min(1.0)).powi(2);
     while *iterations < options.max_iterations && (0..C).any(|c| rr[c] > goal * start[c]) {
         progress.check()?;
-        let q = apply(system, &gain, &p);
+        let q = apply(system, &areas, &gain, &p);
         let pq = dot(&p, &q);
         let alpha: [f64; C] = std::array::from_fn(|c| if pq[c] > 0.0 { rr[c] / pq[c] } else { 0.0 });
         for i in 0..n {
@@ -99,9 +99,20 @@ fn correct<const C: usize>(
     Ok((0..n).map(|i| std::array::from_fn(|c| gain[i][c] * y[i][c])).collect())
 }
 
-/// (I - G S G) p, where S = A F.
-fn apply<const C: usize>(system: &System<C>, gain: &[[f64; C]], p: &[[f64; C]]) -> Vec<[f64; C]> {
+/// Areas in a unit in which squares of what they weigh stay in range.
+fn areas<const C: usize>(system: &System<C>) -> Vec<f64> {
     let areas = system.form_factors.areas();
+    let unit = magnitude(areas);
+    areas.iter().map(|a| a / unit).collect()
+}
+
+/// (I - G S G) p, where S = A F.
+fn apply<const C: usize>(
+    system: &System<C>,
+    areas: &[f64],
+    gain: &[[f64; C]],
+    p: &[[f64; C]],
+) -> Vec<[f64; C]> {
     let lifted: Vec<[f64; C]> =
         p.iter().zip(gain).map(|(p, g)| std::array::from_fn(|c| g[c] * p[c])).collect();
     let mut out = system.irradiance(&lifted);

@@ -1,0 +1,587 @@
+//! Numbers at the extremes, each with the answer that physics gives. `cargo test --test extremes -- --nocapture` prints
+//! the figures of docs/extremes.md.
+
+mod common;
+
+use std::f64::consts::PI;
+
+use common::*;
+use glam::{DVec3, dvec3};
+use radiosity::{
+    Error, Progress, Scene,
+    accuracy::error_bars::ErrorBars,
+    energy::EnergyLedger,
+    form_factor::{
+        CastOptions,
+        exact::{point_to_polygon, polygon_form_factor},
+    },
+    patch::Subdivision,
+    scene::Material,
+    solve::{Radiometry, Solution, SolveOptions, Solver, solve},
+    trace::Tracer,
+};
+
+const WHOLE: Subdivision = Subdivision::Edge(f64::INFINITY);
+
+/// A scene cut, cast and solved.
+struct Lit {
+    cast: Cast,
+    solution: Solution,
+    errors: Vec<f64>,
+    ledger: EnergyLedger,
+}
+
+/// Solves, and checks what holds whatever the scene: shares are shares, nothing is negative or not a number, and the
+/// ledger closes to what tolerance and rounding leave of the light that goes round.
+fn light<'a>(cast: Cast, radiometry: Option<Radiometry<'a>>) -> Lit {
+    let f = &cast.form_factors;
+    let light = radiometry.unwrap_or_else(|| (&cast.patches).into());
+    let solution = solve(f, light, &SolveOptions::default(), &Progress::new()).unwrap();
+    let errors = ErrorBars::of(f, light, &solution).unwrap().standard_error;
+    let ledger = EnergyLedger::of(f, light, &solution);
+
+    for i in 0..f.len() {
+        assert!((0.0..=1.0).contains(&f.escaped()[i]), "{i} loses {}", f.escaped()[i]);
+        assert!(f.row(i).all(|(_, x)| (0.0..=1.0 + 1e-12).contains(&x)), "row {i}");
+    }
+    let (closure, reciprocity) = deviations(f);
+    let told = f.row_sum_deviation();
+    assert!(closure <= 1e-12 && reciprocity <= 1e-12, "{closure:e} {reciprocity:e} {told:?}");
+    assert_eq!(f.out_of_range(), 0);
+    for values in [&solution.radiosity, &solution.irradiance, &errors] {
+        assert!(values.iter().all(|x| x.is_finite() && *x >= 0.0));
+    }
+    // Sums of some thousand terms, each rounded: some ten times what one rounding is on the light that leaves.
+    assert!(solution.residual <= 1e-10 || solution.residual <= 16.0 * ledger.rounding(), "{solution:?}");
+    let allowed = 1e-10 + 64.0 * ledger.rounding();
+    assert!(ledger.imbalance().abs() <= allowed, "{:e}, {allowed:e} allowed", ledger.imbalance());
+    Lit { cast, solution, errors, ledger }
+}
+
+fn solved(scene: Scene, subdivision: Subdivision) -> Lit {
+    light(cast(scene, subdivision, CastOptions::default()), None)
+}
+
+/// Emits and reflects so that every patch, backs included, has radiosity 1 where no light leaves.
+fn furnace(cast: Cast, reflectance: f64) -> Lit {
+    let n = cast.patches.len();
+    let (rho, be) = (vec![reflectance; n], vec![1.0 - reflectance; n]);
+    light(cast, Some(Radiometry { channels: 1, emission: &be, reflectance: &rho }))
+}
+
+fn worst(values: &[f64], truth: f64) -> f64 {
+    values.iter().map(|b| (b - truth).abs()).fold(0.0, f64::max)
+}
+
+/// For the table: the relative error, and in standard errors.
+fn off(measured: Measured, truth: f64) -> String {
+    let Measured { value, error } = measured;
+    format!("{:.1e} ({:.1} standard errors)", value / truth - 1.0, (value - truth) / error)
+}
+
+fn unit_room() -> Vec<Corners> {
+    room(DVec3::ZERO, DVec3::ONE)
+}
+
+/// The unit cube: the floor is part 0, the ceiling part 1, the walls part 2.
+fn furnished(floor: (f64, f64), ceiling: (f64, f64), walls: (f64, f64)) -> Vec<Part> {
+    let [x0, x1, y0, y1, z0, z1] = room_faces(DVec3::ZERO, DVec3::ONE);
+    let of = |triangles, (rho, be)| part(triangles, rho, be);
+    vec![of(z0, floor), of(z1, ceiling), of([x0, x1, y0, y1].concat(), walls)]
+}
+
+/// Two cubes joined by a channel of this width and length through the wall between; closed.
+fn two_chambers(width: f64, length: f64) -> Vec<Corners> {
+    let (low, high) = (0.5 - 0.5 * width, 0.5 + 0.5 * width);
+    let at = |x: f64, y: f64, z: f64| dvec3(x, y, z);
+    // The wall at x, looking back along x: strips around the hole.
+    let wall = |x: f64| -> Vec<Corners> {
+        let strip = |y0: f64, y1: f64, z0: f64, z1: f64| {
+            flipped(rectangle(at(x, y0, z0), DVec3::Y * (y1 - y0), DVec3::Z * (z1 - z0)))
+        };
+        [
+            strip(0.0, low, 0.0, 1.0),
+            strip(high, 1.0, 0.0, 1.0),
+            strip(low, high, 0.0, low),
+            strip(low, high, high, 1.0),
+        ]
+        .concat()
+    };
+    let far = 1.0 + length;
+    let near_room = room_faces(DVec3::ZERO, DVec3::ONE);
+    let far_room = room_faces(at(far, 0.0, 0.0), at(far + 1.0, 1.0, 1.0));
+    let mut all = [wall(1.0), flipped(wall(far))].concat();
+    all.extend([0, 2, 3, 4, 5].iter().flat_map(|&k| near_room[k].clone()));
+    all.extend([1, 2, 3, 4, 5].iter().flat_map(|&k| far_room[k].clone()));
+    let channel = room_faces(at(1.0, low, low), at(far, high, high));
+    all.extend(channel[2..].concat());
+    all
+}
+
+/// Black walls reflect nothing: B = Be to the bit, and the floor has what the ceiling sends, 0.1998 of it.
+#[test]
+fn reflectance_zero() {
+    let parts = furnished((0.0, 0.0), (0.0, 1.0), (0.0, 0.0));
+    let lit = solved(scene(&parts), Subdivision::Count(300));
+    assert_eq!(lit.solution.radiosity, lit.cast.patches.emission());
+    assert_eq!((lit.solution.iterations, lit.solution.residual), (0, 0.0));
+
+    // What closure moves is biased by O(1 / rays): extrapolated from two numbers of rays, over some seeds.
+    let floor = lit.cast.of_part(0);
+    let mean = |rays: f64, seed: u64| {
+        let options = CastOptions { rays, seed, ..CastOptions::default() };
+        let lit = light(cast(scene(&parts), Subdivision::Count(300), options), None);
+        lit.cast.mean(&floor, &lit.solution.irradiance, &lit.errors).value
+    };
+    const SEEDS: usize = 6;
+    let few: [f64; SEEDS] = std::array::from_fn(|k| mean(256.0, k as u64));
+    let many: [f64; SEEDS] = std::array::from_fn(|k| mean(1024.0, k as u64));
+    let extrapolated: [f64; SEEDS] = std::array::from_fn(|k| (4.0 * many[k] - few[k]) / 3.0);
+    let average = |values: &[f64; SEEDS]| values.iter().sum::<f64>() / SEEDS as f64;
+    let value = average(&extrapolated);
+    let squares: f64 = extrapolated.iter().map(|x| (x - value).powi(2)).sum();
+    let error = (squares / (SEEDS * (SEEDS - 1)) as f64).sqrt();
+    let truth = 0.199_824_895_698_387_46;
+    let relative = |value: f64| value / truth - 1.0;
+    println!(
+        "reflectance 0: B exact; E of the floor off by {:.1e} at 256 rays, {:.1e} at 1024, {:.1e} ± {:.0e} extrapolated",
+        relative(average(&few)),
+        relative(average(&many)),
+        relative(value),
+        error / truth
+    );
+    // Student's t with 5 degrees of freedom for a probability of 10⁻⁴.
+    assert!((value - truth).abs() <= 9.68 * error, "{value}, {error:e}");
+}
+
+/// Furnaces that hardly absorb, in one chamber and in two that light exchanges through a pinhole of 1/2500 of the wall.
+/// B is 1, of which rounding leaves a unit in the last place over 1 - ρ.
+#[test]
+fn furnaces_that_hardly_absorb() {
+    for (name, triangles) in [("cube", unit_room()), ("two chambers", two_chambers(0.02, 0.05))] {
+        let cast_once = cast(scene(&[black(triangles)]), Subdivision::Count(600), CastOptions::default());
+        assert!(cast_once.form_factors.escaped().iter().all(|&e| e == 0.0));
+        for k in 1..=9 {
+            let Cast { scene, patches, form_factors, .. } = &cast_once;
+            let copy = Cast {
+                scene: scene.clone(),
+                tracer: Tracer::new(scene),
+                patches: patches.clone(),
+                form_factors: form_factors.clone(),
+            };
+            let loss = 10f64.powi(-k);
+            let lit = furnace(copy, 1.0 - loss);
+            let Solution { iterations, residual, error_bound, ref radiosity, .. } = lit.solution;
+            let off = worst(radiosity, 1.0);
+            println!(
+                "{name}, 1 - ρ = 1e-{k}: off by {off:.1e}, bound {error_bound:.1e}, {iterations} iterations, \
+                 residual {residual:.1e}, imbalance {:.1e}",
+                lit.ledger.imbalance()
+            );
+            assert!(off <= 1e-6, "{name} {k}: {off:e}");
+            assert!(iterations <= 100, "{name} {k}: {iterations}");
+        }
+    }
+}
+
+/// A lamp on one side of a pinhole in white but for a little: what the far chamber absorbs comes through the pinhole.
+/// With N = ρ-free chambers of even light, E₁ - E₂ drives A_hole F_through (E₁ - E₂) = absorbed₂, to the order of the
+/// hole's share of the wall; the ledger must close, and the solver must get there.
+#[test]
+fn chambers_far_from_balance() {
+    for k in [3, 6, 9] {
+        let triangles = two_chambers(0.1, 0.1);
+        let scene = scene(&[part(triangles, 1.0 - 10f64.powi(-k), 0.0)]);
+        let room = cast(scene, Subdivision::Count(600), CastOptions::default());
+        let f = &room.form_factors;
+        let n = room.patches.len();
+        let rho = vec![1.0 - 10f64.powi(-k); n];
+        let mut be = vec![0.0; n];
+        be[0] = 1.0;
+        let lit = light(
+            Cast {
+                scene: room.scene.clone(),
+                tracer: Tracer::new(&room.scene),
+                patches: room.patches.clone(),
+                form_factors: f.clone(),
+            },
+            Some(Radiometry { channels: 1, emission: &be, reflectance: &rho }),
+        );
+        // All that is emitted is absorbed: the mean irradiance is Φ / (A (1 - ρ)).
+        let area: f64 = f.areas().iter().sum();
+        let mean: f64 =
+            f.areas().iter().zip(&lit.solution.irradiance).map(|(a, e)| a * e).sum::<f64>() / area;
+        let truth = f.areas()[0] / area / (1.0 - rho[0]);
+        println!(
+            "pinhole, lamp in one chamber, 1 - ρ = 1e-{k}: mean E off by {:.1e}, {} iterations",
+            mean / truth - 1.0,
+            lit.solution.iterations
+        );
+        assert!((mean / truth - 1.0).abs() <= 1e-6, "{mean} instead of {truth}");
+        assert!(lit.solution.iterations <= 200);
+    }
+}
+
+/// White walls send back all: what is emitted leaves by the opening, all of it.
+#[test]
+fn white_with_an_opening() {
+    let mut parts = furnished((1.0, 1.0), (1.0, 0.0), (1.0, 0.0));
+    parts.remove(1);
+    let lit = solved(scene(&parts), Subdivision::Count(300));
+    let EnergyLedger { emitted, absorbed, escaped, .. } = &lit.ledger;
+    println!("white, open: escaped off by {:.1e}", escaped[0] / emitted[0] - 1.0);
+    assert_eq!(absorbed[0], 0.0);
+    assert!((escaped[0] / emitted[0] - 1.0).abs() <= 1e-10);
+
+    // Light that comes in evenly by the opening fills the room evenly.
+    let parts = furnished((1.0, 0.0), (0.0, 1.0), (1.0, 0.0));
+    let lit = solved(scene(&parts), Subdivision::Count(300));
+    let off = worst(&lit.solution.radiosity, 1.0);
+    println!("white, lit by its opening: off by {off:.1e}");
+    assert!(off <= 1e-8, "{off:e}");
+}
+
+/// Nothing absorbs what is emitted: no equilibrium, in whichever channel that is.
+#[test]
+fn white_and_closed_is_refused() {
+    let all = part(unit_room(), 1.0, 1.0);
+    let red = Part { reflectance: [1.0, 0.5, 0.5], ..part(unit_room(), 0.5, 1.0) };
+    let sealed = [all, part(room(DVec3::splat(2.0), DVec3::splat(3.0)), 0.5, 1.0)];
+    for parts in [&sealed[..1], &[red], &sealed] {
+        let room = cast(scene(parts), Subdivision::Count(100), CastOptions::default());
+        for solver in [Solver::Auto, Solver::Jacobi, Solver::GaussSeidel, Solver::Southwell, Solver::Direct] {
+            let options = SolveOptions { solver, ..SolveOptions::default() };
+            let solution = solve(&room.form_factors, &room.patches, &options, &Progress::new());
+            assert!(matches!(solution, Err(Error::NoEquilibrium)), "{solver:?}: {solution:?}");
+        }
+    }
+    // Where nothing is emitted there is one: darkness.
+    let lit = solved(scene(&[part(unit_room(), 1.0, 0.0)]), WHOLE);
+    assert!(lit.solution.radiosity.iter().all(|&b| b == 0.0));
+}
+
+/// The system is linear: twice the light is twice the answer, to the bit; powers of ten to the rounding of Be.
+#[test]
+fn emission_from_1e_minus_30_to_1e30() {
+    let at = |factor: f64| {
+        let mut scene = load("cornell-box");
+        scene.materials.iter_mut().for_each(|m| m.emission = m.emission.map(|e| e * factor));
+        solved(scene, Subdivision::Count(300))
+    };
+    let one = at(1.0);
+    for factor in [2f64.powi(-100), 2f64.powi(100), 1e-30, 1e30] {
+        let lit = at(factor);
+        let off = |a: &[f64], b: &[f64]| {
+            a.iter().zip(b).map(|(a, b)| (a / factor - b).abs()).fold(0.0, f64::max)
+                / b.iter().copied().fold(0.0, f64::max)
+        };
+        let [b, e, s] = [
+            off(&lit.solution.radiosity, &one.solution.radiosity),
+            off(&lit.solution.irradiance, &one.solution.irradiance),
+            off(&lit.errors, &one.errors),
+        ];
+        println!("emission times {factor:.0e}: B off by {b:.1e}, E {e:.1e}, error bars {s:.1e}");
+        if factor.log2().fract() == 0.0 {
+            assert_eq!([b, e, s], [0.0; 3], "{factor:e}");
+        } else {
+            // Error bars run in single precision.
+            assert!(b <= 1e-12 && e <= 1e-12 && s <= 1e-5, "{factor:e}: {b:e} {e:e} {s:e}");
+        }
+    }
+}
+
+/// A flat surface sees nothing of itself: B = Be, all of it leaves.
+#[test]
+fn one_triangle_in_one_patch_or_many() {
+    let triangle = vec![[DVec3::ZERO, DVec3::X, DVec3::Y]];
+    for subdivision in [WHOLE, Subdivision::Count(64)] {
+        let lit = solved(scene(&[part(triangle.clone(), 0.7, 2.0)]), subdivision);
+        assert!(lit.solution.radiosity.iter().all(|&b| b == 2.0));
+        assert!(lit.solution.irradiance.iter().all(|&e| e == 0.0));
+        assert!(lit.cast.form_factors.escaped().iter().all(|&e| e == 1.0));
+        assert!((lit.ledger.escaped[0] / 1.0 - 1.0).abs() <= 1e-12);
+        println!("one triangle, {} patches: exact", lit.solution.radiosity.len());
+    }
+    let dark = solved(scene(&[part(triangle, 0.7, 0.0)]), WHOLE);
+    assert_eq!(dark.solution.radiosity, [0.0]);
+}
+
+/// Behind walls, or looking away: not a trace of its light arrives.
+#[test]
+fn an_emitter_that_nobody_sees() {
+    let inner = room(DVec3::splat(0.4), DVec3::splat(0.6));
+    let away = level_square(1.0, -2.0, false);
+    let lamps = [("walled in", part(inner, 0.5, 1.0)), ("looking away", part(away, 0.5, 1.0))];
+    for (name, lamp) in lamps {
+        let shell = flipped(room(DVec3::splat(0.39), DVec3::splat(0.61)));
+        let parts = [part(unit_room(), 0.5, 0.0), part(shell, 0.5, 0.0), lamp];
+        let lit = solved(scene(&parts), Subdivision::Count(300));
+        for k in [0, 1] {
+            assert!(lit.cast.of_part(k).iter().all(|&i| lit.solution.radiosity[i] == 0.0), "{name}");
+        }
+        let lamp = lit.cast.of_part(2);
+        assert!(lamp.iter().all(|&i| lit.solution.radiosity[i] > 0.5), "{name}");
+        println!("emitter nobody sees, {name}: all else 0");
+    }
+}
+
+fn moved(scene: &Scene, factor: f64, offset: DVec3) -> Scene {
+    let mut moved = scene.clone();
+    moved.vertices.iter_mut().for_each(|v| *v = *v * factor + offset);
+    moved
+}
+
+/// Rays run in unit space: by powers of two, or by whole multiples, nothing changes to the bit. Other factors and offsets
+/// round the file's coordinates, to 1e-16 of them: of the size at an offset of 10⁶ sizes 1e-10, which moves some
+/// coordinates of unit space by one rounding of single precision, 6e-8, and the few rays that pass so close to an edge.
+#[test]
+fn scale_and_offset() {
+    let original = load("cornell-box");
+    let run = |scene: Scene| {
+        let options = CastOptions { by_variance: false, ..CastOptions::default() };
+        light(cast(scene, Subdivision::Count(300), options), None)
+    };
+    let size = 2f64.powi(9);
+    let one = run(original.clone());
+    for (factor, offset) in [
+        (2f64.powi(-20), 0.0),
+        (2f64.powi(20), 0.0),
+        (1e-6, 0.0),
+        (1e6, 0.0),
+        (1.0, 1e6 * size),
+        (1e-6, 1.0 * size),
+        (1e6, 1e12 * size),
+    ] {
+        let lit = run(moved(&original, factor, dvec3(offset, -offset, offset)));
+        let hits = |lit: &Lit, i: usize| lit.cast.form_factors.hits().unwrap().of(i).to_vec();
+        let n = lit.cast.patches.len();
+        let (mut differ, mut rays) = (0, 0);
+        for i in 0..n {
+            let (a, b) = (hits(&one, i), hits(&lit, i));
+            assert_eq!(a.len(), b.len());
+            differ += a.iter().zip(&b).filter(|(a, b)| a != b).count();
+            rays += a.len();
+        }
+        let (mut squares, mut all) = (0.0, 0.0);
+        for (a, b) in one.solution.irradiance.iter().zip(&lit.solution.irradiance) {
+            squares += (a - b).powi(2);
+            all += a * a;
+        }
+        let off = (squares / all).sqrt();
+        println!(
+            "scale {factor:.0e}, offset {offset:.0e}: {differ} of {rays} rays differ, E off by {off:.1e} (RMS)"
+        );
+        if offset == 0.0 && factor.log2().fract() == 0.0 {
+            assert_eq!((differ, off), (0, 0.0));
+        }
+        // A ray meets some ten edges of patches across its way; within 1e-7 of one in 1e-5 of the cases at most.
+        assert!(differ as f64 <= 1.0 + 1e-5 * rays as f64 && off <= 1e-3, "{differ} of {rays}, {off:e}");
+    }
+}
+
+/// The share of what `from` sends that arrives at `to`, both convex and unblocked.
+fn exact(from: &[DVec3], to: &[DVec3]) -> f64 {
+    polygon_form_factor(from, to)
+}
+
+fn quad(corner: DVec3, u: DVec3, v: DVec3) -> [DVec3; 4] {
+    [corner, corner + u, corner + u + v, corner + v]
+}
+
+/// Strips a million times as long as wide: one that shines, one that is lit, and one in the wall of a furnace.
+#[test]
+fn slivers() {
+    const W: f64 = 1e-6;
+    let floor = (DVec3::ZERO, DVec3::X, DVec3::Y);
+    let strip = (dvec3(0.5, 0.0, 1.0), DVec3::Y, DVec3::X * W);
+    let square = (dvec3(0.0, 0.0, 1.0), DVec3::Y, DVec3::X);
+    let low_strip = (dvec3(0.5, 0.0, 0.0), DVec3::X * W, DVec3::Y);
+    let cases = [("a sliver shines", floor, strip), ("a sliver is lit", low_strip, square)];
+    for (name, lit_part, lamp) in cases {
+        let of = |(c, u, v): (DVec3, DVec3, DVec3)| rectangle(c, u, v);
+        let parts = [part(of(lit_part), 0.0, 0.0), part(of(lamp), 0.0, 1.0)];
+        let lit = solved(scene(&parts), Subdivision::Edge(0.25));
+        let mean = lit.cast.mean(&lit.cast.of_part(0), &lit.solution.irradiance, &lit.errors);
+        let truth = exact(&quad(lit_part.0, lit_part.1, lit_part.2), &quad(lamp.0, lamp.1, lamp.2));
+        println!("{name}: E off by {:.1e}", mean.value / truth - 1.0);
+        if name == "a sliver shines" {
+            // Nothing blocks: known to single precision, in which its width is rounded at 1/2 by 6e-8 / 1e-6.
+            assert!((mean.value / truth - 1.0).abs() <= 0.06, "{} instead of {truth}", mean.value);
+        } else {
+            // Rays keep 6e-7 of half of the scene away from edges. That leaves them a part of the sliver only: what is
+            // found is the light on that part, within what it is at the middle and at the ends.
+            let at = |y: f64| point_to_polygon(dvec3(0.5, y, 0.0), DVec3::Z, &quad(lamp.0, lamp.1, lamp.2));
+            assert!(at(0.0) < mean.value && mean.value < at(0.5), "{} to {}", at(0.0), at(0.5));
+        }
+    }
+
+    let [_, x1, y0, y1, z0, z1] = room_faces(DVec3::ZERO, DVec3::ONE);
+    let (a, b) = (
+        rectangle(DVec3::ZERO, DVec3::Y * W, DVec3::Z),
+        rectangle(DVec3::Y * W, DVec3::Y * (1.0 - W), DVec3::Z),
+    );
+    let room = scene(&[black([a, b, x1, y0, y1, z0, z1].concat())]);
+    let lit = furnace(cast(room, Subdivision::Count(300), CastOptions::default()), 0.9);
+    let off = worst(&lit.solution.radiosity, 1.0);
+    println!("a sliver in a furnace: off by {off:.1e}");
+    assert!(off <= 1e-9, "{off:e}");
+}
+
+/// A tile of 10⁻⁴ of the room's size amid it: the ceiling shines on it as on a point.
+#[test]
+fn patches_from_1_to_1e_minus_4() {
+    const W: f64 = 1e-4;
+    let tile = (dvec3(0.5, 0.5, 0.5), DVec3::X * W, DVec3::Y * W);
+    let mut parts = furnished((0.0, 0.0), (0.0, 1.0), (0.0, 0.0));
+    parts.push(black(rectangle(tile.0, tile.1, tile.2)));
+    let lit = solved(scene(&parts), WHOLE);
+    let mean = lit.cast.mean(&lit.cast.of_part(3), &lit.solution.irradiance, &lit.errors);
+    let ceiling = quad(DVec3::Z, DVec3::Y, DVec3::X);
+    let truth = exact(&quad(tile.0, tile.1, tile.2), &ceiling);
+    println!("a tile of 1e-4: E off by {}", off(mean, truth));
+    // The tile's corners are rounded by 1e-7 / 1e-4 at most.
+    mean.assert_is(truth, 1e-3 * truth);
+
+    parts.iter_mut().for_each(|p| (p.reflectance, p.exitance) = ([0.0; 3], [0.0; 3]));
+    let lit = furnace(cast(scene(&parts), WHOLE, CastOptions::default()), 0.9);
+    let off = worst(&lit.solution.radiosity, 1.0);
+    println!("a tile of 1e-4 in a furnace, both sides: off by {off:.1e}");
+    assert!(off <= 1e-9, "{off:e}");
+}
+
+/// A wall of two faces 10⁻⁵ apart holds all light back, and so does one without thickness.
+#[test]
+fn thin_walls_hold_light_back() {
+    for gap in [1e-5, 1e-6, 0.0] {
+        let bright = part(room(DVec3::ZERO, DVec3::ONE), 0.5, 0.5);
+        let dark = part(room(dvec3(1.0 + gap, 0.0, 0.0), dvec3(2.0 + gap, 1.0, 1.0)), 0.5, 0.0);
+        let lit = solved(scene(&[bright, dark]), Subdivision::Count(400));
+        let [b, d] = [0, 1].map(|k| lit.cast.of_part(k));
+        let through = d.iter().map(|&i| lit.solution.irradiance[i]).fold(0.0, f64::max);
+        let off = b.iter().map(|&i| (lit.solution.radiosity[i] - 1.0).abs()).fold(0.0, f64::max);
+        println!("walls {gap:.0e} apart: {through:.1e} passes, the furnace is off by {off:.1e}");
+        assert_eq!(through, 0.0);
+        assert!(off <= 1e-9, "{off:e}");
+    }
+}
+
+/// In a closed furnace B is 1 on whatever surfaces, wherever they lie.
+#[test]
+fn touching_coplanar_doubled_and_intersecting_faces() {
+    let solid = |low: DVec3, high: DVec3| flipped(room(low, high));
+    let third = 1.0 / 3.0;
+    let cases = [
+        ("touching", vec![solid(dvec3(0.2, 0.2, 0.0), dvec3(0.6, 0.6, third))]),
+        ("touching in a corner", vec![solid(DVec3::ZERO, DVec3::splat(third))]),
+        ("coplanar", vec![rectangle(dvec3(0.2, 0.2, 0.0), DVec3::X * 0.4, DVec3::Y * 0.4)]),
+        ("doubled", vec![unit_room()]),
+        ("doubled and turned", vec![flipped(unit_room())]),
+        ("doubled and moved by 1e-9", vec![room(DVec3::splat(1e-9), DVec3::splat(1.0 - 1e-9))]),
+        (
+            "intersecting",
+            vec![
+                solid(dvec3(0.2, 0.2, 0.2), dvec3(0.6, 0.6, 0.6)),
+                solid(dvec3(0.4, 0.4, 0.3), dvec3(0.8, 0.8, 0.7)),
+            ],
+        ),
+    ];
+    for (name, more) in cases {
+        let mut parts = vec![black(unit_room())];
+        parts.extend(more.into_iter().map(black));
+        let lit = furnace(cast(scene(&parts), Subdivision::Count(500), CastOptions::default()), 0.9);
+        // A face in contact with another, or behind it, does not see the room.
+        let (escaped, b) = (lit.cast.form_factors.escaped(), &lit.solution.radiosity);
+        let inside: Vec<f64> = (0..b.len()).filter(|&i| escaped[i] < 1.0).map(|i| b[i]).collect();
+        let off = worst(&inside, 1.0);
+        println!("{name}: off by {off:.1e}, {} of {} patches see nothing", b.len() - inside.len(), b.len());
+        assert!(off <= 1e-9 && inside.len() >= lit.cast.of_part(0).len(), "{name}: {off:e}");
+    }
+}
+
+/// Faces without area are left out, and nothing else changes.
+#[test]
+fn faces_without_area() {
+    let parts = furnished((0.5, 0.0), (0.5, 1.0), (0.5, 0.0));
+    let plain = solved(scene(&parts), Subdivision::Count(200));
+    let mut with = furnished((0.5, 0.0), (0.5, 1.0), (0.5, 0.0));
+    let (a, b) = (dvec3(0.25, 0.25, 0.5), dvec3(0.5, 0.75, 0.5));
+    with[0].triangles.splice(1..1, [[a, a, a], [a, b, a], [a, a.midpoint(b), b]]);
+    let scene = scene(&with);
+    assert_eq!(scene.degenerate, 3);
+    let lit = solved(scene, Subdivision::Count(200));
+    assert_eq!(lit.solution, plain.solution);
+    assert_eq!(lit.errors, plain.errors);
+    println!("faces without area: same bits");
+}
+
+/// Areas beyond what single precision can hold, in all and one beside the others.
+#[test]
+fn areas_beyond_single_precision() {
+    let original = scene(&furnished((0.5, 0.0), (0.5, 1.0), (0.5, 0.0)));
+    let one = solved(original.clone(), Subdivision::Count(200));
+    for exponent in [-450, -100, 100, 450] {
+        let lit = solved(moved(&original, 2f64.powi(exponent), DVec3::ZERO), Subdivision::Count(200));
+        assert_eq!(lit.solution, one.solution, "2^{exponent}");
+        // A logarithm of areas is in them, as large as the exponent.
+        for (a, b) in lit.errors.iter().zip(&one.errors) {
+            assert!((a / b - 1.0).abs() <= 1e-12, "2^{exponent}: {a} {b}");
+        }
+    }
+    println!("areas from 2^-900 to 2^900: same bits");
+
+    for width in [1e-3, 1e-8, 1e-12, 1e-20, 1e-30, 1e-100] {
+        let tile = rectangle(DVec3::ZERO, DVec3::X * width, DVec3::Y * width);
+        let mut parts = vec![black(unit_room())];
+        // Amid the room, where coordinates are smallest.
+        parts[0].triangles.iter_mut().flatten().for_each(|p| *p -= 0.5);
+        parts.push(black(tile));
+        for lamp in [0.0, 1.0] {
+            parts[1].exitance = [lamp; 3];
+            let lit = furnace(cast(scene(&parts), Subdivision::Count(100), CastOptions::default()), 0.9);
+            let off = worst(&lit.solution.radiosity, 1.0);
+            println!(
+                "a tile of {width:.0e} {}: off by {off:.1e}",
+                if lamp > 0.0 { "that shines" } else { "" }
+            );
+            assert!(off <= 1e-9, "{width:e} {lamp}: {off:e}");
+        }
+    }
+}
+
+/// The same bytes for any number of threads, on scenes of this file.
+#[test]
+fn threads_change_nothing_at_the_extremes() {
+    let run = |scene: &Scene, threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let lit = solved(scene.clone(), Subdivision::Count(400));
+            let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+            (bits(&lit.solution.radiosity), bits(&lit.errors), bits(lit.cast.form_factors.escaped()))
+        })
+    };
+    let nearly_white = scene(&[part(two_chambers(0.02, 0.05), 1.0 - 1e-9, 1e-9)]);
+    let mut knot = furnished((0.5, 0.0), (0.5, 1e30), (0.5, 0.0));
+    knot.push(part(flipped(room(DVec3::splat(0.3), dvec3(0.6, 0.300001, 0.6))), 1.0, 0.0));
+    knot.push(part(unit_room(), 0.5, 1e-30));
+    let far = moved(&load("cornell-box"), 1e-6, DVec3::splat(500.0));
+    for scene in [nearly_white, scene(&knot), far] {
+        let one = run(&scene, 1);
+        for threads in [2, 7, 64] {
+            assert!(run(&scene, threads) == one, "{threads} threads");
+        }
+    }
+}
+
+/// Emission too weak to count by the side of another, and reflectances next to 0: nothing is lost in between.
+#[test]
+fn materials_side_by_side() {
+    let material = |rho: f64, be: f64| Material::new("m", [rho; 3], [be / PI; 3]);
+    let triangles: Vec<(Corners, u32)> = unit_room().into_iter().zip((0..6).flat_map(|k| [k, k])).collect();
+    let rho = [0.0, 1e-300, 1e-9, 0.5, 1.0, 1.0 - 1e-9];
+    let be = rho.map(|rho: f64| 1.0 - rho);
+    let scene = Scene::new(&triangles, rho.iter().zip(&be).map(|(&r, &b)| material(r, b)).collect());
+    let lit = solved(scene, Subdivision::Count(200));
+    let off = worst(&lit.solution.radiosity, 1.0);
+    println!("reflectances from 0 to 1 side by side: off by {off:.1e}");
+    assert!(off <= 1e-9, "{off:e}");
+}
