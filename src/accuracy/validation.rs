@@ -126,18 +126,27 @@ pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
 }
 
 /// Irradiance of `fine` and its standard error, averaged over the front patches of `coarse`.
-fn aggregated(coarse: &Patches, fine: &Solved) -> (Vec<f64>, Vec<f64>) {
-    let channels = fine.solution.channels;
-    let n = coarse.fronts();
-    let (mut mean, mut variance) = (vec![0.0; n * channels], vec![0.0; n * channels]);
-    for j in 0..fine.patches.fronts() {
-        let (i, share) = fine.patches.within(coarse, j);
+pub(super) fn aggregated(coarse: &Patches, fine: &Solved) -> (Vec<f64>, Vec<f64>) {
+    let variance: Vec<f64> = fine.error_bars.standard_error.iter().map(|e| e * e).collect();
+    let sums = weighted(coarse, &fine.patches, &variance, |share| share * share);
+    (averaged(coarse, &fine.patches, &fine.solution.irradiance), sums.into_iter().map(f64::sqrt).collect())
+}
+
+/// Values of the patches of `fine`, interleaved channels each, averaged over the front patches of `coarse`.
+pub(super) fn averaged(coarse: &Patches, fine: &Patches, values: &[f64]) -> Vec<f64> {
+    weighted(coarse, fine, values, |share| share)
+}
+
+fn weighted(coarse: &Patches, fine: &Patches, values: &[f64], weight: impl Fn(f64) -> f64) -> Vec<f64> {
+    let channels = fine.channels();
+    let mut sums = vec![0.0; coarse.fronts() * channels];
+    for j in 0..fine.fronts() {
+        let (i, share) = fine.within(coarse, j);
         for c in 0..channels {
-            mean[i * channels + c] += share * fine.solution.irradiance[j * channels + c];
-            variance[i * channels + c] += (share * fine.error_bars.standard_error[j * channels + c]).powi(2);
+            sums[i * channels + c] += weight(share) * values[j * channels + c];
         }
     }
-    (mean, variance.into_iter().map(f64::sqrt).collect())
+    sums
 }
 
 /// Path tracing as one side of the comparison, for the front patches.

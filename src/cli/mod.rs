@@ -13,6 +13,7 @@ mod probe;
 mod render;
 mod solve;
 mod summary;
+mod tradeoff;
 mod validate;
 mod watch;
 
@@ -46,6 +47,7 @@ enum Command {
     Render(render::RenderArgs),
     Probe(probe::ProbeArgs),
     Inspect(inspect::InspectArgs),
+    Tradeoff(tradeoff::TradeoffArgs),
 }
 
 /// Options of every command.
@@ -89,6 +91,7 @@ pub fn run() -> ExitCode {
         Command::Render(args) => render::run(&args),
         Command::Probe(args) => probe::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Tradeoff(args) => tradeoff::run(&args),
     };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
