@@ -275,13 +275,12 @@ impl Panel {
             let (x, y) = (self.x.at(x), self.y.at(y));
             symbol(out, x, y, colour, kind);
             if !word.is_empty() {
-                // To the left where there is no room to the right.
+                // Below and to the left where there is no room to the right.
                 let narrow = x + 9.0 * word.len() as f64 + 12.0 > self.x.end;
-                let (x, anchor) = if narrow { (x - 9.0, "end") } else { (x + 9.0, "start") };
+                let (x, y, anchor) = if narrow { (x, y + 20.0, "end") } else { (x + 9.0, y - 7.0, "start") };
                 let _ = writeln!(
                     out,
-                    "<text x=\"{x:.1}\" y=\"{:.1}\" fill=\"{colour}\" font-weight=\"bold\" text-anchor=\"{anchor}\">{word}</text>",
-                    y - 7.0
+                    "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"{colour}\" font-weight=\"bold\" text-anchor=\"{anchor}\">{word}</text>"
                 );
             }
         }
