@@ -52,17 +52,23 @@ impl Axis {
 
     /// Where lines are drawn, and whether they get a number.
     fn ticks(&self) -> Vec<(f64, bool)> {
-        let decades = (self.high / self.low).log10();
-        // Numbers at 1, 2 and 5 where there is room for them.
-        let room = (self.end - self.start).abs() / decades > 120.0;
+        let decade_length = (self.end - self.start).abs() / (self.high / self.low).log10();
+        // Numbers at 1, 2 and 5 where there is room for them; at every few decades where there is little.
+        let between = decade_length > 120.0;
+        let every = (40.0 / decade_length).ceil() as i32;
         let mut ticks = Vec::new();
         for decade in self.low.log10().floor() as i32..=self.high.log10().ceil() as i32 {
             for digit in 1..10 {
                 // Divided by a whole power, so that 0.3 is the double that prints as 0.3.
                 let power = 10f64.powi(decade.abs());
                 let value = if decade < 0 { f64::from(digit) / power } else { f64::from(digit) * power };
-                if (self.low..=self.high).contains(&value) {
-                    ticks.push((value, digit == 1 || (room && (digit == 2 || digit == 5))));
+                let numbered = match digit {
+                    1 => decade % every == 0,
+                    2 | 5 => between,
+                    _ => false,
+                };
+                if (self.low..=self.high).contains(&value) && (digit == 1 || every == 1) {
+                    ticks.push((value, numbered));
                 }
             }
         }
@@ -211,7 +217,8 @@ impl Panel {
                 let below = y.start + 16.0;
                 let _ = writeln!(
                     out,
-                    "<text x=\"{at:.1}\" y=\"{below:.1}\" text-anchor=\"middle\">{value}</text>"
+                    "<text x=\"{at:.1}\" y=\"{below:.1}\" text-anchor=\"middle\">{}</text>",
+                    plain(value)
                 );
             }
         }
@@ -219,7 +226,7 @@ impl Panel {
             let at = y.at(value);
             rule(out, [x.start, at, x.end, at], numbered);
             if numbered {
-                let (left, percent) = (x.start - 6.0, (1e12 * value).round() / 1e10);
+                let (left, percent) = (x.start - 6.0, plain(100.0 * value));
                 let _ = writeln!(
                     out,
                     "<text x=\"{left:.1}\" y=\"{:.1}\" text-anchor=\"end\">{percent} %</text>",
@@ -311,6 +318,12 @@ fn symbol(out: &mut String, x: f64, y: f64, colour: &str, kind: &str) {
             "{place} fill=\"{colour}\" stroke=\"{colour}\" stroke-width=\"1.8\"><path d=\"M-12 0H12\"/><circle r=\"3\"/></g>"
         ),
     };
+}
+
+/// A number of one digit as people write it.
+fn plain(value: f64) -> String {
+    let digit = format!("{value:.0e}");
+    if (1e-4..1e5).contains(&value) { digit.parse().map_or(digit, |x: f64| x.to_string()) } else { digit }
 }
 
 /// What the marks mean.

@@ -8,7 +8,7 @@ use crate::{
     accuracy::{
         discretisation::Discretisation,
         error_bars::{ErrorBars, relative_rms},
-        validation::{Solved, aggregated, averaged},
+        validation::{Solved, averaged, averaged_errors},
     },
     form_factor::{CastOptions, Estimator, FormFactors},
     monte_carlo::{Effort, Estimate, PathOptions, PathTracer, Region},
@@ -164,7 +164,6 @@ impl<'a> Sweep<'a> {
         let mut patches = Patches::subdivide(self.scene, &subdivision);
         let form_factors = FormFactors::cast(self.scene, self.tracer, &mut patches, &cast, self.progress)?;
         let casting = start.elapsed().as_secs_f64();
-        let mut ground = (patches, form_factors);
         let (mut points, mut left_out) = (Vec::new(), Vec::new());
         for solver in [
             Solver::ConjugateGradient,
@@ -173,8 +172,8 @@ impl<'a> Sweep<'a> {
             Solver::Southwell,
             Solver::Direct,
         ] {
-            if solver == Solver::Direct && ground.0.len() > MOST_DIRECT {
-                left_out.push(format!("direct: {} patches are too many for it", ground.0.len()));
+            if solver == Solver::Direct && patches.len() > MOST_DIRECT {
+                left_out.push(format!("direct: {} patches are too many for it", patches.len()));
                 continue;
             }
             // It knows no tolerance: the last will do.
@@ -183,20 +182,18 @@ impl<'a> Sweep<'a> {
                 let options = SolveOptions { solver, tolerance, ..SolveOptions::default() };
                 let mut runs = Vec::new();
                 for _ in 0..REPEATS {
-                    let run;
-                    match self.solved(ground, casting, Series::Solver, &options) {
-                        Ok(done) => (run, ground) = done,
-                        Err((back, Error::NotConverged { iterations, .. })) => {
-                            ground = back;
+                    let run = self.solved(&patches, &form_factors, casting, Series::Solver, &options);
+                    match run {
+                        Ok(run) => runs.push(run),
+                        Err(Error::NotConverged { iterations, .. }) => {
                             left_out.push(format!(
                                 "{} to {tolerance:e}: not reached in {iterations} iterations",
                                 solver.name()
                             ));
                             break;
                         }
-                        Err((_, error)) => return Err(error),
+                        Err(error) => return Err(error),
                     }
-                    runs.push(run);
                 }
                 points.extend(self.summed_up(runs));
             }
@@ -262,61 +259,47 @@ impl<'a> Sweep<'a> {
             let form_factors =
                 FormFactors::cast(self.scene, self.tracer, &mut patches, &cast, self.progress)?;
             let casting = start.elapsed().as_secs_f64();
-            let done = self.solved((patches, form_factors), casting, series, &SolveOptions::default());
-            runs.push(done.map_err(|(_, error)| error)?.0);
+            let options = SolveOptions::default();
+            runs.push(self.solved(&patches, &form_factors, casting, series, &options)?);
         }
         Ok(self.summed_up(runs).expect("there is at least one run"))
     }
 
-    /// Solves what was cast, and hands it back.
-    #[expect(clippy::type_complexity, reason = "what comes in goes out, with the run or with the error")]
+    /// Solves what took `casting` seconds to cast.
     fn solved(
         &self,
-        (patches, form_factors): (Patches, FormFactors),
+        patches: &Patches,
+        form_factors: &FormFactors,
         casting: f64,
         series: Series,
         options: &SolveOptions,
-    ) -> std::result::Result<(Run, (Patches, FormFactors)), ((Patches, FormFactors), Error)> {
+    ) -> Result<Run> {
         let start = Instant::now();
-        let solution = match solve(&form_factors, &patches, options, self.progress) {
-            Ok(solution) => solution,
-            Err(error) => return Err(((patches, form_factors), error)),
-        };
+        let solution = solve(form_factors, patches, options, self.progress)?;
         let solving = start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let error_bars = ErrorBars::of(&form_factors, &patches, &solution).expect("rays were cast");
+        let error_bars = ErrorBars::of(form_factors, patches, &solution).expect("rays were cast");
         let seconds = Times { casting, solving, error_bars: start.elapsed().as_secs_f64() };
-        let size = match Discretisation::of(
-            &form_factors,
-            &patches,
-            &solution,
-            &SolveOptions::default(),
-            self.progress,
-        ) {
-            Ok(size) => size,
-            Err(error) => return Err(((patches, form_factors), error)),
-        };
-        let (iterations, solver) = (solution.iterations, solution.solver);
-        let solved = Solved { patches, form_factors, solution, error_bars };
-        let (irradiance, standard_error) = aggregated(&self.common, &solved);
-        let Solved { patches, form_factors, .. } = solved;
+        let precise = SolveOptions::default();
+        let size = Discretisation::of(form_factors, patches, &solution, &precise, self.progress)?;
+        let change = size.map(|size| averaged(&self.common, patches, &size.change));
+        let errors = averaged_errors(&self.common, patches, &error_bars.standard_error);
         let point = Point {
             series,
             patches: patches.len(),
-            rays: rays_a_patch(&form_factors),
-            solver: Some(solver),
+            rays: rays_a_patch(form_factors),
+            solver: Some(solution.solver),
             tolerance: options.tolerance,
-            iterations,
+            iterations: solution.iterations,
             error: 0.0,
             believed: false,
-            estimated_sampling: self.relative(&standard_error),
-            estimated_discretisation: size
-                .map(|size| self.relative(&averaged(&self.common, &patches, &size.change))),
+            estimated_sampling: self.relative(&errors),
+            estimated_discretisation: change.map(|change| self.relative(&change)),
             seconds,
             runs: 0,
             bytes: form_factors.bytes(),
         };
-        Ok((Run { square: self.square(&irradiance), point }, (patches, form_factors)))
+        Ok(Run { square: self.square(&averaged(&self.common, patches, &solution.irradiance)), point })
     }
 
     fn repeats(&self, rays: f64) -> u64 {
