@@ -6,4 +6,5 @@ pub mod discretisation;
 pub mod error_bars;
 pub mod refinement;
 pub mod survey;
+pub mod tradeoff;
 pub mod validation;

@@ -100,7 +100,8 @@ fn halved(patches: &Patches) -> Subdivision {
 pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
     let channels = coarse.solution.channels;
     let n = coarse.patches.fronts();
-    let (mean_fine, error_fine) = aggregated(&coarse.patches, fine);
+    let mean_fine = averaged(&coarse.patches, &fine.patches, &fine.solution.irradiance);
+    let error_fine = averaged_errors(&coarse.patches, &fine.patches, &fine.error_bars.standard_error);
     let irradiance = coarse.solution.irradiance[..n * channels].to_vec();
     let standard_error = coarse.error_bars.standard_error[..n * channels].to_vec();
     let excess: Vec<f64> = (0..n * channels)
@@ -125,19 +126,27 @@ pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
     Estimates { irradiance, standard_error, allowance, mean }
 }
 
-/// Irradiance of `fine` and its standard error, averaged over the front patches of `coarse`.
-fn aggregated(coarse: &Patches, fine: &Solved) -> (Vec<f64>, Vec<f64>) {
-    let channels = fine.solution.channels;
-    let n = coarse.fronts();
-    let (mut mean, mut variance) = (vec![0.0; n * channels], vec![0.0; n * channels]);
-    for j in 0..fine.patches.fronts() {
-        let (i, share) = fine.patches.within(coarse, j);
+/// Values of the patches of `fine`, interleaved channels each, averaged over the front patches of `coarse`.
+pub(super) fn averaged(coarse: &Patches, fine: &Patches, values: &[f64]) -> Vec<f64> {
+    weighted(coarse, fine, values, |share| share)
+}
+
+/// Standard errors of such averages, from those of the patches of `fine`, taken to be independent.
+pub(super) fn averaged_errors(coarse: &Patches, fine: &Patches, errors: &[f64]) -> Vec<f64> {
+    let variance: Vec<f64> = errors.iter().map(|e| e * e).collect();
+    weighted(coarse, fine, &variance, |share| share * share).into_iter().map(f64::sqrt).collect()
+}
+
+fn weighted(coarse: &Patches, fine: &Patches, values: &[f64], weight: impl Fn(f64) -> f64) -> Vec<f64> {
+    let channels = fine.channels();
+    let mut sums = vec![0.0; coarse.fronts() * channels];
+    for j in 0..fine.fronts() {
+        let (i, share) = fine.within(coarse, j);
         for c in 0..channels {
-            mean[i * channels + c] += share * fine.solution.irradiance[j * channels + c];
-            variance[i * channels + c] += (share * fine.error_bars.standard_error[j * channels + c]).powi(2);
+            sums[i * channels + c] += weight(share) * values[j * channels + c];
         }
     }
-    (mean, variance.into_iter().map(f64::sqrt).collect())
+    sums
 }
 
 /// Path tracing as one side of the comparison, for the front patches.

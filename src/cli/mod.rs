@@ -15,6 +15,7 @@ mod render;
 mod sampling;
 mod solve;
 mod summary;
+mod tradeoff;
 mod validate;
 mod watch;
 
@@ -49,6 +50,7 @@ enum Command {
     Bake(bake::BakeArgs),
     Probe(probe::ProbeArgs),
     Inspect(inspect::InspectArgs),
+    Tradeoff(tradeoff::TradeoffArgs),
 }
 
 /// Options of every command.
@@ -93,6 +95,7 @@ pub fn run() -> ExitCode {
         Command::Bake(args) => bake::run(&args),
         Command::Probe(args) => probe::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Tradeoff(args) => tradeoff::run(&args),
     };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

@@ -112,8 +112,9 @@ impl FormFactors {
         progress: &Progress,
     ) -> Result<FormFactors> {
         let sources = match options.estimator {
-            Estimator::OneWay => Sources::default(),
-            Estimator::Pooled => Sources::emitters(tracer, patches),
+            // What no shadow ray looks at must be found by hemisphere rays.
+            Estimator::Pooled if options.shadow_share > 0.0 => Sources::emitters(tracer, patches),
+            _ => Sources::default(),
         };
         let mut hits = Hits::none(sources);
         let mut rays = options.rays;

@@ -12,6 +12,8 @@ pub mod ply;
 pub mod report;
 pub mod sampling_report;
 pub(crate) mod surfaces;
+pub mod tradeoff_plot;
+pub mod tradeoff_report;
 pub mod validation_report;
 pub mod vertex_colors;
 pub mod vertices;
