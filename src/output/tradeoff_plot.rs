@@ -191,17 +191,22 @@ impl Panel {
     fn frame(&self, out: &mut String, label: &str, known: f64) {
         let Panel { x, y } = self;
         if known > y.low {
-            let (top, width) = (y.at(known.min(y.high)), x.end - x.start);
+            let top = y.at(known.min(y.high));
+            let (width, height) = (x.end - x.start, y.start - top);
             let _ = writeln!(
                 out,
-                "<rect x=\"{:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{:.1}\" fill=\"#eeeeee\"/>\n\
-                 <text x=\"{:.1}\" y=\"{:.1}\" fill=\"#777777\" font-size=\"10\">below the reference&#39;s own error, {:.2} %</text>",
-                x.start,
-                y.start - top,
-                x.start + 5.0,
-                top + 12.0,
-                100.0 * known
+                "<rect x=\"{:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"#eeeeee\"/>",
+                x.start
             );
+            if height > 14.0 {
+                let _ = writeln!(
+                    out,
+                    "<text x=\"{:.1}\" y=\"{:.1}\" fill=\"#777777\" font-size=\"10\">below the reference&#39;s own error, {:.2} %</text>",
+                    x.start + 5.0,
+                    top + 12.0,
+                    100.0 * known
+                );
+            }
         }
         let rule = |out: &mut String, [x1, y1, x2, y2]: [f64; 4], numbered: bool| {
             let colour = if numbered { "#cccccc" } else { "#ececec" };

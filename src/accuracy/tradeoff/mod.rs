@@ -180,7 +180,8 @@ impl Tradeoff {
     /// Runs the sweep.
     ///
     /// # Errors
-    /// As [`FormFactors::cast`] and [`solve()`]; but a solver that does not converge is only left out.
+    /// As [`crate::form_factor::FormFactors::cast`] and [`crate::solve::solve`]; but a solver that does not converge is only
+    /// left out.
     pub fn of(
         scene: &Scene,
         tracer: &Tracer,
