@@ -187,7 +187,7 @@ impl<'a, const C: usize> System<'a, C> {
         let irradiance = self.irradiance(&radiosity);
         let residual = self.relative_residual(&radiosity, &irradiance);
         // Negated so that NaN does not pass.
-        if !(residual <= options.tolerance.max(self.attainable(&radiosity))) {
+        if !(residual <= options.tolerance.max(self.attainable(&radiosity, options.tolerance))) {
             return Err(Error::NotConverged {
                 solver: solver.name(),
                 iterations,
@@ -247,9 +247,13 @@ impl<'a, const C: usize> System<'a, C> {
 
     /// The relative residual that rounding leaves whatever the algorithm: eight units in the last place of what leaves and
     /// what arrives, each summed and scaled. Where all but 10⁻⁷ is reflected it exceeds a tolerance of 10⁻¹⁰, since what is
-    /// emitted is so little beside it.
-    fn attainable(&self, radiosity: &[[f64; C]]) -> f64 {
-        self.relative(radiosity.iter().map(|b| b.map(|b| 8.0 * f64::EPSILON * b)))
+    /// emitted is so little beside it. Who demands more than that of all light alike is not given it.
+    fn attainable(&self, radiosity: &[[f64; C]], tolerance: f64) -> f64 {
+        const ROUNDINGS: f64 = 8.0 * f64::EPSILON;
+        if tolerance < ROUNDINGS {
+            return 0.0;
+        }
+        self.relative(radiosity.iter().map(|b| b.map(|b| ROUNDINGS * b)))
     }
 
     /// The relative residual of a radiosity with its irradiance.
