@@ -9,7 +9,7 @@ use radiosity::{
         refinement::{Plan, Round, refine},
         validation::Solved,
     },
-    form_factor::CastOptions,
+    form_factor::{CastOptions, FormFactors},
     patch::{Patches, Subdivision},
     solve::SolveOptions,
     trace::Tracer,
@@ -132,15 +132,40 @@ fn more_rays_keep_those_that_were_cast() {
     let mut patches = Patches::subdivide(&case.scene, &case.subdivision);
     let cast = CastOptions { seed: 5, ..CastOptions::default() };
     let progress = Progress::new();
-    let first =
-        radiosity::form_factor::FormFactors::cast(&case.scene, &case.tracer, &mut patches, &cast, &progress)
-            .unwrap();
+    let first = FormFactors::cast(&case.scene, &case.tracer, &mut patches, &cast, &progress).unwrap();
     let before: Vec<Vec<u32>> = (0..first.len()).map(|i| first.hits().unwrap().of(i).to_vec()).collect();
     let second = first.cast_more(&case.scene, &case.tracer, &mut patches, 200.0, &progress).unwrap();
     for (i, before) in before.iter().enumerate() {
         assert_eq!(&second.hits().unwrap().of(i)[..before.len()], before, "patch {i}");
     }
     assert!(second.row_sum_deviation().after < 1e-12 && second.reciprocity_deviation().after < 1e-12);
+}
+
+/// Where no variance decides, in rounds or at once is the same: the same rays, to the bit.
+#[test]
+fn even_rounds_are_one_cast() {
+    let case = Case::new("cornell-box.obj");
+    for estimator in BOTH {
+        let cast_at_once = |rays: f64| {
+            let mut patches = Patches::subdivide(&case.scene, &case.subdivision);
+            let options =
+                CastOptions { rays, estimator, by_variance: false, seed: 5, ..CastOptions::default() };
+            let f = FormFactors::cast(&case.scene, &case.tracer, &mut patches, &options, &Progress::new());
+            (f.unwrap(), patches)
+        };
+        let (first, mut patches) = cast_at_once(64.0);
+        let rounds =
+            first.cast_more(&case.scene, &case.tracer, &mut patches, 160.0, &Progress::new()).unwrap();
+        let (at_once, _) = cast_at_once(160.0);
+        assert_eq!(rounds.len(), at_once.len());
+        for i in 0..rounds.len() {
+            assert!(
+                rounds.hits().unwrap().of(i) == at_once.hits().unwrap().of(i),
+                "{estimator:?}: patch {i}"
+            );
+            assert!(rounds.row(i).eq(at_once.row(i)), "{estimator:?}: row {i}");
+        }
+    }
 }
 
 /// Two squares a side apart see each other smoothly: the error of constant radiosity falls with the square of the edge,

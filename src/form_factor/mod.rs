@@ -74,6 +74,13 @@ impl Default for CastOptions {
     }
 }
 
+impl CastOptions {
+    /// Whether variances decide on a part of the rays.
+    fn looks_first(&self) -> bool {
+        self.estimator == Estimator::Pooled && self.by_variance
+    }
+}
+
 /// A figure before and after a repair.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct BeforeAfter {
@@ -117,20 +124,17 @@ impl FormFactors {
             _ => Sources::default(),
         };
         let mut hits = Hits::none(sources);
-        let mut rays = options.rays;
-        if options.estimator == Estimator::Pooled && options.by_variance {
-            rays *= allocation::PILOT;
-        }
+        let rays = if options.looks_first() { allocation::PILOT * options.rays } else { options.rays };
         let share = allocation::even(options, rays, !hits.sources.is_empty());
         hits.extend(scene, tracer, patches, share, options.seed, progress)?;
         let form_factors = Self::from_hits(hits, tracer, patches, options);
-        if options.estimator == Estimator::Pooled && options.by_variance {
+        if options.looks_first() {
             return form_factors.cast_more(scene, tracer, patches, options.rays, progress);
         }
         Ok(form_factors)
     }
 
-    /// Casts more rays, until there are `rays` a patch in the mean, where they lower the error of irradiance most; those
+    /// Casts more rays, until there are `rays` a patch in the mean, as the options that the first were cast with say; those
     /// that were cast before are kept.
     ///
     /// # Errors
@@ -146,11 +150,15 @@ impl FormFactors {
         rays: f64,
         progress: &Progress,
     ) -> Result<FormFactors> {
-        let variances = self.variances(patches.channels());
         let samples = self.samples.expect("only what was cast can be cast more of");
         let n = samples.hits.len();
         assert_eq!(n, patches.len(), "other patches");
-        let shares = allocation::by_variance(&samples.hits, &samples.areas, &variances, rays * n as f64);
+        let shares = if samples.options.looks_first() {
+            let variances = samples.variances(patches.channels());
+            allocation::by_variance(&samples.hits, &samples.areas, &variances, rays * n as f64)
+        } else {
+            Vec::new()
+        };
         let Samples { mut hits, options, .. } = samples;
         let even = allocation::even(&options, rays, !hits.sources.is_empty());
         let share = |i: usize, kernel: f64| shares.get(i).copied().unwrap_or_else(|| even(i, kernel));

@@ -87,7 +87,7 @@ impl FormFactors {
         irradiance: &[[f64; C]],
     ) -> Option<Vec<Deviation<C>>> {
         let samples = self.samples.as_ref()?;
-        let parts = samples.deviations(radiosity, self.estimator, |parts| parts);
+        let parts = samples.deviations(radiosity, |parts| parts);
         let add = |to: &mut [f32], what: &[f32], factor: f32| {
             to.iter_mut().zip(what).for_each(|(to, what)| *to += factor * what);
         };
@@ -117,12 +117,11 @@ impl FormFactors {
         }
         Some(whole)
     }
+}
 
+impl Samples {
     /// Variances of every patch's irradiance, all channels together, that come from its hemisphere rays, those that come
     /// in included, and from its shadow rays. Light reflected from patches that are off counts to none.
-    ///
-    /// # Panics
-    /// When the form factors were not sampled.
     pub(super) fn variances(&self, channels: usize) -> Vec<[f64; 2]> {
         match channels {
             1 => self.variances_of::<1>(),
@@ -131,25 +130,21 @@ impl FormFactors {
     }
 
     fn variances_of<const C: usize>(&self) -> Vec<[f64; 2]> {
-        let samples = self.samples.as_ref().expect("the form factors were sampled");
         let squares = |d: &Deviation<C>| d.as_flattened().iter().map(|&d| f64::from(d).powi(2)).sum();
-        samples.deviations::<C, _>(samples.radiosity.as_chunks().0, self.estimator, |parts| {
+        self.deviations::<C, _>(self.radiosity.as_chunks().0, |parts| {
             [squares(&parts.hemisphere), squares(&parts.shadow)]
         })
     }
-}
 
-impl Samples {
     /// What `make` makes of the deviations of every patch.
     fn deviations<const C: usize, T: Send>(
         &self,
         radiosity: &[[f64; C]],
-        estimator: Estimator,
         make: impl Fn(Parts<C>) -> T + Sync,
     ) -> Vec<T> {
         let replicates: Vec<Vec<Sums<C>>> = (0..REPLICATES)
             .into_par_iter()
-            .map(|k| match estimator {
+            .map(|k| match self.options.estimator {
                 Estimator::OneWay => self.one_way(k, radiosity),
                 Estimator::Pooled => self.pooled(k, radiosity),
             })
