@@ -11,7 +11,7 @@ use radiosity::{
     accuracy::{
         error_bars::{T_QUANTILE, relative_rms},
         refinement::{Plan, refine},
-        validation::Solved,
+        solved::Solved,
     },
     form_factor::CastOptions,
     patch::{Patches, Subdivision},

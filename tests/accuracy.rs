@@ -7,7 +7,7 @@ use radiosity::{
         discretisation::Discretisation,
         error_bars::{T_QUANTILE, relative_rms},
         refinement::{Plan, Round, refine},
-        validation::Solved,
+        solved::Solved,
     },
     form_factor::{CastOptions, FormFactors},
     patch::{Patches, Subdivision},

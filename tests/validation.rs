@@ -4,7 +4,8 @@ use radiosity::{
     Progress, Scene,
     accuracy::{
         comparison::{Comparison, Estimates},
-        validation::{Solved, Validation, ValidationOptions, light_traced, path_traced, radiosity_estimates},
+        solved::Solved,
+        validation::{Validation, ValidationOptions, light_traced, path_traced, radiosity_estimates},
     },
     form_factor::{CastOptions, FormFactors, Matrix},
     patch::{Patches, Subdivision},

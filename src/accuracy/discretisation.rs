@@ -5,6 +5,8 @@
 //! where patches straddle the edges of shadows, as in most scenes; then what is left at h is as large as the change from
 //! 2h to h. Where light is smooth it falls like h², and the estimate is three times too large.
 
+use std::ops::Range;
+
 use crate::{
     Progress, Result,
     accuracy::error_bars::relative_rms,
@@ -46,16 +48,17 @@ impl Discretisation {
         if (0..patches.len()).filter(whole).map(area).sum::<f64>() > 0.5 * all {
             return Ok(None);
         }
-        let parents = parents(patches);
+        let families: Vec<Range<usize>> = patches.families(1).collect();
         let channels = solution.channels;
-        let count = parents.last().map_or(0, |&last| last as usize + 1);
-        let coarse = form_factors.merged(&parents);
+        let coarse = form_factors.merged(&families);
         let mean = |values: &[f64]| {
-            let mut means = vec![0.0; count * channels];
-            for (i, &parent) in parents.iter().enumerate() {
-                for c in 0..channels {
-                    let share = areas[i] / coarse.areas()[parent as usize];
-                    means[parent as usize * channels + c] += share * values[i * channels + c];
+            let mut means = vec![0.0; families.len() * channels];
+            for (p, family) in families.iter().enumerate() {
+                for i in family.clone() {
+                    for c in 0..channels {
+                        let share = areas[i] / coarse.areas()[p];
+                        means[p * channels + c] += share * values[i * channels + c];
+                    }
                 }
             }
             means
@@ -64,27 +67,14 @@ impl Discretisation {
         let radiometry = Radiometry { channels, emission: &emission, reflectance: &reflectance };
         let solved = solve(&coarse, radiometry, options, progress)?;
         let fine = mean(&solution.irradiance);
-        let change: Vec<f64> = (0..patches.len() * channels)
-            .map(|q| {
-                let p = parents[q / channels] as usize * channels + q % channels;
-                solved.irradiance[p] - fine[p]
-            })
+        let of_family = |p: usize| (0..channels).map(move |c| p * channels + c);
+        let change: Vec<f64> = families
+            .iter()
+            .enumerate()
+            .flat_map(|(p, family)| family.clone().flat_map(move |_| of_family(p)))
+            .map(|q| solved.irradiance[q] - fine[q])
             .collect();
         let relative = relative_rms(&change, &solution.irradiance, areas);
         Ok(Some(Discretisation { change, relative }))
     }
-}
-
-/// The parent of every patch, numbered in their order; patches that are whole triangles are their own.
-fn parents(patches: &Patches) -> Vec<u32> {
-    let parent = |i: usize| (patches.triangle(i), patches.is_front(i), patches.child(i) >> 2);
-    let mut number = 0;
-    (0..patches.len())
-        .map(|i| {
-            if i > 0 && parent(i) != parent(i - 1) {
-                number += 1;
-            }
-            number
-        })
-        .collect()
 }

@@ -1,7 +1,7 @@
 //! Error bars: the standard error of every patch's irradiance that comes from sampling the form factors.
 //!
-//! The rays are cast as independent replicates. Replicate k, by itself, gives form factors F_k = F + dF_k, and to first
-//! order the irradiance
+//! The rays of every patch are taken as K parts, the replicates. Replicate k, by itself, gives form factors F_k = F + dF_k,
+//! and to first order the irradiance
 //!
 //!   dE_k = dF_k B + F ρ dE_k
 //!
@@ -96,7 +96,7 @@ fn smoothed_errors<const C: usize>(form_factors: &FormFactors, deviations: &[Dev
         let many = siblings.len() as f64;
         let mean: [f64; C] =
             std::array::from_fn(|c| own[siblings.clone()].iter().map(|v| v[c]).sum::<f64>() / many);
-        for v in &own[siblings] {
+        for v in &own[siblings.clone()] {
             errors.extend((0..C).map(|c| (0.5 * (v[c] + mean[c])).sqrt()));
         }
     }

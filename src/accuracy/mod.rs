@@ -5,6 +5,7 @@ pub mod comparison;
 pub mod discretisation;
 pub mod error_bars;
 pub mod refinement;
+pub mod solved;
 pub mod survey;
 pub mod tradeoff;
 pub mod validation;

@@ -9,7 +9,7 @@ use crate::{
     Progress, Result,
     accuracy::{
         error_bars::{ErrorBars, relative_rms},
-        validation::Solved,
+        solved::Solved,
     },
     form_factor::{CastOptions, FormFactors},
     patch::Patches,

@@ -8,14 +8,15 @@ use crate::{
     Progress, Result,
     accuracy::{
         comparison::{Comparison, Estimates},
-        error_bars::{ErrorBars, relative_rms},
+        error_bars::relative_rms,
+        solved::Solved,
     },
     energy::EnergyLedger,
-    form_factor::{CastOptions, FormFactors},
+    form_factor::CastOptions,
     monte_carlo::{Effort, Estimate, LightOptions, LightTracer, PathOptions, PathTracer, Region},
     patch::{Patches, Subdivision},
     scene::Scene,
-    solve::{Solution, SolveOptions, solve},
+    solve::SolveOptions,
     trace::Tracer,
 };
 
@@ -47,41 +48,6 @@ impl Default for ValidationOptions {
             solve: SolveOptions::default(),
             seed: 0,
         }
-    }
-}
-
-/// A scene solved at one patch size.
-#[derive(Debug)]
-pub struct Solved {
-    /// Its patches.
-    pub patches: Patches,
-    /// Their form factors.
-    pub form_factors: FormFactors,
-    /// The light.
-    pub solution: Solution,
-    /// Its sampling errors.
-    pub error_bars: ErrorBars,
-}
-
-impl Solved {
-    /// Cuts, casts, solves and estimates the errors.
-    ///
-    /// # Errors
-    /// As [`FormFactors::cast`] and [`solve()`].
-    pub fn new(
-        scene: &Scene,
-        tracer: &Tracer,
-        subdivision: &Subdivision,
-        cast: &CastOptions,
-        options: &SolveOptions,
-        progress: &Progress,
-    ) -> Result<Solved> {
-        let mut patches = Patches::subdivide(scene, subdivision);
-        let form_factors = FormFactors::cast(scene, tracer, &mut patches, cast, progress)?;
-        let solution = solve(&form_factors, &patches, options, progress)?;
-        let error_bars =
-            ErrorBars::of(&form_factors, &patches, &solution).expect("the form factors were sampled");
-        Ok(Solved { patches, form_factors, solution, error_bars })
     }
 }
 
@@ -199,13 +165,11 @@ fn share_luck(patches: &Patches, standard_error: &[f64]) -> Vec<f64> {
 /// Values no lower than their mean over the block of up to 16 patches, two levels up the quadtree, that a patch lies in.
 fn at_least_common(patches: &Patches, values: &[f64]) -> Vec<f64> {
     let channels = patches.channels();
-    let block = |i: usize| (patches.triangle(i), patches.child(i) >> 4);
-    let fronts: Vec<usize> = (0..patches.fronts()).collect();
     let mut raised = values.to_vec();
-    for members in fronts.chunk_by(|&i, &j| block(i) == block(j)) {
+    for members in patches.families(2).take_while(|members| members.end <= patches.fronts()) {
         for c in 0..channels {
-            let mean = members.iter().map(|i| values[i * channels + c]).sum::<f64>() / members.len() as f64;
-            for i in members {
+            let mean = members.clone().map(|i| values[i * channels + c]).sum::<f64>() / members.len() as f64;
+            for i in members.clone() {
                 let value = &mut raised[i * channels + c];
                 *value = value.max(mean);
             }
@@ -250,7 +214,7 @@ impl Validation {
     /// Solves the scene at two patch sizes, traces it from both ends, and compares.
     ///
     /// # Errors
-    /// As [`FormFactors::cast`], [`solve()`] and [`light_traced`].
+    /// As [`Solved::new`] and [`light_traced`].
     pub fn of(
         scene: &Scene,
         tracer: &Tracer,

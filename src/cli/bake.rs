@@ -9,7 +9,6 @@ use clap::Args;
 use radiosity::{
     Error, Result, Scene,
     energy::EnergyLedger,
-    form_factor::Estimator,
     lightmap::{
         self, Atlas, BakeOptions, Coordinates, LARGEST, Layout, Lightmap, PAGE,
         report::{BakeReport, BakeSeconds},
@@ -21,7 +20,6 @@ use radiosity::{
         file::{OutputFile, Pending},
         report::{EnergyReport, SceneReport, peak_bytes, seconds},
     },
-    solve::SolveOptions,
     tone::Exposure,
     trace::Tracer,
 };
@@ -149,13 +147,7 @@ impl BakeArgs {
     }
 
     fn job(&self) -> Job<'_> {
-        Job {
-            file: &self.scene.path,
-            cast: &self.cast,
-            estimator: Estimator::default(),
-            options: SolveOptions::default(),
-            seed: self.seed,
-        }
+        Job { file: &self.scene.path, cast: &self.cast, seed: self.seed }
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use radiosity::{
     Error, Result, Scene,
-    form_factor::{CastOptions, Estimator, FormFactors},
+    form_factor::{CastOptions, FormFactors},
     output::{file::OutputFile, report::Seconds},
     patch::Patches,
     solve::{self, Solution, SolveOptions},
@@ -47,13 +47,11 @@ pub fn read(args: &SceneArgs, outputs: &[&OutputFile], watch: &Watch) -> Result<
     Ok(scene)
 }
 
-/// How a scene shall be solved.
+/// How commands that need a solution on their way to something else get it.
 pub struct Job<'a> {
     /// The scene's file, for messages.
     pub file: &'a Path,
     pub cast: &'a CastArgs,
-    pub estimator: Estimator,
-    pub options: SolveOptions,
     pub seed: u64,
 }
 
@@ -88,11 +86,11 @@ impl Job<'_> {
         (patches, times.subdivide) =
             watch.stage("patches", || Ok(Patches::subdivide(scene, &subdivision)))?;
         let rays = f64::from(self.cast.rays());
-        let cast = CastOptions { rays, estimator: self.estimator, seed: self.seed, ..CastOptions::default() };
+        let cast = CastOptions { rays, seed: self.seed, ..CastOptions::default() };
         (form_factors, times.form_factors) = watch
             .stage("rays", || FormFactors::cast(scene, tracer, &mut patches, &cast, watch.progress()))?;
         (solution, times.solve) = watch.stage("solving", || {
-            solve::solve(&form_factors, &patches, &self.options, watch.progress())
+            solve::solve(&form_factors, &patches, &SolveOptions::default(), watch.progress())
                 .map_err(|error| blame(self.file, error))
         })?;
         Ok(Solved { patches, form_factors, solution })

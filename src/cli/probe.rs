@@ -9,7 +9,6 @@ use std::{
 use clap::{Args, ValueEnum};
 use radiosity::{
     Error, Result, Scene,
-    form_factor::Estimator,
     monte_carlo::{Effort, Estimate, PathOptions, PathTracer, Probe, Receiver, read_probes, write_probes},
     output::{
         file::Pending,
@@ -17,7 +16,6 @@ use radiosity::{
         report::{peak_bytes, seconds},
         sampling_report::{ProbesReport, SamplingReport, SamplingSeconds},
     },
-    solve::SolveOptions,
     trace::Tracer,
 };
 
@@ -171,13 +169,7 @@ fn estimate(
             patches = None;
         }
         Method::Radiosity => {
-            let job = Job {
-                file: &args.scene.path,
-                cast: &args.cast,
-                estimator: Estimator::default(),
-                options: SolveOptions::default(),
-                seed: args.seed,
-            };
+            let job = Job { file: &args.scene.path, cast: &args.cast, seed: args.seed };
             job.check(scene, watch)?;
             let Solved { patches: solved, solution, .. } =
                 job.solve(scene, tracer, watch, &mut times.stages)?;

@@ -5,7 +5,6 @@ use std::{path::PathBuf, time::Instant};
 use clap::{Args, ValueEnum};
 use radiosity::{
     Error, Result, Scene,
-    form_factor::Estimator,
     monte_carlo::{Camera, Film, LightOptions, LightTracer, PathOptions, PathTracer, RenderOptions},
     output::{
         file::Pending,
@@ -13,7 +12,6 @@ use radiosity::{
         report::{peak_bytes, seconds},
         sampling_report::{PictureReport, SamplingReport, SamplingSeconds},
     },
-    solve::SolveOptions,
     tone::Exposure,
     trace::Tracer,
 };
@@ -116,13 +114,7 @@ impl RenderArgs {
     }
 
     fn job(&self) -> Job<'_> {
-        Job {
-            file: &self.scene.path,
-            cast: &self.cast,
-            estimator: Estimator::default(),
-            options: SolveOptions::default(),
-            seed: self.seed,
-        }
+        Job { file: &self.scene.path, cast: &self.cast, seed: self.seed }
     }
 
     /// Refuses pictures that neither memory nor a day's work can hold.

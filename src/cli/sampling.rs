@@ -7,7 +7,7 @@ use radiosity::{
     accuracy::{
         discretisation::Discretisation,
         refinement::{FIRST_RAYS, Plan, Round, refine},
-        validation::Solved,
+        solved::Solved,
     },
     form_factor::CastOptions,
     output::report::Seconds,
@@ -112,10 +112,7 @@ impl Sampling<'_> {
             }
             let next = Subdivision::Count((patches.fronts() as f64 * more.max(1.2)) as usize);
             let count = Patches::forecast(self.scene, &next);
-            if forecast::check(count, FIRST_RAYS).is_err() {
-                break;
-            }
-            if count <= patches.fronts() as f64 {
+            if count <= patches.fronts() as f64 || forecast::check(count, FIRST_RAYS).is_err() {
                 break;
             }
             subdivision = next;

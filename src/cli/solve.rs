@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use radiosity::{
     Error, Result, Scene,
     accuracy::{
-        bias, discretisation::Discretisation, error_bars::relative_rms, refinement::Round, validation::Solved,
+        bias, discretisation::Discretisation, error_bars::relative_rms, refinement::Round, solved::Solved,
     },
     energy::EnergyLedger,
     form_factor::Estimator,
@@ -193,19 +193,18 @@ fn compute(
     let Sampled { solved, rounds, chosen } = sampling.run(start, times)?;
     let options = args.solve_options();
     let ((energy, error), seconds) = watch.stage("errors", || {
-        let Solved { patches, form_factors, solution, error_bars } = &solved;
+        let Solved { patches, form_factors, solution, .. } = &solved;
         let energy = EnergyLedger::of(form_factors, patches, solution);
         let progress = watch.progress();
         let change = Discretisation::of(form_factors, patches, solution, &options, progress)?;
-        let mean = relative_rms(&solution.irradiance, &solution.irradiance, form_factors.areas());
-        let rms = relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas());
-        let one =
-            relative_rms(&vec![1.0; solution.irradiance.len()], &solution.irradiance, form_factors.areas());
+        let unit = vec![1.0; solution.irradiance.len()];
+        // One W/m2 relative to the mean irradiance; zero in the dark.
+        let unit = relative_rms(&unit, &solution.irradiance, form_factors.areas());
         let error = ErrorReport {
-            rms_relative: Some(rms),
+            rms_relative: rounds.last().map(|round| round.error),
             bias_relative: bias::relative(form_factors, &tracer, patches, solution, &options, progress)?,
             discretisation_relative: change.map(|d| d.relative),
-            solver_relative: Some(solution.error_bound * one).filter(|x| x.is_finite() && mean > 0.0),
+            solver_relative: Some(solution.error_bound * unit).filter(|x| x.is_finite() && unit > 0.0),
             target: args.error.map(|percent| percent / 100.0),
             ..ErrorReport::default()
         };

@@ -7,7 +7,7 @@
 use super::{
     Matrix,
     hemisphere::{Hits, LINKED, REPLICATES},
-    reciprocity::{Densities, excess_kernels},
+    reciprocity::Densities,
     row,
 };
 
@@ -36,7 +36,10 @@ pub(super) fn refine(
     areas: &[f64],
 ) -> Vec<Escape> {
     let is_source = |i: usize| hits.sources.contains(i);
-    let variance = link_variance(hits, densities, areas);
+    // What lamps send in all is known but for shadows; only how it divides among them is left to chance, and other rows
+    // would pay for setting that right.
+    let lamps = hits.sources.are_lamps();
+    let variance = if lamps { Vec::new() } else { link_variance(hits, densities, areas) };
     let source = |i: usize| hits.sources.patches().binary_search(&(i as u32)).expect("asked of sources only");
     (0..escaped.len())
         .map(|i| {
@@ -52,13 +55,15 @@ pub(super) fn refine(
             let e = escaped[i];
             let mut escape = Escape { share: e, by_rays: 1.0, by_links: 0.0, by_linked: 0.0 };
             if is_source(i) {
-                let (of_rays, of_links) = (e * (1.0 - e) / rays, variance[source(i)]);
+                let of_rays = e * (1.0 - e) / rays;
                 // Of a source that no ray leaves the scene from, none does: closed rooms stay closed.
                 if e > 0.0 {
-                    // What lamps send in all is known but for shadows; only how it divides among them is left to chance,
-                    // and other rows would pay for setting that right.
-                    let known = hits.sources.are_lamps() || of_rays == 0.0;
-                    let trust = if known { 0.0 } else { of_links / (of_rays + of_links) };
+                    let trust = if lamps || of_rays == 0.0 {
+                        0.0
+                    } else {
+                        let of_links = variance[source(i)];
+                        of_links / (of_rays + of_links)
+                    };
                     let share = trust * e + (1.0 - trust) * (1.0 - links);
                     escape = Escape { share, by_rays: trust, by_links: trust - 1.0, by_linked: 0.0 };
                 }
@@ -83,22 +88,17 @@ pub(super) fn refine(
         .collect()
 }
 
-/// Variance of the sum of each source's links over its area, from the spread of the replicates.
+/// Variance of the sum of each source's links over its area, from the spread of the replicates, where lamps are many.
 fn link_variance(hits: &Hits, densities: &Densities, areas: &[f64]) -> Vec<f64> {
     let many = REPLICATES as f64;
     let sources = hits.sources.patches();
     let mut sums = vec![[0f64; REPLICATES]; sources.len()];
     for i in 0..hits.len() {
-        let excess = excess_kernels(hits, i);
         for link in hits.links_of(i) {
-            let exchange = densities.link(hits, i, link);
-            let (replicate, weight) = (hits.replicate(i, link), hits.weight(i, link));
+            let exchange = hits.weight(i, link) * densities.link(hits, i, link);
             for l in [i as u32, link.to] {
                 if let Ok(k) = sources.binary_search(&l) {
-                    for (r, sum) in sums[k].iter_mut().enumerate() {
-                        let own = if r == replicate { weight } else { 0.0 };
-                        *sum += (own - excess[r]) * exchange / areas[l as usize];
-                    }
+                    sums[k][hits.replicate(i, link)] += exchange / areas[l as usize];
                 }
             }
         }

@@ -194,7 +194,7 @@ impl FormFactors {
                     escapes: Vec::new(),
                     areas: relative,
                     radiosity: Vec::new(),
-                    siblings: siblings(patches),
+                    siblings: patches.families(2).collect(),
                     options,
                 }),
                 row_sum_deviation: BeforeAfter::default(),
@@ -216,7 +216,7 @@ impl FormFactors {
                     escapes,
                     areas: relative,
                     radiosity,
-                    siblings: siblings(patches),
+                    siblings: patches.families(2).collect(),
                     options,
                 });
                 form_factors.row_sum_deviation.before = before;
@@ -264,36 +264,28 @@ impl FormFactors {
         form_factors
     }
 
-    /// The form factors of patches that are put together: those with equal numbers in `parents`, which start at 0 and
-    /// increase by one at most. Nothing tells how they were sampled.
+    /// The form factors of patches that are put together, a run of them each. Nothing tells how they were sampled.
     ///
     /// # Panics
     /// When the sizes disagree.
-    pub(crate) fn merged(&self, parents: &[u32]) -> FormFactors {
-        assert_eq!(parents.len(), self.len(), "one parent a patch is wanted");
-        let count = parents.last().map_or(0, |&last| last as usize + 1);
-        let (mut areas, mut escaped) = (vec![0.0; count], vec![0.0; count]);
-        for (i, &p) in parents.iter().enumerate() {
-            areas[p as usize] += self.areas[i];
-            escaped[p as usize] += self.areas[i] * self.escaped[i];
+    pub(crate) fn merged(&self, families: &[std::ops::Range<usize>]) -> FormFactors {
+        let mut parents = Vec::with_capacity(self.len());
+        for (p, family) in families.iter().enumerate() {
+            parents.extend(family.clone().map(|_| p as u32));
         }
-        escaped.iter_mut().zip(&areas).for_each(|(e, a)| *e /= a);
-        let mean = areas.iter().sum::<f64>() / count as f64;
-        let children: Vec<&[u32]> = parents.chunk_by(|a, b| a == b).collect();
-        let mut first = 0;
-        let ranges: Vec<std::ops::Range<usize>> = children
-            .iter()
-            .map(|c| {
-                first += c.len();
-                first - c.len()..first
-            })
-            .collect();
-        let rows: Vec<Vec<(u32, f64)>> = ranges
-            .into_par_iter()
+        assert_eq!(parents.len(), self.len(), "one parent a patch is wanted");
+        let areas: Vec<f64> = families.iter().map(|f| self.areas[f.clone()].iter().sum()).collect();
+        let lost =
+            |f: &std::ops::Range<usize>| f.clone().map(|i| self.areas[i] * self.escaped[i]).sum::<f64>();
+        let escaped = families.iter().zip(&areas).map(|(f, area)| lost(f) / area).collect();
+        let (count, mean) = (families.len(), areas.iter().sum::<f64>() / families.len() as f64);
+        let parents = &parents;
+        let rows: Vec<Vec<(u32, f64)>> = families
+            .par_iter()
             .with_min_len(64)
-            .map(|range| {
+            .map(|family| {
                 let entry = |i: usize| self.row(i).map(move |(j, f)| (parents[j], self.areas[i] * f / mean));
-                let mut entries: Vec<(u32, f64)> = range.flat_map(entry).collect();
+                let mut entries: Vec<(u32, f64)> = family.clone().flat_map(entry).collect();
                 entries.sort_by_key(|&(j, _)| j);
                 entries.chunk_by(|a, b| a.0 == b.0).map(|e| (e[0].0, e.iter().map(|e| e.1).sum())).collect()
             })
@@ -316,12 +308,8 @@ impl FormFactors {
     }
 
     /// Neighbours in the plane: runs of up to 16 patches of one triangle's side, in the order of the patches.
-    pub(crate) fn siblings(&self) -> impl Iterator<Item = std::ops::Range<usize>> + '_ {
-        let ends = self.samples.as_ref().map_or(&[][..], |samples| &samples.siblings[..]);
-        std::iter::once(0)
-            .chain(ends.iter().copied())
-            .zip(ends.iter().copied())
-            .map(|(start, end)| start..end)
+    pub(crate) fn siblings(&self) -> &[std::ops::Range<usize>] {
+        self.samples.as_ref().map_or(&[], |samples| &samples.siblings)
     }
 
     /// Number of patches.
@@ -476,12 +464,6 @@ impl FormFactors {
     pub(crate) fn scaling(&self) -> (&Matrix, &[f64], &[f64]) {
         (&self.matrix, &self.left, &self.right)
     }
-}
-
-/// Where runs of patches end that lie in one quadrangle of 16 of their triangle's quadtree.
-fn siblings(patches: &Patches) -> Vec<usize> {
-    let block = |i: usize| (patches.triangle(i), patches.is_front(i), patches.child(i) >> 4);
-    (1..=patches.len()).filter(|&i| i == patches.len() || block(i) != block(i - 1)).collect()
 }
 
 /// The power of two next below the largest value, or 1 where there is none: dividing by it costs no rounding, and brings

@@ -20,8 +20,8 @@ pub(super) struct Samples {
     pub(super) areas: Vec<f64>,
     /// The radiosity after some bounces, interleaved channels, in a unit of its own.
     pub(super) radiosity: Vec<f64>,
-    /// Where each run of patches ends that are close to each other.
-    pub(super) siblings: Vec<usize>,
+    /// Runs of patches that are close to each other.
+    pub(super) siblings: Vec<std::ops::Range<usize>>,
     /// What was asked for.
     pub(super) options: CastOptions,
 }
@@ -142,11 +142,13 @@ impl Samples {
         radiosity: &[[f64; C]],
         make: impl Fn(Parts<C>) -> T + Sync,
     ) -> Vec<T> {
+        let excess: Vec<[f64; REPLICATES]> =
+            (0..self.areas.len()).into_par_iter().map(|i| excess_kernels(&self.hits, i)).collect();
         let replicates: Vec<Vec<Sums<C>>> = (0..REPLICATES)
             .into_par_iter()
             .map(|k| match self.options.estimator {
                 Estimator::OneWay => self.one_way(k, radiosity),
-                Estimator::Pooled => self.pooled(k, radiosity),
+                Estimator::Pooled => self.pooled(k, radiosity, &excess),
             })
             .collect();
         (0..self.areas.len())
@@ -170,7 +172,12 @@ impl Samples {
             .collect()
     }
 
-    fn pooled<const C: usize>(&self, replicate: usize, radiosity: &[[f64; C]]) -> Vec<Sums<C>> {
+    fn pooled<const C: usize>(
+        &self,
+        replicate: usize,
+        radiosity: &[[f64; C]],
+        excess: &[[f64; REPLICATES]],
+    ) -> Vec<Sums<C>> {
         let Samples { hits, densities, areas, .. } = self;
         let mut all = vec![Sums::<C>::ZERO; areas.len()];
         for i in 0..areas.len() {
@@ -188,11 +195,13 @@ impl Samples {
                     }
                 }
             }
-            let excess = excess_kernels(hits, i)[replicate];
             for link in hits.links_of(i) {
                 let j = link.to as usize;
                 let own = if hits.replicate(i, link) == replicate { hits.weight(i, link) } else { 0.0 };
-                let share = own - excess;
+                let share = own - excess[i][replicate];
+                if share == 0.0 {
+                    continue;
+                }
                 let exchange = densities.link(hits, i, link) * share;
                 all[i].add_link(exchange, &radiosity[j]);
                 all[j].add_link(exchange, &radiosity[i]);

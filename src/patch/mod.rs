@@ -180,6 +180,18 @@ impl Patches {
         (coarser.front(t, self.child(i) >> (2 * deeper)), 0.25f64.powi(deeper.into()))
     }
 
+    /// Runs of patches that share the ancestor so many levels up the quadtree of their triangle's side, or that side where
+    /// it has not as many, in the order of the patches.
+    pub fn families(&self, levels: u8) -> impl Iterator<Item = std::ops::Range<usize>> + '_ {
+        let ancestor = move |i: usize| (self.triangle(i), self.is_front(i), self.child(i) >> (2 * levels));
+        let mut start = 0;
+        (1..=self.len()).filter(move |&i| i == self.len() || ancestor(i) != ancestor(i - 1)).map(move |end| {
+            let family = start..end;
+            start = end;
+            family
+        })
+    }
+
     /// The patch on the back of front patch `i`, where that is an unknown.
     pub fn back_of(&self, i: usize) -> Option<u32> {
         let offset = self.back_offsets[self.triangle(i)];

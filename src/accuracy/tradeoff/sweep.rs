@@ -8,7 +8,8 @@ use crate::{
     accuracy::{
         discretisation::Discretisation,
         error_bars::{ErrorBars, relative_rms},
-        validation::{Solved, averaged, averaged_errors},
+        solved::Solved,
+        validation::{averaged, averaged_errors},
     },
     form_factor::{CastOptions, Estimator, FormFactors},
     monte_carlo::{Effort, Estimate, PathOptions, PathTracer, Region},

@@ -1,0 +1,46 @@
+//! A scene solved, with all that its answer rests on.
+
+use crate::{
+    Progress, Result,
+    accuracy::error_bars::ErrorBars,
+    form_factor::{CastOptions, FormFactors},
+    patch::{Patches, Subdivision},
+    scene::Scene,
+    solve::{Solution, SolveOptions, solve},
+    trace::Tracer,
+};
+
+/// A scene solved at one patch size.
+#[derive(Debug)]
+pub struct Solved {
+    /// Its patches.
+    pub patches: Patches,
+    /// Their form factors.
+    pub form_factors: FormFactors,
+    /// The light.
+    pub solution: Solution,
+    /// Its sampling errors.
+    pub error_bars: ErrorBars,
+}
+
+impl Solved {
+    /// Cuts, casts, solves and estimates the errors.
+    ///
+    /// # Errors
+    /// As [`FormFactors::cast`] and [`solve()`].
+    pub fn new(
+        scene: &Scene,
+        tracer: &Tracer,
+        subdivision: &Subdivision,
+        cast: &CastOptions,
+        options: &SolveOptions,
+        progress: &Progress,
+    ) -> Result<Solved> {
+        let mut patches = Patches::subdivide(scene, subdivision);
+        let form_factors = FormFactors::cast(scene, tracer, &mut patches, cast, progress)?;
+        let solution = solve(&form_factors, &patches, options, progress)?;
+        let error_bars =
+            ErrorBars::of(&form_factors, &patches, &solution).expect("the form factors were sampled");
+        Ok(Solved { patches, form_factors, solution, error_bars })
+    }
+}
