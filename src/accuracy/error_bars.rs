@@ -22,6 +22,13 @@ const MOST_BOUNCES: usize = 40;
 /// The series ends when a term changes the root mean square of the deviations by less than this share.
 const ENOUGH: f64 = 0.01;
 
+/// The variance of a run of rays falls with this power of its length, at least and at most: as that of independent rays,
+/// or of rays that leave errors of edges alone. Steeper ones are luck.
+const RATES: (f64, f64) = (1.0, 2.0);
+
+/// What single precision leaves of a form factor that is known exactly, relative.
+const ROUNDING: f64 = f32::EPSILON as f64;
+
 /// 97.5 % quantile of Student's t distribution with K - 1 = 15 degrees of freedom: E ± this times its standard error
 /// is the 95 % interval of a patch.
 pub const T_QUANTILE: f64 = 2.131;
@@ -73,14 +80,22 @@ impl ErrorBars {
                 }
             }
         }
-        let stratified = stratification(&deviations, areas);
+        // What comes from all others' shadow rays is stratified otherwise than what a patch's own rays tell.
+        let is_source = |i: usize| form_factors.is_source(i);
+        let of_sources = stratification(&deviations, areas, is_source);
+        let of_others = stratification(&deviations, areas, |i| !is_source(i));
+        // Light that is known exactly is still stored in single precision, and moved by the closure.
+        let unclosed = form_factors.unclosed_irradiance::<C>(&solution.radiosity);
+        let standard_error =
+            smoothed_errors(form_factors, &deviations).into_iter().enumerate().map(|(q, error)| {
+                let stratified = if is_source(q / C) { of_sources } else { of_others };
+                let irradiance = solution.irradiance[q];
+                (unit * stratified * error).hypot(ROUNDING * irradiance).hypot(irradiance - unclosed[q])
+            });
         Some(ErrorBars {
             channels: C,
-            standard_error: smoothed_errors(form_factors, &deviations)
-                .into_iter()
-                .map(|error| unit * stratified * error)
-                .collect(),
-            of_mean: mean.iter().map(|deviations| unit * stratified * standard_error(deviations)).collect(),
+            standard_error: standard_error.collect(),
+            of_mean: mean.iter().map(|deviations| unit * of_others * standard_error_of(deviations)).collect(),
         })
     }
 }
@@ -90,7 +105,7 @@ impl ErrorBars {
 /// its own rays have missed.
 fn smoothed_errors<const C: usize>(form_factors: &FormFactors, deviations: &[Deviation<C>]) -> Vec<f64> {
     let own: Vec<[f64; C]> =
-        deviations.iter().map(|e| e.map(|c| standard_error(&c.map(f64::from)).powi(2))).collect();
+        deviations.iter().map(|e| e.map(|c| standard_error_of(&c.map(f64::from)).powi(2))).collect();
     let mut errors = Vec::with_capacity(C * own.len());
     for siblings in form_factors.siblings() {
         let many = siblings.len() as f64;
@@ -108,15 +123,20 @@ fn smoothed_errors<const C: usize>(form_factors: &FormFactors, deviations: &[Dev
 /// The parts of a Sobol sequence complement each other. How well is told by the parts themselves: let D_b be the mean
 /// square of half the difference of two neighbouring runs of b parts. If the variance of a run is v b^-α (α = 1 when
 /// parts are independent), then D_b = v b^-α (1 - 2^-α); a line through ln D_b for b = 1, 2, 4, 8 gives α and v, and the
-/// variance of all 16. One patch could not tell, all together can.
-fn stratification<const C: usize>(deviations: &[Deviation<C>], areas: &[f64]) -> f64 {
+/// variance of all 16. One patch could not tell, all for which `counts` holds can together.
+fn stratification<const C: usize>(
+    deviations: &[Deviation<C>],
+    areas: &[f64],
+    counts: impl Fn(usize) -> bool,
+) -> f64 {
     const LEVELS: usize = REPLICATES.ilog2() as usize;
     let mut halves = [0f64; LEVELS];
     let mut spread = 0.0;
-    for (patch, area) in deviations.iter().zip(areas) {
-        for channel in patch {
+    for i in (0..areas.len()).filter(|&i| counts(i)) {
+        let area = areas[i];
+        for channel in &deviations[i] {
             let mut runs = channel.map(f64::from);
-            spread += area * standard_error(&runs).powi(2);
+            spread += area * standard_error_of(&runs).powi(2);
             let mut count = REPLICATES / 2;
             for half in &mut halves {
                 let mut sum = 0.0;
@@ -141,7 +161,7 @@ fn stratification<const C: usize>(deviations: &[Deviation<C>], areas: &[f64]) ->
     let (x, y) = points().fold((0.0, 0.0), |(x, y), (l, d, w)| (x + w * l / weight, y + w * d / weight));
     let slope = points().map(|(l, d, w)| w * (l - x) * (d - y)).sum::<f64>()
         / points().map(|(l, _, w)| w * (l - x).powi(2)).sum::<f64>();
-    let rate = (-slope / 2f64.ln()).max(1.0);
+    let rate = (-slope / 2f64.ln()).clamp(RATES.0, RATES.1);
     let all = (y - rate * 2f64.ln() * (LEVELS as f64 - x)).exp() / (1.0 - 0.5f64.powf(rate));
     (all / spread).sqrt().min(1.0)
 }
@@ -196,7 +216,7 @@ fn propagate<const C: usize>(
 }
 
 /// Standard error of the mean of deviations, which sum to zero but for rounding.
-fn standard_error(deviations: &[f64; REPLICATES]) -> f64 {
+fn standard_error_of(deviations: &[f64; REPLICATES]) -> f64 {
     let many = REPLICATES as f64;
     let squares: f64 = deviations.iter().map(|d| d * d).sum();
     (squares / (many * (many - 1.0))).sqrt()

@@ -155,7 +155,13 @@ impl FormFactors {
         assert_eq!(n, patches.len(), "other patches");
         let shares = if samples.options.looks_first() {
             let variances = samples.variances(patches.channels());
-            allocation::by_variance(&samples.hits, &samples.areas, &variances, rays * n as f64)
+            allocation::by_variance(
+                &samples.hits,
+                &samples.areas,
+                &variances,
+                &samples.siblings,
+                rays * n as f64,
+            )
         } else {
             Vec::new()
         };
@@ -204,9 +210,10 @@ impl FormFactors {
                 let mut matrix = reciprocity::pool(own, &hits, &densities);
                 let before = closure::row_sum_deviation(&matrix, &relative, &escaped);
                 let escapes = escape::refine(&escaped, &matrix, &hits, &densities, &relative);
-                let escaped: Vec<f64> = escapes.iter().map(|e| e.share).collect();
+                let mut escaped: Vec<f64> = escapes.iter().map(|e| e.share).collect();
                 let radiosity =
                     calibration::calibrate(&mut matrix, &hits, &densities, &relative, &escaped, patches);
+                closure::settle(&mut matrix, &hits, &relative, &mut escaped);
                 let mut form_factors =
                     Self::closed(matrix, relative.clone(), escaped, |i| 0.5 / f64::from(hits.rays_of(i)));
                 form_factors.areas = areas;
@@ -310,6 +317,11 @@ impl FormFactors {
     /// Neighbours in the plane: runs of up to 16 patches of one triangle's side, in the order of the patches.
     pub(crate) fn siblings(&self) -> &[std::ops::Range<usize>] {
         self.samples.as_ref().map_or(&[], |samples| &samples.siblings)
+    }
+
+    /// Whether shadow rays went to patch `i`.
+    pub(crate) fn is_source(&self, i: usize) -> bool {
+        self.samples.as_ref().is_some_and(|samples| samples.hits.sources.contains(i))
     }
 
     /// Number of patches.
@@ -432,6 +444,16 @@ impl FormFactors {
             .map(|(b, right)| b.map(|b| b * right))
             .collect();
         gather(&self.matrix, &scaled, irradiance, |i, sums| sums.map(|sum| self.left[i] * sum));
+    }
+
+    /// The irradiance that the exchange areas would give had the closure not scaled them.
+    pub(crate) fn unclosed_irradiance<const C: usize>(&self, radiosity: &[f64]) -> Vec<f64> {
+        let mut irradiance = vec![0.0; radiosity.len()];
+        // left_i = d_i / A_i, right_i = d_i.
+        gather(&self.matrix, radiosity.as_chunks::<C>().0, &mut irradiance, |i, sums| {
+            sums.map(|sum| self.left[i] / self.right[i] * sum)
+        });
+        irradiance
     }
 
     /// F z for a value a replicate and channel, in single precision: for error bars.
