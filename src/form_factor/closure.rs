@@ -4,7 +4,7 @@
 //! positive diagonal D with  d_i (Σ_j S_ij d_j + X_i) = A_i  restores them, where X_i = A_i e_i is the exchange area with
 //! the outside, one more column that closes with the rest. The scaling keeps symmetry, zeros and positivity.
 
-use super::{Matrix, gather};
+use super::symmetric::Symmetric;
 
 /// The scaling and what it repaired.
 pub(super) struct Closed {
@@ -26,14 +26,19 @@ const CONTRADICTION: f64 = 1e-3;
 ///
 /// Patches that see hardly more than each other may have been told by few rays that all of what one sends arrives at the
 /// other, whose area is too small for it. No scaling closes them; `spare`, a share that may have escaped unseen, does.
-pub(super) fn close(matrix: &Matrix, areas: &[f64], escaped: &[f64], spare: impl Fn(usize) -> f64) -> Closed {
+pub(super) fn close(
+    matrix: &Symmetric,
+    areas: &[f64],
+    escaped: &[f64],
+    spare: impl Fn(usize) -> f64,
+) -> Closed {
     let mut escaped = escaped.to_vec();
     let mut scale = vec![1.0; areas.len()];
-    let mut arriving = vec![0.0; areas.len()];
     let mut deviation_before = None;
     let (mut best, mut stalled) = (f64::INFINITY, 0);
     for round in 1..=MOST_ROUNDS {
-        gather(matrix, scale.as_chunks::<1>().0, &mut arriving, |i, [sum]| [sum + areas[i] * escaped[i]]);
+        let mut arriving: Vec<f64> = areas.iter().zip(&escaped).map(|(area, e)| area * e).collect();
+        matrix.add_product(scale.as_chunks::<1>().0, arriving.as_chunks_mut::<1>().0);
         let off = |i: usize| (scale[i] * arriving[i] / areas[i] - 1.0).abs();
         let deviation = (0..areas.len()).map(off).fold(0.0, f64::max);
         deviation_before.get_or_insert(deviation);
@@ -58,13 +63,6 @@ pub(super) fn close(matrix: &Matrix, areas: &[f64], escaped: &[f64], spare: impl
 }
 
 /// Largest |row sum + escaped share - 1|.
-pub(super) fn deviation(row_sums: &[f64], escaped: &[f64]) -> f64 {
-    row_sums.iter().zip(escaped).map(|(sum, out)| (sum + out - 1.0).abs()).fold(0.0, f64::max)
-}
-
-/// Largest |row sum + escaped share - 1| of the exchange areas as they are.
-pub(super) fn row_sum_deviation(matrix: &Matrix, areas: &[f64], escaped: &[f64]) -> f64 {
-    let mut sums = vec![0.0; areas.len()];
-    gather(matrix, &vec![[1.0]; areas.len()], &mut sums, |i, [sum]| [sum / areas[i]]);
-    deviation(&sums, escaped)
+pub(super) fn deviation(row_sums: impl Iterator<Item = f64>, escaped: &[f64]) -> f64 {
+    row_sums.zip(escaped).map(|(sum, out)| (sum + out - 1.0).abs()).fold(0.0, f64::max)
 }

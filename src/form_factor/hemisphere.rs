@@ -6,6 +6,8 @@
 //! A patch has one sequence, which more rays continue. Its [`REPLICATES`] equal parts, one after the other, tell the
 //! standard error by their spread.
 
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+
 use rayon::prelude::*;
 
 use super::shadow::{self, Footprint, Found, Link, Sources};
@@ -218,15 +220,21 @@ impl Hits {
     /// send it what it cannot get. Sources are kept.
     pub(super) fn withdraw_hidden(&mut self, areas: &[f64]) {
         let density = |i: usize| f64::from(self.rays_of(i)) / areas[i];
-        let (mut met, mut expected) = (vec![false; self.len()], vec![0.0; self.len()]);
-        for i in 0..self.len() {
-            for &j in self.of(i).iter().filter(|&&j| j < LINKED) {
-                met[j as usize] = true;
-                expected[i] += density(j as usize) / density(i);
+        let met: Vec<AtomicBool> = (0..self.len()).map(|_| AtomicBool::new(false)).collect();
+        let meets = |j: u32| {
+            // Most are known to be met: reading is cheaper than writing.
+            if !met[j as usize].load(Relaxed) {
+                met[j as usize].store(true, Relaxed);
             }
-            self.links_of(i).iter().for_each(|link| met[link.to as usize] = true);
-        }
-        for i in (0..self.len()).filter(|&i| !met[i] && expected[i] >= HIDDEN && !self.sources.contains(i)) {
+        };
+        let met_by = |i: usize| {
+            self.links_of(i).iter().for_each(|link| meets(link.to));
+            let targets = self.of(i).iter().filter(|&&j| j < LINKED);
+            targets.inspect(|&&j| meets(j)).map(|&j| density(j as usize) / density(i)).sum::<f64>()
+        };
+        let expected: Vec<f64> = (0..self.len()).into_par_iter().with_min_len(128).map(met_by).collect();
+        let hidden = |&i: &usize| !met[i].load(Relaxed) && expected[i] >= HIDDEN && !self.sources.contains(i);
+        for i in (0..self.len()).filter(hidden).collect::<Vec<_>>() {
             self.targets[self.offsets[i]..self.offsets[i + 1]].fill(ESCAPED);
             self.links[self.link_offsets[i]..self.link_offsets[i + 1]]
                 .iter_mut()

@@ -302,11 +302,14 @@ impl<'a, const C: usize> System<'a, C> {
         // From the losing patches backwards along the light. Hits need not be mutual in one-way form factors, so
         // sweep until nothing changes instead of walking a transposed graph.
         let mut changed = !drained.iter().all(|&d| d);
+        if !changed {
+            return drained;
+        }
+        let rows = self.form_factors.rows();
         while changed {
             changed = false;
             for i in (0..n).chain((0..n).rev()) {
-                if !drained[i] && row(self.form_factors.scaling().0, i).0.iter().any(|&j| drained[j as usize])
-                {
+                if !drained[i] && row(&rows, i).0.iter().any(|&j| drained[j as usize]) {
                     drained[i] = true;
                     changed = true;
                 }
