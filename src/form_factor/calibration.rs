@@ -232,6 +232,10 @@ fn solve<const M: usize>(
         residual.par_iter().zip(&inverses).with_min_len(SHORT).map(|(r, inverse)| inverse * r).collect();
     let mut step = preconditioned.clone();
     let mut image = vec![SVector::zeros(); g.len()];
+    // The product in single precision: the λ need no more.
+    let single = |v: &SVector<f64, M>| -> [f32; M] { std::array::from_fn(|p| v[p] as f32) };
+    let mut ends: Vec<[[f32; M]; 2]> = g.iter().map(|g| [single(g); 2]).collect();
+    let mut sums = vec![[0f32; M]; g.len()];
     let mut size = dot(&residual, &step);
     let enough = ENOUGH * ENOUGH * size;
     for _ in 0..MOST_ROUNDS {
@@ -239,16 +243,24 @@ fn solve<const M: usize>(
         if !(size > enough) {
             break;
         }
-        let own = image.par_iter_mut().zip(&blocks).zip(&step).with_min_len(SHORT);
-        own.for_each(|((image, block), step)| *image = block * step);
-        plain.accumulate(&mut image, |i, j, s, at_i, at_j| {
-            let s = f64::from(s);
-            *at_i += g[j] * (s * step[j].dot(&g[i]));
-            *at_j += g[i] * (s * step[i].dot(&g[j]));
+        let steps = ends.par_iter_mut().zip(&step).with_min_len(SHORT);
+        steps.for_each(|(ends, step)| ends[1] = single(step));
+        sums.fill([0.0; M]);
+        plain.accumulate(&ends, &mut sums, |s, [g_i, step_i], [g_j, step_j], at_i, at_j| {
+            let dot = |a: &[f32; M], b: &[f32; M]| (0..M).map(|p| a[p] * b[p]).sum::<f32>();
+            let (to_i, to_j) = (s * dot(step_j, g_i), s * dot(step_i, g_j));
+            for p in 0..M {
+                at_i[p] += to_i * g_j[p];
+                at_j[p] += to_j * g_i[p];
+            }
+        });
+        let images = image.par_iter_mut().zip(&blocks).zip(&step).zip(&sums).with_min_len(SHORT);
+        images.for_each(|(((image, block), step), sum)| {
+            *image = block * step + SVector::from(sum.map(f64::from));
         });
         let length = size / dot(&step, &image);
-        let ends = lambda.par_iter_mut().zip(&mut residual).zip(&step).zip(&image).with_min_len(SHORT);
-        ends.for_each(|(((lambda, residual), step), image)| {
+        let unknowns = lambda.par_iter_mut().zip(&mut residual).zip(&step).zip(&image).with_min_len(SHORT);
+        unknowns.for_each(|(((lambda, residual), step), image)| {
             *lambda += step * length;
             *residual -= image * length;
         });

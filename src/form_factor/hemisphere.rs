@@ -6,7 +6,10 @@
 //! A patch has one sequence, which more rays continue. Its [`REPLICATES`] equal parts, one after the other, tell the
 //! standard error by their spread.
 
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::{
+    sync::atomic::{AtomicBool, Ordering::Relaxed},
+    time::Instant,
+};
 
 use rayon::prelude::*;
 
@@ -66,6 +69,7 @@ pub struct Hits {
     mean_kernels: Vec<f64>,
     pub(super) sources: Sources,
     back_hits: u64,
+    seconds: f64,
 }
 
 impl Hits {
@@ -80,6 +84,7 @@ impl Hits {
             mean_kernels: Vec::new(),
             sources,
             back_hits: 0,
+            seconds: 0.0,
         }
     }
 
@@ -124,6 +129,11 @@ impl Hits {
     /// Hemisphere rays that met the back of a surface.
     pub fn back_hits(&self) -> u64 {
         self.back_hits
+    }
+
+    /// Seconds that casting took, nothing else.
+    pub fn seconds(&self) -> f64 {
+        self.seconds
     }
 
     /// Hemisphere rays that left patch `i`.
@@ -195,6 +205,7 @@ impl Hits {
         seed: u64,
         progress: &Progress,
     ) -> Result<()> {
+        let start = Instant::now();
         let mut first = 0;
         while first < patches.len() {
             let last = patches.len();
@@ -212,6 +223,7 @@ impl Hits {
             first = last;
         }
         name_backs(patches, self);
+        self.seconds += start.elapsed().as_secs_f64();
         Ok(())
     }
 

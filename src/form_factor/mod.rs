@@ -36,6 +36,9 @@ pub type Matrix = CsMatI<f32, u32, usize>;
 /// precision otherwise, and what that adds to the energy does not show in double precision.
 const LEAST_AREA: f64 = 1e-20;
 
+/// What rows may be off by in form factors that only tell how large an error is.
+const ROUGH: f64 = 1e-6;
+
 /// What a form factor may exceed 1 by: rows are closed to about as much.
 const ROUNDING: f64 = 1e-12;
 
@@ -198,7 +201,7 @@ impl FormFactors {
         let assembled = Assembled::new(hits, tracer, patches, options);
         let form_factors = match options.estimator {
             Estimator::OneWay => assembled.one_way(),
-            Estimator::Pooled => assembled.pooled(patches),
+            Estimator::Pooled => assembled.pooled(patches, closure::EXACT),
         };
         debug_assert_eq!(form_factors.out_of_range(), 0, "form factors are shares");
         form_factors
@@ -212,7 +215,7 @@ impl FormFactors {
     /// When the sizes disagree.
     pub fn from_exchange(matrix: Matrix, areas: Vec<f64>, escaped: Vec<f64>) -> FormFactors {
         assert_eq!((matrix.rows(), matrix.cols()), (areas.len(), areas.len()), "sizes disagree");
-        Self::closed(Symmetric::from_rows(&matrix), areas, escaped, |_| 0.0)
+        Self::closed(Symmetric::from_rows(&matrix), areas, escaped, |_| 0.0, closure::EXACT)
     }
 
     fn closed(
@@ -220,9 +223,10 @@ impl FormFactors {
         areas: Vec<f64>,
         escaped: Vec<f64>,
         spare: impl Fn(usize) -> f64,
+        precision: f64,
     ) -> FormFactors {
         assert_eq!((matrix.len(), escaped.len()), (areas.len(), areas.len()), "sizes disagree");
-        let closed = closure::close(&matrix, &areas, &escaped, spare);
+        let closed = closure::close(&matrix, &areas, &escaped, spare, precision);
         let mut form_factors = FormFactors {
             left: closed.scale.iter().zip(&areas).map(|(d, a)| d / a).collect(),
             escaped: closed.scale.iter().zip(&closed.escaped).map(|(d, e)| d * e).collect(),
@@ -280,7 +284,7 @@ impl FormFactors {
         };
         let matrix = Symmetric::from_lists(families.len(), &lists);
         let relative = areas.iter().map(|a| a / mean).collect();
-        let mut merged = Self::closed(matrix, relative, escaped, |_| 0.0);
+        let mut merged = Self::closed(matrix, relative, escaped, |_| 0.0, ROUGH);
         merged.areas = areas;
         merged.estimator = self.estimator;
         merged
@@ -290,7 +294,11 @@ impl FormFactors {
     pub(crate) fn half(&self, half: usize, tracer: &Tracer, patches: &Patches) -> Option<FormFactors> {
         let samples = self.samples.as_ref()?;
         let hits = samples.hits.half(half)?;
-        Some(Self::from_hits(hits, tracer, patches, &samples.options))
+        let assembled = Assembled::new(hits, tracer, patches, &samples.options);
+        Some(match samples.options.estimator {
+            Estimator::OneWay => assembled.one_way(),
+            Estimator::Pooled => assembled.pooled(patches, ROUGH),
+        })
     }
 
     /// Neighbours in the plane: runs of up to 16 patches of one triangle's side, in the order of the patches.
@@ -464,29 +472,30 @@ impl FormFactors {
 
     /// F z for a value a replicate and channel, in single precision: for error bars.
     pub(crate) fn gather_replicates<const C: usize>(&self, z: &[Deviation<C>]) -> Vec<Deviation<C>> {
-        let mut sums = vec![[[0f32; REPLICATES]; C]; self.len()];
-        let add = |to: &mut Deviation<C>, factor: f64, z: &Deviation<C>| {
-            let factor = factor as f32;
+        let scaled = |z: &Deviation<C>, factor: f64| z.map(|z| z.map(|z| z * factor as f32));
+        let add = |to: &mut Deviation<C>, factor: f32, z: &Deviation<C>| {
             for (to, z) in to.as_flattened_mut().iter_mut().zip(z.as_flattened()) {
                 *to += factor * z;
             }
         };
-        let factor = |i: usize, s: f32, j: usize| self.left[i] * f64::from(s) * self.right[j];
+        let z: Vec<Deviation<C>> =
+            z.par_iter().zip(&self.right).with_min_len(SHORT).map(|(z, right)| scaled(z, *right)).collect();
+        let mut sums = vec![[[0f32; REPLICATES]; C]; self.len()];
         match &self.stored {
             Stored::Symmetric(matrix) => {
-                matrix.diagonal().for_each(|(i, s)| add(&mut sums[i], factor(i, s, i), &z[i]));
-                matrix.accumulate(&mut sums, |i, j, s, at_i, at_j| {
-                    add(at_i, factor(i, s, j), &z[j]);
-                    add(at_j, factor(j, s, i), &z[i]);
+                matrix.diagonal().for_each(|(i, s)| add(&mut sums[i], s, &z[i]));
+                matrix.accumulate(&z, &mut sums, |s, z_i, z_j, at_i, at_j| {
+                    add(at_i, s, z_j);
+                    add(at_j, s, z_i);
                 });
             }
             Stored::Rows(matrix) => sums.par_iter_mut().enumerate().with_min_len(128).for_each(|(i, sum)| {
                 let (columns, values) = row(matrix, i);
-                columns.iter().zip(values).for_each(|(&j, &s)| {
-                    add(sum, factor(i, s, j as usize), &z[j as usize]);
-                });
+                columns.iter().zip(values).for_each(|(&j, &s)| add(sum, s, &z[j as usize]));
             }),
         }
+        let ends = sums.par_iter_mut().zip(&self.left).with_min_len(SHORT);
+        ends.for_each(|(sum, left)| *sum = scaled(sum, *left));
         sums
     }
 
@@ -596,14 +605,14 @@ impl Assembled {
         self.samples
     }
 
-    fn pooled(mut self, patches: &Patches) -> FormFactors {
+    fn pooled(mut self, patches: &Patches, precision: f64) -> FormFactors {
         let mut plain = std::mem::take(&mut self.plain);
         let buckets = std::mem::take(&mut self.buckets);
         let radiosity = calibration::calibrate(&mut plain, buckets, &self.measured(), patches);
         let Assembled { mut samples, links, escaped, areas, .. } = self;
         plain.append(links);
         let spare = |i: usize| 0.5 / f64::from(samples.hits.rays_of(i));
-        let mut form_factors = FormFactors::closed(plain, samples.areas.clone(), escaped, spare);
+        let mut form_factors = FormFactors::closed(plain, samples.areas.clone(), escaped, spare, precision);
         samples.radiosity = radiosity;
         form_factors.areas = areas;
         form_factors.samples = Some(samples);

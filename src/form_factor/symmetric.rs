@@ -323,31 +323,35 @@ impl Symmetric {
         });
     }
 
-    /// Calls `pair(i, j, s, value i, value j)` for all pairs off the diagonal. Each value is worked on in one order, whatever
-    /// the number of threads.
-    pub(super) fn accumulate<Y: Copy + Send>(
+    /// Calls `pair(s_ij, z_i, z_j, y_i, y_j)` for all pairs off the diagonal. Each y is worked on in one order, whatever the
+    /// number of threads.
+    pub(super) fn accumulate<Z: Sync, Y: Copy + Send>(
         &self,
-        values: &mut [Y],
-        pair: impl Fn(usize, usize, f32, &mut Y, &mut Y) + Sync,
+        z: &[Z],
+        y: &mut [Y],
+        pair: impl Fn(f32, &Z, &Z, &mut Y, &mut Y) + Sync,
     ) {
-        let rows = self.blocks.rows();
-        self.blocks.meet(values, |at, first, mut second| {
+        assert_eq!(z.len(), self.len(), "sizes disagree");
+        self.blocks.meet(y, |at, first, mut second| {
             let tile = &self.tiles[self.blocks.tile(at)];
-            let (mut columns, mut entries) = (&tile.columns[..], &tile.values[..]);
+            let (z_first, z_second) = (&z[self.blocks.range(at.0)], &z[self.blocks.range(at.1)]);
+            let (mut columns, mut values) = (&tile.columns[..], &tile.values[..]);
             for &[row, length] in &tile.runs {
                 let (own, rest) = columns.split_at(length.into());
-                let (s, rest_of_entries) = entries.split_at(length.into());
-                (columns, entries) = (rest, rest_of_entries);
-                let (row, i) = (usize::from(row), at.0 * rows + usize::from(row));
+                let (s, rest_of_values) = values.split_at(length.into());
+                (columns, values) = (rest, rest_of_values);
+                let row = usize::from(row);
                 // In registers while the row lasts.
-                let mut sum = first[row];
-                let others = match &mut second {
+                let (z_row, mut sum) = (&z_first[row], first[row]);
+                let y_second = match &mut second {
                     Some(second) => &mut **second,
                     None => &mut *first,
                 };
+                // One check of bounds then does for both.
+                let z_second = &z_second[..y_second.len()];
                 for (&column, &s) in own.iter().zip(s) {
                     let column = usize::from(column);
-                    pair(i, at.1 * rows + column, s, &mut sum, &mut others[column]);
+                    pair(s, z_row, &z_second[column], &mut sum, &mut y_second[column]);
                 }
                 first[row] = sum;
             }
@@ -356,14 +360,13 @@ impl Symmetric {
 
     /// Adds Σ_j s_ij z_j to every `out_i`, for `C` channels.
     pub(super) fn add_product<const C: usize>(&self, z: &[[f64; C]], out: &mut [[f64; C]]) {
-        assert_eq!((self.len(), self.len()), (z.len(), out.len()), "sizes disagree");
         for (i, s) in self.diagonal() {
             for c in 0..C {
                 out[i][c] += f64::from(s) * z[i][c];
             }
         }
-        self.accumulate(out, |i, j, s, at_i, at_j| {
-            let (s, z_i, z_j) = (f64::from(s), &z[i], &z[j]);
+        self.accumulate(z, out, |s, z_i, z_j, at_i, at_j| {
+            let s = f64::from(s);
             for c in 0..C {
                 at_i[c] += s * z_j[c];
                 at_j[c] += s * z_i[c];

@@ -67,6 +67,13 @@ impl Default for SolveOptions {
     }
 }
 
+impl SolveOptions {
+    /// The same, no more precise than what tells how large an error is needs to be.
+    pub(crate) fn rough(&self) -> SolveOptions {
+        SolveOptions { tolerance: self.tolerance.max(1e-6), ..*self }
+    }
+}
+
 /// What the surfaces emit and reflect: the right-hand side and the diagonal of the system.
 #[derive(Debug, Clone, Copy)]
 pub struct Radiometry<'a> {
