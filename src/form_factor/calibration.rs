@@ -41,6 +41,8 @@ const RIDGE: f64 = 0.02;
 const FACTORS: (f64, f64) = (0.05, 20.0);
 /// Conjugate gradients stop at this share of the first residual, in the norm of the preconditioner,
 const ENOUGH: f64 = 1e-3;
+/// or at this, where no more is wanted than how large an error is,
+const ROUGHLY: f64 = 1e-2;
 /// or after so many rounds.
 const MOST_ROUNDS: usize = 60;
 
@@ -56,16 +58,18 @@ pub(super) struct Measured<'a> {
 }
 
 /// Calibrates the pooled exchange areas of all pairs without a source. Returns the radiosity that it calibrated with,
-/// interleaved channels, in a unit of its own.
+/// interleaved channels, in a unit of its own. A rough calibration is enough to tell how large an error is.
 pub(super) fn calibrate(
     plain: &mut Symmetric,
     buckets: Buckets,
     measured: &Measured,
     patches: &Patches,
+    rough: bool,
 ) -> Vec<f64> {
+    let enough = if rough { ROUGHLY } else { ENOUGH };
     match patches.channels() {
-        1 => measured.calibrate::<1, 2, 3>(plain, buckets, patches),
-        _ => measured.calibrate::<3, 4, 10>(plain, buckets, patches),
+        1 => measured.calibrate::<1, 2, 3>(plain, buckets, patches, enough),
+        _ => measured.calibrate::<3, 4, 10>(plain, buckets, patches, enough),
     }
 }
 
@@ -84,13 +88,14 @@ impl Measured<'_> {
         plain: &mut Symmetric,
         buckets: Buckets,
         patches: &Patches,
+        enough: f64,
     ) -> Vec<f64> {
         let radiosity = self.radiosity::<C>(plain, patches);
         let g: Vec<SVector<f64, M>> = self.functions(&radiosity);
         let one_sided = self.one_sided(buckets, &g);
         let (blocks, wanted) = self.equations::<M, K>(plain, &g, &one_sided);
         drop(one_sided);
-        let lambda = solve(plain, &g, blocks, wanted);
+        let lambda = solve(plain, &g, blocks, wanted, enough);
         plain.update(|i, j, s| {
             let factor = 1.0 + (lambda[i].dot(&g[j]) + lambda[j].dot(&g[i]));
             s * factor.clamp(FACTORS.0, FACTORS.1) as f32
@@ -223,6 +228,7 @@ fn solve<const M: usize>(
     g: &[SVector<f64, M>],
     blocks: Vec<SMatrix<f64, M, M>>,
     mut residual: Vec<SVector<f64, M>>,
+    enough: f64,
 ) -> Vec<SVector<f64, M>> {
     let inverses: Vec<SMatrix<f64, M, M>> =
         blocks.par_iter().with_min_len(128).map(|b| b.try_inverse().unwrap_or_else(SMatrix::zeros)).collect();
@@ -237,7 +243,7 @@ fn solve<const M: usize>(
     let mut ends: Vec<[[f32; M]; 2]> = g.iter().map(|g| [single(g); 2]).collect();
     let mut sums = vec![[0f32; M]; g.len()];
     let mut size = dot(&residual, &step);
-    let enough = ENOUGH * ENOUGH * size;
+    let enough = enough * enough * size;
     for _ in 0..MOST_ROUNDS {
         // Negated, so that NaN ends it too.
         if !(size > enough) {

@@ -14,6 +14,7 @@ mod lamp;
 pub mod reciprocity;
 pub(crate) mod replicates;
 mod shadow;
+pub mod sweep;
 mod symmetric;
 
 use rayon::prelude::*;
@@ -608,7 +609,13 @@ impl Assembled {
     fn pooled(mut self, patches: &Patches, precision: f64) -> FormFactors {
         let mut plain = std::mem::take(&mut self.plain);
         let buckets = std::mem::take(&mut self.buckets);
-        let radiosity = calibration::calibrate(&mut plain, buckets, &self.measured(), patches);
+        let radiosity = calibration::calibrate(
+            &mut plain,
+            buckets,
+            &self.measured(),
+            patches,
+            precision > closure::EXACT,
+        );
         let Assembled { mut samples, links, escaped, areas, .. } = self;
         plain.append(links);
         let spare = |i: usize| 0.5 / f64::from(samples.hits.rays_of(i));

@@ -9,6 +9,7 @@ pub mod direct;
 pub mod gauss_seidel;
 pub mod jacobi;
 pub mod southwell;
+pub mod stochastic_jacobi;
 
 use crate::{
     Error, Progress, Result,
