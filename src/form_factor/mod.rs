@@ -317,13 +317,16 @@ impl FormFactors {
         self.areas.is_empty()
     }
 
-    /// F_ij. Looks for it in a part of the matrix: [`FormFactors::rows`] has them all at hand.
+    /// F_ij. Looks for it in a part of the matrix.
     pub fn get(&self, i: usize, j: usize) -> f64 {
-        self.row(i).find(|&(k, _)| k == j).map_or(0.0, |(_, form_factor)| form_factor)
+        let s = match &self.stored {
+            Stored::Symmetric(matrix) => matrix.get(i, j),
+            Stored::Rows(matrix) => matrix.get(i, j).copied().unwrap_or(0.0),
+        };
+        self.left[i] * f64::from(s) * self.right[j]
     }
 
-    /// The non-zero F_ij of row `i` as (j, F_ij). Collects them from a part of the matrix: [`FormFactors::rows`] has them all
-    /// at hand.
+    /// The non-zero F_ij of row `i` as (j, F_ij). Collects them from a part of the matrix.
     pub fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
         let entries = match &self.stored {
             Stored::Symmetric(matrix) => matrix.row(i),

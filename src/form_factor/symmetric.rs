@@ -229,6 +229,9 @@ impl Symmetric {
     pub(super) fn append(&mut self, other: Symmetric) {
         assert_eq!((self.blocks, &self.diagonal, &other.diagonal), (other.blocks, &Vec::new(), &Vec::new()));
         self.tiles.par_iter_mut().zip(other.tiles).for_each(|(tile, other)| {
+            tile.runs.reserve_exact(other.runs.len());
+            tile.columns.reserve_exact(other.columns.len());
+            tile.values.reserve_exact(other.values.len());
             tile.runs.extend(other.runs);
             tile.columns.extend(other.columns);
             tile.values.extend(other.values);
@@ -267,6 +270,26 @@ impl Symmetric {
     /// The entries of the diagonal as (i, s).
     pub(super) fn diagonal(&self) -> impl Iterator<Item = (usize, f32)> + '_ {
         self.diagonal.iter().copied().enumerate().filter(|&(_, s)| s != 0.0)
+    }
+
+    /// The entry of two patches.
+    pub(super) fn get(&self, i: usize, j: usize) -> f32 {
+        if i == j {
+            return self.diagonal.get(i).copied().unwrap_or(0.0);
+        }
+        let ((a, row), (b, column)) = (self.blocks.of(i.min(j)), self.blocks.of(i.max(j)));
+        let tile = &self.tiles[self.blocks.tile((a, b))];
+        let mut end = 0;
+        for &[of, length] in &tile.runs {
+            let start = end;
+            end += usize::from(length);
+            if u32::from(of) == row
+                && let Ok(k) = tile.columns[start..end].binary_search(&(column as u16))
+            {
+                return tile.values[start + k];
+            }
+        }
+        0.0
     }
 
     /// The entries of row `i` as (j, s), sorted. Goes through all tiles that the row is in.
@@ -436,6 +459,9 @@ mod tests {
         let rows = matrix.rows();
         assert_eq!(rows.nnz(), matrix.non_zeros());
         for i in [0, 1, 1023, 1024, 2499] {
+            for j in 0..n as usize {
+                assert_eq!(matrix.get(i, j), rows.get(i, j).copied().unwrap_or(0.0));
+            }
             let (columns, values) = crate::form_factor::row(&rows, i);
             let row: Vec<(usize, f32)> =
                 columns.iter().map(|&j| j as usize).zip(values.iter().copied()).collect();
