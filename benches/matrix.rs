@@ -20,7 +20,7 @@ const ROUNDS: usize = 40;
 
 fn main() {
     println!(
-        "patches   non-zeros      bytes  product GB/s  read GB/s  copy GB/s  product/read  product/copy"
+        "patches   non-zeros      bytes  a pair  product GB/s  read GB/s  copy GB/s  product/read  product/copy"
     );
     for patches in [10_000, 100_000] {
         measure(patches);
@@ -35,9 +35,8 @@ fn measure(count: usize) {
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
     let n = form_factors.len();
     let radiosity: Vec<f64> = (0..3 * n).map(|i| 1.0 + (i % 7) as f64).collect();
-    // What cannot be avoided: each non-zero once (4 bytes of value, 4 of column), the start of each row, two scale
-    // factors, and three channels in and out a patch.
-    let bytes = 8 * form_factors.non_zeros() + n * (8 + 16 + 2 * 24);
+    // What cannot be avoided: the matrix once, and of each patch two scale factors and three channels in and out.
+    let bytes = form_factors.matrix_bytes() + n * (16 + 2 * 24);
     let from = vec![1u64; bytes / 8];
     let mut to = vec![0u64; bytes / 8];
 
@@ -56,8 +55,9 @@ fn measure(count: usize) {
     let rate = |k: usize, moved: usize| moved as f64 / median(&seconds[k]) / 1e9;
     let [product, read, copy] = [rate(0, bytes), rate(1, bytes), rate(2, 2 * bytes)];
     println!(
-        "{n:7}  {:10}  {bytes:9}  {product:12.2}  {read:9.2}  {copy:9.2}  {:12.2}  {:12.2}",
+        "{n:7}  {:10}  {bytes:9}  {:6.2}  {product:12.2}  {read:9.2}  {copy:9.2}  {:12.2}  {:12.2}",
         form_factors.non_zeros(),
+        form_factors.matrix_bytes() as f64 / (0.5 * form_factors.non_zeros() as f64),
         product / read,
         product / copy
     );

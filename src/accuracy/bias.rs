@@ -32,6 +32,7 @@ pub fn relative(
         let irradiance = solution.irradiance.chunks_exact(solution.channels);
         irradiance.zip(form_factors.areas()).map(|(e, area)| area * e.iter().sum::<f64>()).sum()
     };
+    let options = &options.rough();
     let whole = mean(solution);
     let mut halves = 0.0;
     for half in 0..2 {

@@ -65,7 +65,7 @@ impl Discretisation {
         };
         let (emission, reflectance) = (mean(patches.emission()), mean(patches.reflectance()));
         let radiometry = Radiometry { channels, emission: &emission, reflectance: &reflectance };
-        let solved = solve(&coarse, radiometry, options, progress)?;
+        let solved = solve(&coarse, radiometry, &options.rough(), progress)?;
         let fine = mean(&solution.irradiance);
         let of_family = |p: usize| (0..channels).map(move |c| p * channels + c);
         let change: Vec<f64> = families

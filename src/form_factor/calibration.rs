@@ -19,11 +19,11 @@ use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
 use super::{
-    Matrix,
-    hemisphere::{Hits, LINKED},
-    magnitude,
-    reciprocity::Densities,
-    row,
+    SHORT,
+    hemisphere::Hits,
+    magnitude, ordered_sum,
+    reciprocity::{Buckets, Densities},
+    symmetric::Symmetric,
 };
 use crate::patch::Patches;
 
@@ -41,86 +41,93 @@ const RIDGE: f64 = 0.02;
 const FACTORS: (f64, f64) = (0.05, 20.0);
 /// Conjugate gradients stop at this share of the first residual, in the norm of the preconditioner,
 const ENOUGH: f64 = 1e-3;
+/// or at this, where no more is wanted than how large an error is,
+const ROUGHLY: f64 = 1e-2;
 /// or after so many rounds.
 const MOST_ROUNDS: usize = 60;
 
-/// Calibrates the pooled exchange areas; `escaped` are the shares of light that leave the scene. Returns the radiosity that
-/// it calibrated with, interleaved channels, in a unit of its own.
+/// What the rays have measured.
+pub(super) struct Measured<'a> {
+    /// The links with sources.
+    pub(super) links: &'a Symmetric,
+    pub(super) hits: &'a Hits,
+    pub(super) densities: &'a Densities,
+    pub(super) areas: &'a [f64],
+    /// The shares of light that leave the scene.
+    pub(super) escaped: &'a [f64],
+}
+
+/// Calibrates the pooled exchange areas of all pairs without a source. Returns the radiosity that it calibrated with,
+/// interleaved channels, in a unit of its own. A rough calibration is enough to tell how large an error is.
 pub(super) fn calibrate(
-    matrix: &mut Matrix,
-    hits: &Hits,
-    densities: &Densities,
-    areas: &[f64],
-    escaped: &[f64],
+    plain: &mut Symmetric,
+    buckets: Buckets,
+    measured: &Measured,
     patches: &Patches,
+    rough: bool,
 ) -> Vec<f64> {
-    let rows = Rows { matrix, hits, areas, escaped };
-    let (factors, radiosity) = match patches.channels() {
-        1 => rows.factors::<1, 2>(densities, patches),
-        _ => rows.factors::<3, 4>(densities, patches),
-    };
-    matrix.data_mut().iter_mut().zip(factors).for_each(|(value, factor)| *value *= factor);
-    radiosity
-}
-
-struct Rows<'a> {
-    matrix: &'a Matrix,
-    hits: &'a Hits,
-    areas: &'a [f64],
-    escaped: &'a [f64],
-}
-
-impl Rows<'_> {
-    /// The factor of every stored entry, and the radiosity, for C channels and M = C + 1 functions.
-    fn factors<const C: usize, const M: usize>(
-        &self,
-        densities: &Densities,
-        patches: &Patches,
-    ) -> (Vec<f32>, Vec<f64>) {
-        let radiosity = self.radiosity::<C>(patches);
-        let g: Vec<SVector<f64, M>> = self.functions(&radiosity);
-        let one_sided = self.one_sided(densities, &g);
-        let (blocks, wanted): (Vec<SMatrix<f64, M, M>>, Vec<SVector<f64, M>>) =
-            (0..self.areas.len()).into_par_iter().map(|i| self.equation(i, &g, &one_sided[i])).unzip();
-        let lambda = self.solve(&g, &blocks, wanted);
-        let (g, lambda) = (&g, &lambda);
-        let factors = (0..self.areas.len()).into_par_iter().with_min_len(128).flat_map_iter(|i| {
-            let (columns, _) = row(self.matrix, i);
-            columns.iter().map(move |&j| {
-                let j = j as usize;
-                let factor = 1.0 + (lambda[i].dot(&g[j]) + lambda[j].dot(&g[i]));
-                if self.is_plain(i, j) { factor.clamp(FACTORS.0, FACTORS.1) as f32 } else { 1.0 }
-            })
-        });
-        (factors.collect(), radiosity.into_flattened())
+    let enough = if rough { ROUGHLY } else { ENOUGH };
+    match patches.channels() {
+        1 => measured.calibrate::<1, 2, 3>(plain, buckets, patches, enough),
+        _ => measured.calibrate::<3, 4, 10>(plain, buckets, patches, enough),
     }
+}
 
-    fn is_plain(&self, i: usize, j: usize) -> bool {
-        !self.hits.sources.concern(i, j)
+/// The radiosity after some bounces, interleaved channels, as [`calibrate`] returns it.
+pub(super) fn radiosity(plain: &Symmetric, measured: &Measured<'_>, patches: &Patches) -> Vec<f64> {
+    match patches.channels() {
+        1 => measured.radiosity::<1>(plain, patches).into_flattened(),
+        _ => measured.radiosity::<3>(plain, patches).into_flattened(),
+    }
+}
+
+impl Measured<'_> {
+    /// For C channels, M = C + 1 functions, and K = M (M + 1) / 2 products of two functions.
+    fn calibrate<const C: usize, const M: usize, const K: usize>(
+        &self,
+        plain: &mut Symmetric,
+        buckets: Buckets,
+        patches: &Patches,
+        enough: f64,
+    ) -> Vec<f64> {
+        let radiosity = self.radiosity::<C>(plain, patches);
+        let g: Vec<SVector<f64, M>> = self.functions(&radiosity);
+        let one_sided = self.one_sided(buckets, &g);
+        let (blocks, wanted) = self.equations::<M, K>(plain, &g, &one_sided);
+        drop(one_sided);
+        let lambda = solve(plain, &g, blocks, wanted, enough);
+        plain.update(|i, j, s| {
+            let factor = 1.0 + (lambda[i].dot(&g[j]) + lambda[j].dot(&g[i]));
+            s * factor.clamp(FACTORS.0, FACTORS.1) as f32
+        });
+        radiosity.into_flattened()
     }
 
     /// The radiosity after some bounces, each row scaled to its sum. In a unit of its own, so that single precision
     /// holds what comes of it.
-    fn radiosity<const C: usize>(&self, patches: &Patches) -> Vec<[f64; C]> {
+    fn radiosity<const C: usize>(&self, plain: &Symmetric, patches: &Patches) -> Vec<[f64; C]> {
         let (emission, reflectance) =
             (patches.emission().as_chunks::<C>().0, patches.reflectance().as_chunks::<C>().0);
         let unit = magnitude(patches.emission());
         let emission: Vec<[f64; C]> = emission.iter().map(|be| be.map(|be| be / unit)).collect();
         let mut radiosity = emission.clone();
+        let mut scale = vec![[0.0]; radiosity.len()];
+        let ones = vec![[1.0]; radiosity.len()];
+        plain.add_product(&ones, &mut scale);
+        self.links.add_product(&ones, &mut scale);
+        for ([scale], escaped) in scale.iter_mut().zip(self.escaped) {
+            *scale = if *scale > 0.0 { (1.0 - escaped) / *scale } else { 0.0 };
+        }
+        let mut arriving = vec![[0.0; C]; radiosity.len()];
         for _ in 0..BOUNCES {
-            let next = |i: usize| {
-                let (columns, values) = row(self.matrix, i);
-                let (mut sum, mut arriving) = (0.0, [0.0; C]);
-                for (&j, &s) in columns.iter().zip(values) {
-                    sum += f64::from(s);
-                    for c in 0..C {
-                        arriving[c] += f64::from(s) * radiosity[j as usize][c];
-                    }
-                }
-                let scale = if sum > 0.0 { (1.0 - self.escaped[i]) / sum } else { 0.0 };
-                std::array::from_fn(|c| emission[i][c] + reflectance[i][c] * arriving[c] * scale)
-            };
-            radiosity = (0..radiosity.len()).into_par_iter().with_min_len(128).map(next).collect();
+            arriving.fill([0.0; C]);
+            plain.add_product(&radiosity, &mut arriving);
+            self.links.add_product(&radiosity, &mut arriving);
+            radiosity.par_iter_mut().enumerate().with_min_len(SHORT).for_each(|(i, b)| {
+                *b = std::array::from_fn(|c| {
+                    emission[i][c] + reflectance[i][c] * arriving[i][c] * scale[i][0]
+                });
+            });
         }
         radiosity
     }
@@ -145,101 +152,130 @@ impl Rows<'_> {
     }
 
     /// Σ_j S_ij g_j of every row's one-sided estimate.
-    fn one_sided<const M: usize>(
-        &self,
-        densities: &Densities,
-        g: &[SVector<f64, M>],
-    ) -> Vec<SVector<f64, M>> {
+    fn one_sided<const M: usize>(&self, buckets: Buckets, g: &[SVector<f64, M>]) -> Vec<SVector<f64, M>> {
         let mut sums = vec![SVector::zeros(); g.len()];
-        for i in 0..g.len() {
-            for &j in self.hits.of(i).iter().filter(|&&j| j < LINKED) {
-                let j = j as usize;
-                let (own, incoming) = densities.one_sided(i, j, TRUST);
-                sums[i] += g[j] * own;
-                sums[j] += g[i] * incoming;
+        let start = |block: usize| buckets.blocks.range(block).start;
+        let weigh = |i: usize, j: usize| {
+            let (own, incoming) = self.densities.one_sided(i, j, TRUST);
+            (g[j] * own, g[i] * incoming)
+        };
+        buckets.blocks.meet(&mut sums, |(a, b), first, second| {
+            let Some(second) = second else {
+                for (r, c, _) in buckets.list(a, a).filter(|&(r, c, _)| r != c) {
+                    let (own, incoming) = weigh(start(a) + r, start(a) + c);
+                    first[r] += own;
+                    first[c] += incoming;
+                }
+                return;
+            };
+            for (r, c, _) in buckets.list(a, b) {
+                let (own, incoming) = weigh(start(a) + r, start(b) + c);
+                first[r] += own;
+                second[c] += incoming;
             }
-        }
+            for (r, c, _) in buckets.list(b, a) {
+                let (own, incoming) = weigh(start(b) + r, start(a) + c);
+                second[r] += own;
+                first[c] += incoming;
+            }
+        });
         sums
     }
 
-    /// Σ_j S_ij g_j g_jᵀ, and by how much Σ_j S_ij g_j is to grow.
-    fn equation<const M: usize>(
+    /// Σ_j S_ij g_j g_jᵀ, and by how much Σ_j S_ij g_j is to grow, of every row.
+    fn equations<const M: usize, const K: usize>(
         &self,
-        i: usize,
+        plain: &Symmetric,
         g: &[SVector<f64, M>],
-        one_sided: &SVector<f64, M>,
-    ) -> (SMatrix<f64, M, M>, SVector<f64, M>) {
-        let (columns, values) = row(self.matrix, i);
-        let (mut links, mut now, mut block) = (0.0, SVector::zeros(), SMatrix::zeros());
-        for (&j, &s) in columns.iter().zip(values) {
-            let (j, s) = (j as usize, f64::from(s));
-            if self.is_plain(i, j) {
-                now += g[j] * s;
-                block += g[j] * g[j].transpose() * s;
-            } else {
-                links += s;
+        one_sided: &[SVector<f64, M>],
+    ) -> (Vec<SMatrix<f64, M, M>>, Vec<SVector<f64, M>>) {
+        // The upper triangles of g gᵀ, row by row. As the first function is one, the first row is g itself.
+        let squares: Vec<[f64; K]> = g
+            .par_iter()
+            .with_min_len(SHORT)
+            .map(|g| {
+                let mut upper = (0..M).flat_map(|p| (p..M).map(move |q| g[p] * g[q]));
+                std::array::from_fn(|_| upper.next().expect("K = M (M + 1) / 2"))
+            })
+            .collect();
+        let mut sums = vec![[0.0; K]; g.len()];
+        plain.add_product(&squares, &mut sums);
+        drop(squares);
+        let links = self.links.row_sums();
+        let equation = |i: usize| {
+            let now = SVector::from_fn(|p, _| sums[i][p]);
+            let one_sided = one_sided[i];
+            if one_sided[0] <= 0.0 || now[0] <= 0.0 {
+                return (SMatrix::zeros(), SVector::zeros());
             }
-        }
-        if one_sided[0] <= 0.0 || now[0] <= 0.0 {
-            return (SMatrix::zeros(), SVector::zeros());
-        }
-        let sum = (self.areas[i] * (1.0 - self.escaped[i]) - links).max(1e-3 * now[0]);
-        // Functions that all patches share have nothing to tell; some resistance keeps the block regular.
-        let trace = block.trace();
-        (block * (1.0 + RIDGE) + SMatrix::identity() * (1e-3 * trace), one_sided * (sum / one_sided[0]) - now)
+            let block: SMatrix<f64, M, M> = SMatrix::from_fn(|p: usize, q: usize| {
+                let (p, q) = (p.min(q), p.max(q));
+                sums[i][p * M - p * (p + 1) / 2 + q]
+            });
+            let sum = (self.areas[i] * (1.0 - self.escaped[i]) - links[i]).max(1e-3 * now[0]);
+            // Functions that all patches share have nothing to tell; some resistance keeps the block regular.
+            let trace = block.trace();
+            let resisting = block * (1.0 + RIDGE) + SMatrix::identity() * (1e-3 * trace);
+            (resisting, one_sided * (sum / one_sided[0]) - now)
+        };
+        (0..g.len()).into_par_iter().with_min_len(128).map(equation).unzip()
     }
+}
 
-    /// The λ, by conjugate gradients preconditioned with the rows' own blocks.
-    fn solve<const M: usize>(
-        &self,
-        g: &[SVector<f64, M>],
-        blocks: &[SMatrix<f64, M, M>],
-        mut residual: Vec<SVector<f64, M>>,
-    ) -> Vec<SVector<f64, M>> {
-        let inverse: Vec<SMatrix<f64, M, M>> =
-            blocks.iter().map(|b| b.try_inverse().unwrap_or_else(SMatrix::zeros)).collect();
-        let product = |x: &[SVector<f64, M>]| -> Vec<SVector<f64, M>> {
-            let of_row = |i: usize| {
-                let (columns, values) = row(self.matrix, i);
-                let mut sum = blocks[i] * x[i];
-                for (&j, &s) in columns.iter().zip(values) {
-                    let j = j as usize;
-                    if self.is_plain(i, j) {
-                        sum += g[j] * (f64::from(s) * x[j].dot(&g[i]));
-                    }
-                }
-                sum
-            };
-            (0..x.len()).into_par_iter().with_min_len(128).map(of_row).collect()
-        };
-        let dot = |a: &[SVector<f64, M>], b: &[SVector<f64, M>]| -> f64 {
-            a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
-        };
-        let precondition = |r: &[SVector<f64, M>]| -> Vec<SVector<f64, M>> {
-            r.iter().zip(&inverse).map(|(r, inverse)| inverse * r).collect()
-        };
-        let mut lambda = vec![SVector::zeros(); g.len()];
-        let mut step = precondition(&residual);
-        let mut size = dot(&residual, &step);
-        let enough = ENOUGH * ENOUGH * size;
-        for _ in 0..MOST_ROUNDS {
-            // Negated, so that NaN ends it too.
-            if !(size > enough) {
-                break;
-            }
-            let image = product(&step);
-            let length = size / dot(&step, &image);
-            for i in 0..g.len() {
-                lambda[i] += step[i] * length;
-                residual[i] -= image[i] * length;
-            }
-            let next = precondition(&residual);
-            let before = size;
-            size = dot(&residual, &next);
-            for (step, next) in step.iter_mut().zip(next) {
-                *step = next + *step * (size / before);
-            }
+/// The λ, by conjugate gradients preconditioned with the rows' own blocks.
+fn solve<const M: usize>(
+    plain: &Symmetric,
+    g: &[SVector<f64, M>],
+    blocks: Vec<SMatrix<f64, M, M>>,
+    mut residual: Vec<SVector<f64, M>>,
+    enough: f64,
+) -> Vec<SVector<f64, M>> {
+    let inverses: Vec<SMatrix<f64, M, M>> =
+        blocks.par_iter().with_min_len(128).map(|b| b.try_inverse().unwrap_or_else(SMatrix::zeros)).collect();
+    let dot = |a: &[SVector<f64, M>], b: &[SVector<f64, M>]| ordered_sum(a.len(), |i| a[i].dot(&b[i]));
+    let mut lambda = vec![SVector::zeros(); g.len()];
+    let mut preconditioned: Vec<SVector<f64, M>> =
+        residual.par_iter().zip(&inverses).with_min_len(SHORT).map(|(r, inverse)| inverse * r).collect();
+    let mut step = preconditioned.clone();
+    let mut image = vec![SVector::zeros(); g.len()];
+    // The product in single precision: the λ need no more.
+    let single = |v: &SVector<f64, M>| -> [f32; M] { std::array::from_fn(|p| v[p] as f32) };
+    let mut ends: Vec<[[f32; M]; 2]> = g.iter().map(|g| [single(g); 2]).collect();
+    let mut sums = vec![[0f32; M]; g.len()];
+    let mut size = dot(&residual, &step);
+    let enough = enough * enough * size;
+    for _ in 0..MOST_ROUNDS {
+        // Negated, so that NaN ends it too.
+        if !(size > enough) {
+            break;
         }
-        lambda
+        let steps = ends.par_iter_mut().zip(&step).with_min_len(SHORT);
+        steps.for_each(|(ends, step)| ends[1] = single(step));
+        sums.fill([0.0; M]);
+        plain.accumulate(&ends, &mut sums, |s, [g_i, step_i], [g_j, step_j], at_i, at_j| {
+            let dot = |a: &[f32; M], b: &[f32; M]| (0..M).map(|p| a[p] * b[p]).sum::<f32>();
+            let (to_i, to_j) = (s * dot(step_j, g_i), s * dot(step_i, g_j));
+            for p in 0..M {
+                at_i[p] += to_i * g_j[p];
+                at_j[p] += to_j * g_i[p];
+            }
+        });
+        let images = image.par_iter_mut().zip(&blocks).zip(&step).zip(&sums).with_min_len(SHORT);
+        images.for_each(|(((image, block), step), sum)| {
+            *image = block * step + SVector::from(sum.map(f64::from));
+        });
+        let length = size / dot(&step, &image);
+        let unknowns = lambda.par_iter_mut().zip(&mut residual).zip(&step).zip(&image).with_min_len(SHORT);
+        unknowns.for_each(|(((lambda, residual), step), image)| {
+            *lambda += step * length;
+            *residual -= image * length;
+        });
+        let next = preconditioned.par_iter_mut().zip(&residual).zip(&inverses).with_min_len(SHORT);
+        next.for_each(|((next, r), inverse)| *next = inverse * r);
+        let before = std::mem::replace(&mut size, dot(&residual, &preconditioned));
+        let growth = size / before;
+        let steps = step.par_iter_mut().zip(&preconditioned).with_min_len(SHORT);
+        steps.for_each(|(step, next)| *step = next + *step * growth);
     }
+    lambda
 }

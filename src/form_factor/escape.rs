@@ -4,11 +4,11 @@
 //! its noise is large beside what stays. But what goes to sources is known better from shadow rays, and all shares sum to
 //! one.
 
+use rayon::prelude::*;
+
 use super::{
-    Matrix,
     hemisphere::{Hits, LINKED, REPLICATES},
     reciprocity::Densities,
-    row,
 };
 
 /// An escaped share, and how it responds to what it was made of.
@@ -23,14 +23,15 @@ pub(super) struct Escape {
     pub(super) by_linked: f64,
 }
 
-/// Escaped shares consistent with the exchange areas S_il of each row's links.
+/// Escaped shares consistent with the exchange areas S_il of each row's links; `sums` are those of each row's other exchange
+/// areas, and of its links.
 ///
 /// A patch that is no source has its other shares, escaped or landed, rescaled to what its links leave. A source has
 /// nothing but links: what they sum to and what escapes are two estimates of one number, taken together by their
 /// variances.
 pub(super) fn refine(
     escaped: &[f64],
-    matrix: &Matrix,
+    [plain, links]: &[Vec<f64>; 2],
     hits: &Hits,
     densities: &Densities,
     areas: &[f64],
@@ -42,16 +43,12 @@ pub(super) fn refine(
     let variance = if lamps { Vec::new() } else { link_variance(hits, densities, areas) };
     let source = |i: usize| hits.sources.patches().binary_search(&(i as u32)).expect("asked of sources only");
     (0..escaped.len())
+        .into_par_iter()
+        .with_min_len(128)
         .map(|i| {
             let rays = f64::from(hits.rays_of(i));
-            let (columns, values) = row(matrix, i);
-            let links: f64 = columns
-                .iter()
-                .zip(values)
-                .filter(|&(&j, _)| is_source(i) || is_source(j as usize))
-                .map(|(_, &s)| f64::from(s))
-                .sum::<f64>()
-                / areas[i];
+            let reached = plain[i] + links[i] > 0.0;
+            let links = links[i] / areas[i];
             let e = escaped[i];
             let mut escape = Escape { share: e, by_rays: 1.0, by_links: 0.0, by_linked: 0.0 };
             if is_source(i) {
@@ -82,7 +79,7 @@ pub(super) fn refine(
             // A patch none of whose rays landed may be hit by others all the same, and keeps half a ray for them. What
             // sees nothing and is seen by nothing loses everything.
             let keep = if links > 0.0 { f64::EPSILON } else { 0.5 / rays };
-            escape.share = if columns.is_empty() { 1.0 } else { escape.share.clamp(0.0, 1.0 - keep) };
+            escape.share = if reached { escape.share.clamp(0.0, 1.0 - keep) } else { 1.0 };
             escape
         })
         .collect()

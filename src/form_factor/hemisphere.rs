@@ -6,6 +6,11 @@
 //! A patch has one sequence, which more rays continue. Its [`REPLICATES`] equal parts, one after the other, tell the
 //! standard error by their spread.
 
+use std::{
+    sync::atomic::{AtomicBool, Ordering::Relaxed},
+    time::Instant,
+};
+
 use rayon::prelude::*;
 
 use super::shadow::{self, Footprint, Found, Link, Sources};
@@ -64,6 +69,7 @@ pub struct Hits {
     mean_kernels: Vec<f64>,
     pub(super) sources: Sources,
     back_hits: u64,
+    seconds: f64,
 }
 
 impl Hits {
@@ -78,6 +84,7 @@ impl Hits {
             mean_kernels: Vec::new(),
             sources,
             back_hits: 0,
+            seconds: 0.0,
         }
     }
 
@@ -122,6 +129,11 @@ impl Hits {
     /// Hemisphere rays that met the back of a surface.
     pub fn back_hits(&self) -> u64 {
         self.back_hits
+    }
+
+    /// Seconds that casting took, nothing else.
+    pub fn seconds(&self) -> f64 {
+        self.seconds
     }
 
     /// Hemisphere rays that left patch `i`.
@@ -193,6 +205,7 @@ impl Hits {
         seed: u64,
         progress: &Progress,
     ) -> Result<()> {
+        let start = Instant::now();
         let mut first = 0;
         while first < patches.len() {
             let last = patches.len();
@@ -210,6 +223,7 @@ impl Hits {
             first = last;
         }
         name_backs(patches, self);
+        self.seconds += start.elapsed().as_secs_f64();
         Ok(())
     }
 
@@ -218,15 +232,21 @@ impl Hits {
     /// send it what it cannot get. Sources are kept.
     pub(super) fn withdraw_hidden(&mut self, areas: &[f64]) {
         let density = |i: usize| f64::from(self.rays_of(i)) / areas[i];
-        let (mut met, mut expected) = (vec![false; self.len()], vec![0.0; self.len()]);
-        for i in 0..self.len() {
-            for &j in self.of(i).iter().filter(|&&j| j < LINKED) {
-                met[j as usize] = true;
-                expected[i] += density(j as usize) / density(i);
+        let met: Vec<AtomicBool> = (0..self.len()).map(|_| AtomicBool::new(false)).collect();
+        let meets = |j: u32| {
+            // Most are known to be met: reading is cheaper than writing.
+            if !met[j as usize].load(Relaxed) {
+                met[j as usize].store(true, Relaxed);
             }
-            self.links_of(i).iter().for_each(|link| met[link.to as usize] = true);
-        }
-        for i in (0..self.len()).filter(|&i| !met[i] && expected[i] >= HIDDEN && !self.sources.contains(i)) {
+        };
+        let met_by = |i: usize| {
+            self.links_of(i).iter().for_each(|link| meets(link.to));
+            let targets = self.of(i).iter().filter(|&&j| j < LINKED);
+            targets.inspect(|&&j| meets(j)).map(|&j| density(j as usize) / density(i)).sum::<f64>()
+        };
+        let expected: Vec<f64> = (0..self.len()).into_par_iter().with_min_len(128).map(met_by).collect();
+        let hidden = |&i: &usize| !met[i].load(Relaxed) && expected[i] >= HIDDEN && !self.sources.contains(i);
+        for i in (0..self.len()).filter(hidden).collect::<Vec<_>>() {
             self.targets[self.offsets[i]..self.offsets[i + 1]].fill(ESCAPED);
             self.links[self.link_offsets[i]..self.link_offsets[i + 1]]
                 .iter_mut()

@@ -14,22 +14,31 @@ mod lamp;
 pub mod reciprocity;
 pub(crate) mod replicates;
 mod shadow;
+pub mod sweep;
+mod symmetric;
 
 use rayon::prelude::*;
 use sprs::CsMatI;
 
 use crate::{Progress, Result, patch::Patches, scene::Scene, trace::Tracer};
-use hemisphere::{Hits, REPLICATES};
-use reciprocity::Densities;
+use calibration::Measured;
+use hemisphere::{ESCAPED, Hits, REPLICATES};
+use reciprocity::{Buckets, Densities};
 use replicates::{Deviation, Samples};
 use shadow::Sources;
+use std::{borrow::Cow, ops::Range};
+use symmetric::Symmetric;
 
-/// Sparse matrix with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns.
+/// Sparse matrix row by row, with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns. To
+/// hand form factors over with, and for solvers that need whole rows.
 pub type Matrix = CsMatI<f32, u32, usize>;
 
 /// Patches smaller than this share of the mean patch count as that large: exchange areas would leave the range of single
 /// precision otherwise, and what that adds to the energy does not show in double precision.
 const LEAST_AREA: f64 = 1e-20;
+
+/// What rows may be off by in form factors that only tell how large an error is.
+const ROUGH: f64 = 1e-6;
 
 /// What a form factor may exceed 1 by: rows are closed to about as much.
 const ROUNDING: f64 = 1e-12;
@@ -90,11 +99,20 @@ pub struct BeforeAfter {
     pub after: f64,
 }
 
+/// The sparse s of F_ij = left_i s_ij right_j.
+#[derive(Debug, Clone)]
+enum Stored {
+    /// Pooled exchange areas.
+    Symmetric(Symmetric),
+    /// Hits of one-way form factors.
+    Rows(Matrix),
+}
+
 /// The form factors of all patches, F_ij = left_i s_ij right_j with a sparse s, and the share of each patch's light
 /// that leaves the scene.
 #[derive(Debug, Clone)]
 pub struct FormFactors {
-    matrix: Matrix,
+    stored: Stored,
     left: Vec<f64>,
     right: Vec<f64>,
     escaped: Vec<f64>,
@@ -127,11 +145,11 @@ impl FormFactors {
         let rays = if options.looks_first() { allocation::PILOT * options.rays } else { options.rays };
         let share = allocation::even(options, rays, !hits.sources.is_empty());
         hits.extend(scene, tracer, patches, share, options.seed, progress)?;
-        let form_factors = Self::from_hits(hits, tracer, patches, options);
         if options.looks_first() {
-            return form_factors.cast_more(scene, tracer, patches, options.rays, progress);
+            let samples = Assembled::new(hits, tracer, patches, options).into_samples(patches);
+            return Self::continued(samples, scene, tracer, patches, options.rays, progress);
         }
-        Ok(form_factors)
+        Ok(Self::from_hits(hits, tracer, patches, options))
     }
 
     /// Casts more rays, until there are `rays` a patch in the mean, as the options that the first were cast with say; those
@@ -151,8 +169,22 @@ impl FormFactors {
         progress: &Progress,
     ) -> Result<FormFactors> {
         let samples = self.samples.expect("only what was cast can be cast more of");
+        assert_eq!(samples.hits.len(), patches.len(), "other patches");
+        // Memory for what comes next.
+        drop(self.stored);
+        Self::continued(samples, scene, tracer, patches, rays, progress)
+    }
+
+    /// Casts more rays where these samples say that they lower the error most.
+    fn continued(
+        samples: Samples,
+        scene: &Scene,
+        tracer: &Tracer,
+        patches: &mut Patches,
+        rays: f64,
+        progress: &Progress,
+    ) -> Result<FormFactors> {
         let n = samples.hits.len();
-        assert_eq!(n, patches.len(), "other patches");
         let shares = if samples.options.looks_first() {
             let variances = samples.variances(patches.channels());
             allocation::by_variance(
@@ -172,92 +204,41 @@ impl FormFactors {
         Ok(Self::from_hits(hits, tracer, patches, &options))
     }
 
-    fn from_hits(mut hits: Hits, tracer: &Tracer, patches: &Patches, options: &CastOptions) -> FormFactors {
-        let mut areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
-        let (n, scale, options, estimator) = (areas.len(), tracer.scale(), *options, options.estimator);
-        // In units of the mean area no exchange area leaves the range of single precision.
-        let mean = areas.iter().sum::<f64>() / n as f64;
-        areas.iter_mut().for_each(|a| *a = a.max(LEAST_AREA * mean));
-        let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
-        if estimator == Estimator::Pooled {
-            hits.withdraw_hidden(&relative);
-        }
-        let densities = Densities::new(&hits, &relative, scale * (scale / mean));
-        let own = reciprocity::count(&hits, &densities);
-        let one_way = reciprocity::one_way_deviation(&own, &hits, &areas);
-        let escaped: Vec<f64> = (0..n).map(|i| own.escaped(i) / f64::from(hits.rays_of(i))).collect();
-        let form_factors = match estimator {
-            Estimator::OneWay => FormFactors {
-                left: (0..n).map(|i| 1.0 / f64::from(hits.rays_of(i))).collect(),
-                right: vec![1.0; n],
-                matrix: own.into_matrix(),
-                escaped,
-                areas,
-                estimator,
-                samples: Some(Samples {
-                    hits,
-                    densities,
-                    escapes: Vec::new(),
-                    areas: relative,
-                    radiosity: Vec::new(),
-                    siblings: patches.families(2).collect(),
-                    options,
-                }),
-                row_sum_deviation: BeforeAfter::default(),
-                reciprocity_deviation: BeforeAfter { before: one_way, after: one_way },
-            },
-            Estimator::Pooled => {
-                let mut matrix = reciprocity::pool(own, &hits, &densities);
-                let before = closure::row_sum_deviation(&matrix, &relative, &escaped);
-                let escapes = escape::refine(&escaped, &matrix, &hits, &densities, &relative);
-                let mut escaped: Vec<f64> = escapes.iter().map(|e| e.share).collect();
-                let radiosity =
-                    calibration::calibrate(&mut matrix, &hits, &densities, &relative, &escaped, patches);
-                closure::settle(&mut matrix, &hits, &relative, &mut escaped);
-                let mut form_factors =
-                    Self::closed(matrix, relative.clone(), escaped, |i| 0.5 / f64::from(hits.rays_of(i)));
-                form_factors.areas = areas;
-                form_factors.samples = Some(Samples {
-                    hits,
-                    densities,
-                    escapes,
-                    areas: relative,
-                    radiosity,
-                    siblings: patches.families(2).collect(),
-                    options,
-                });
-                form_factors.row_sum_deviation.before = before;
-                form_factors.reciprocity_deviation.before = one_way;
-                form_factors
-            }
+    fn from_hits(hits: Hits, tracer: &Tracer, patches: &Patches, options: &CastOptions) -> FormFactors {
+        let assembled = Assembled::new(hits, tracer, patches, options);
+        let form_factors = match options.estimator {
+            Estimator::OneWay => assembled.one_way(),
+            Estimator::Pooled => assembled.pooled(patches, closure::EXACT),
         };
         debug_assert_eq!(form_factors.out_of_range(), 0, "form factors are shares");
         form_factors
     }
 
     /// Form factors from a symmetric matrix of exchange areas A_i F_ij, in any one unit of area, the patches' areas in
-    /// the same unit, and the share of each patch's light that leaves the scene. Closes the rows.
+    /// the same unit, and the share of each patch's light that leaves the scene. Closes the rows. Of the matrix the upper
+    /// triangle is read; the lower one is taken to be the same.
     ///
     /// # Panics
     /// When the sizes disagree.
     pub fn from_exchange(matrix: Matrix, areas: Vec<f64>, escaped: Vec<f64>) -> FormFactors {
-        Self::closed(matrix, areas, escaped, |_| 0.0)
+        assert_eq!((matrix.rows(), matrix.cols()), (areas.len(), areas.len()), "sizes disagree");
+        Self::closed(Symmetric::from_rows(&matrix), areas, escaped, |_| 0.0, closure::EXACT)
     }
 
     fn closed(
-        matrix: Matrix,
+        matrix: Symmetric,
         areas: Vec<f64>,
         escaped: Vec<f64>,
         spare: impl Fn(usize) -> f64,
+        precision: f64,
     ) -> FormFactors {
-        let n = areas.len();
-        assert_eq!((matrix.rows(), matrix.cols(), escaped.len()), (n, n, n), "sizes disagree");
-        let closed = closure::close(&matrix, &areas, &escaped, spare);
+        assert_eq!((matrix.len(), escaped.len()), (areas.len(), areas.len()), "sizes disagree");
+        let closed = closure::close(&matrix, &areas, &escaped, spare, precision);
         let mut form_factors = FormFactors {
             left: closed.scale.iter().zip(&areas).map(|(d, a)| d / a).collect(),
             escaped: closed.scale.iter().zip(&closed.escaped).map(|(d, e)| d * e).collect(),
             right: closed.scale,
-            matrix,
+            stored: Stored::Symmetric(matrix),
             areas,
             estimator: Estimator::Pooled,
             samples: None,
@@ -265,7 +246,7 @@ impl FormFactors {
             reciprocity_deviation: BeforeAfter::default(),
         };
         form_factors.row_sum_deviation.after =
-            closure::deviation(&form_factors.row_sums(), &form_factors.escaped);
+            closure::deviation(form_factors.row_sums().into_iter(), &form_factors.escaped);
         let after = form_factors.measure_reciprocity();
         form_factors.reciprocity_deviation = BeforeAfter { before: after, after };
         form_factors
@@ -275,33 +256,42 @@ impl FormFactors {
     ///
     /// # Panics
     /// When the sizes disagree.
-    pub(crate) fn merged(&self, families: &[std::ops::Range<usize>]) -> FormFactors {
+    pub(crate) fn merged(&self, families: &[Range<usize>]) -> FormFactors {
         let mut parents = Vec::with_capacity(self.len());
         for (p, family) in families.iter().enumerate() {
             parents.extend(family.clone().map(|_| p as u32));
         }
         assert_eq!(parents.len(), self.len(), "one parent a patch is wanted");
         let areas: Vec<f64> = families.iter().map(|f| self.areas[f.clone()].iter().sum()).collect();
-        let lost =
-            |f: &std::ops::Range<usize>| f.clone().map(|i| self.areas[i] * self.escaped[i]).sum::<f64>();
+        let lost = |f: &Range<usize>| f.clone().map(|i| self.areas[i] * self.escaped[i]).sum::<f64>();
         let escaped = families.iter().zip(&areas).map(|(f, area)| lost(f) / area).collect();
-        let (count, mean) = (families.len(), areas.iter().sum::<f64>() / families.len() as f64);
-        let parents = &parents;
-        let rows: Vec<Vec<(u32, f64)>> = families
-            .par_iter()
-            .with_min_len(64)
-            .map(|family| {
-                let entry = |i: usize| self.row(i).map(move |(j, f)| (parents[j], self.areas[i] * f / mean));
-                let mut entries: Vec<(u32, f64)> = family.clone().flat_map(entry).collect();
-                entries.sort_by_key(|&(j, _)| j);
-                entries.chunk_by(|a, b| a.0 == b.0).map(|e| (e[0].0, e.iter().map(|e| e.1).sum())).collect()
-            })
-            .collect();
-        let mut starts = vec![0];
-        rows.iter().for_each(|row| starts.push(starts[starts.len() - 1] + row.len()));
-        let (columns, values) = rows.into_iter().flatten().map(|(j, s)| (j, s as f32)).unzip();
-        let matrix = Matrix::new((count, count), starts, columns, values);
-        let mut merged = Self::from_exchange(matrix, areas.iter().map(|a| a / mean).collect(), escaped);
+        let mean = areas.iter().sum::<f64>() / families.len() as f64;
+        let entry = |i: usize, j: usize, s: f32| {
+            let exchange = self.areas[i] * self.left[i] * f64::from(s) * self.right[j] / mean;
+            // Within a family both directions fall together.
+            let both = if parents[i] == parents[j] && i != j { 2.0 } else { 1.0 };
+            (parents[i], parents[j], (both * exchange) as f32)
+        };
+        let lists: Vec<Vec<(u32, u32, f32)>> = match &self.stored {
+            Stored::Symmetric(matrix) => {
+                let on_diagonal = matrix.diagonal().map(|(i, s)| entry(i, i, s)).collect();
+                let mut lists: Vec<Vec<_>> =
+                    matrix.tiles().map(|tile| tile.map(|(i, j, s)| entry(i, j, s)).collect()).collect();
+                lists.push(on_diagonal);
+                lists
+            }
+            // Not reciprocal: what lies above the diagonal stands for both.
+            Stored::Rows(matrix) => vec![
+                matrix
+                    .iter()
+                    .filter(|&(_, (i, j))| i <= j)
+                    .map(|(&s, (i, j))| entry(i as usize, j as usize, s))
+                    .collect(),
+            ],
+        };
+        let matrix = Symmetric::from_lists(families.len(), &lists);
+        let relative = areas.iter().map(|a| a / mean).collect();
+        let mut merged = Self::closed(matrix, relative, escaped, |_| 0.0, ROUGH);
         merged.areas = areas;
         merged.estimator = self.estimator;
         merged
@@ -311,11 +301,15 @@ impl FormFactors {
     pub(crate) fn half(&self, half: usize, tracer: &Tracer, patches: &Patches) -> Option<FormFactors> {
         let samples = self.samples.as_ref()?;
         let hits = samples.hits.half(half)?;
-        Some(Self::from_hits(hits, tracer, patches, &samples.options))
+        let assembled = Assembled::new(hits, tracer, patches, &samples.options);
+        Some(match samples.options.estimator {
+            Estimator::OneWay => assembled.one_way(),
+            Estimator::Pooled => assembled.pooled(patches, ROUGH),
+        })
     }
 
     /// Neighbours in the plane: runs of up to 16 patches of one triangle's side, in the order of the patches.
-    pub(crate) fn siblings(&self) -> &[std::ops::Range<usize>] {
+    pub(crate) fn siblings(&self) -> &[Range<usize>] {
         self.samples.as_ref().map_or(&[], |samples| &samples.siblings)
     }
 
@@ -334,18 +328,33 @@ impl FormFactors {
         self.areas.is_empty()
     }
 
-    /// F_ij.
+    /// F_ij. Looks for it in a part of the matrix.
     pub fn get(&self, i: usize, j: usize) -> f64 {
-        self.matrix.get(i, j).map_or(0.0, |&s| self.left[i] * f64::from(s) * self.right[j])
+        let s = match &self.stored {
+            Stored::Symmetric(matrix) => matrix.get(i, j),
+            Stored::Rows(matrix) => matrix.get(i, j).copied().unwrap_or(0.0),
+        };
+        self.left[i] * f64::from(s) * self.right[j]
     }
 
-    /// The non-zero F_ij of row `i` as (j, F_ij).
+    /// The non-zero F_ij of row `i` as (j, F_ij). Collects them from a part of the matrix.
     pub fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let (columns, values) = row(&self.matrix, i);
-        columns.iter().zip(values).map(move |(&j, &s)| {
-            let j = j as usize;
-            (j, self.left[i] * f64::from(s) * self.right[j])
-        })
+        let entries = match &self.stored {
+            Stored::Symmetric(matrix) => matrix.row(i),
+            Stored::Rows(matrix) => {
+                let (columns, values) = row(matrix, i);
+                columns.iter().map(|&j| j as usize).zip(values.iter().copied()).collect()
+            }
+        };
+        entries.into_iter().map(move |(j, s)| (j, self.left[i] * f64::from(s) * self.right[j]))
+    }
+
+    /// All rows of the s in F_ij = left_i s_ij right_j, compressed: pooled form factors take twice their memory so.
+    pub(crate) fn rows(&self) -> Cow<'_, Matrix> {
+        match &self.stored {
+            Stored::Symmetric(matrix) => Cow::Owned(matrix.rows()),
+            Stored::Rows(matrix) => Cow::Borrowed(matrix),
+        }
     }
 
     /// Area of each patch; at least 10⁻²⁰ of their mean.
@@ -370,23 +379,43 @@ impl FormFactors {
 
     /// Non-zero form factors.
     pub fn non_zeros(&self) -> usize {
-        self.matrix.nnz()
+        match &self.stored {
+            Stored::Symmetric(matrix) => matrix.non_zeros(),
+            Stored::Rows(matrix) => matrix.nnz(),
+        }
+    }
+
+    /// Bytes of the matrix.
+    pub fn matrix_bytes(&self) -> usize {
+        match &self.stored {
+            Stored::Symmetric(matrix) => matrix.bytes(),
+            Stored::Rows(matrix) => 8 * (matrix.nnz() + self.len()),
+        }
     }
 
     /// Bytes held by the matrix, its scaling and the hits.
     pub fn bytes(&self) -> usize {
-        8 * self.matrix.nnz() + 8 * 5 * self.len() + self.hits().map_or(0, Hits::bytes)
+        self.matrix_bytes() + 8 * 4 * self.len() + self.hits().map_or(0, Hits::bytes)
     }
 
     /// How many form factors, escaped shares included, are no shares: negative, above one by more than rounding, or not
     /// numbers. None, or there is an error in the program.
     pub fn out_of_range(&self) -> usize {
         let is_share = |x: f64| (0.0..=1.0 + ROUNDING).contains(&x);
-        let of_row = |i: usize| {
-            let here = usize::from(!is_share(self.escaped[i]));
-            here + self.row(i).filter(|&(_, x)| !is_share(x)).count()
-        };
-        (0..self.len()).into_par_iter().with_min_len(128).map(of_row).sum()
+        let strays =
+            |i: usize, j: usize, s: f32| usize::from(!is_share(self.left[i] * f64::from(s) * self.right[j]));
+        let escaped = self.escaped.iter().filter(|&&x| !is_share(x)).count();
+        escaped
+            + match &self.stored {
+                Stored::Symmetric(matrix) => {
+                    let both = |(i, j, s): (usize, usize, f32)| strays(i, j, s) + strays(j, i, s);
+                    matrix.tiles().map(|tile| tile.map(both).sum::<usize>()).sum::<usize>()
+                        + matrix.diagonal().map(|(i, s)| strays(i, i, s)).sum::<usize>()
+                }
+                Stored::Rows(matrix) => {
+                    matrix.iter().map(|(&s, (i, j))| strays(i as usize, j as usize, s)).sum()
+                }
+            }
     }
 
     /// Largest |row sum + escaped share - 1|, before and after the closure.
@@ -401,22 +430,25 @@ impl FormFactors {
 
     /// Sum over j of F_ij for every row.
     pub fn row_sums(&self) -> Vec<f64> {
-        let mut sums = vec![0.0; self.len()];
-        gather(&self.matrix, self.right.as_chunks::<1>().0, &mut sums, |i, [sum]| [self.left[i] * sum]);
-        sums
+        self.irradiance(&vec![1.0; self.len()], 1)
     }
 
     /// Σ_i A_i F_ij for every column j: what the other patches receive of patch j's radiosity.
     pub fn column_sums(&self) -> Vec<f64> {
-        let mut sums = vec![0.0; self.len()];
-        for i in 0..self.len() {
-            let weight = self.areas[i] * self.left[i];
-            let (columns, values) = row(&self.matrix, i);
-            for (&j, &s) in columns.iter().zip(values) {
-                sums[j as usize] += weight * f64::from(s) * self.right[j as usize];
+        let weight = |i: usize| self.areas[i] * self.left[i];
+        let mut sums = vec![[0.0]; self.len()];
+        match &self.stored {
+            Stored::Symmetric(matrix) => {
+                let weights: Vec<[f64; 1]> = (0..self.len()).map(|i| [weight(i)]).collect();
+                matrix.add_product(&weights, &mut sums);
+            }
+            Stored::Rows(matrix) => {
+                for (&s, (i, j)) in matrix {
+                    sums[j as usize][0] += weight(i as usize) * f64::from(s);
+                }
             }
         }
-        sums
+        sums.iter().zip(&self.right).map(|([sum], right)| sum * right).collect()
     }
 
     /// Irradiance E_i = Σ_j F_ij B_j of every patch, from `channels` (1 or 3) interleaved values of radiosity.
@@ -436,55 +468,208 @@ impl FormFactors {
     /// As [`FormFactors::irradiance`], for `C` channels, into a vector at hand.
     pub(crate) fn irradiance_into<const C: usize>(&self, radiosity: &[f64], irradiance: &mut [f64]) {
         assert_eq!(radiosity.len(), C * self.len(), "one value a patch and channel is wanted");
-        let scaled: Vec<[f64; C]> = radiosity
-            .as_chunks::<C>()
-            .0
-            .iter()
-            .zip(&self.right)
-            .map(|(b, right)| b.map(|b| b * right))
-            .collect();
-        gather(&self.matrix, &scaled, irradiance, |i, sums| sums.map(|sum| self.left[i] * sum));
+        let mut scaled = radiosity.as_chunks::<C>().0.to_vec();
+        scaled.par_iter_mut().zip(&self.right).with_min_len(SHORT).for_each(|(b, right)| {
+            b.iter_mut().for_each(|b| *b *= right);
+        });
+        let out = irradiance.as_chunks_mut::<C>().0;
+        match &self.stored {
+            Stored::Symmetric(matrix) => {
+                out.fill([0.0; C]);
+                matrix.add_product(&scaled, out);
+            }
+            Stored::Rows(matrix) => gather(matrix, &scaled, out),
+        }
+        out.par_iter_mut().zip(&self.left).with_min_len(SHORT).for_each(|(e, left)| {
+            e.iter_mut().for_each(|e| *e *= left);
+        });
     }
 
     /// The irradiance that the exchange areas would give had the closure not scaled them.
     pub(crate) fn unclosed_irradiance<const C: usize>(&self, radiosity: &[f64]) -> Vec<f64> {
-        let mut irradiance = vec![0.0; radiosity.len()];
+        let radiosity = radiosity.as_chunks::<C>().0;
+        let mut sums = vec![[0.0; C]; radiosity.len()];
+        match &self.stored {
+            Stored::Symmetric(matrix) => matrix.add_product(radiosity, &mut sums),
+            Stored::Rows(matrix) => gather(matrix, radiosity, &mut sums),
+        }
         // left_i = d_i / A_i, right_i = d_i.
-        gather(&self.matrix, radiosity.as_chunks::<C>().0, &mut irradiance, |i, sums| {
-            sums.map(|sum| self.left[i] / self.right[i] * sum)
-        });
-        irradiance
+        let scaled = |i: usize| sums[i].map(|sum| self.left[i] / self.right[i] * sum);
+        (0..self.len()).flat_map(scaled).collect()
     }
 
     /// F z for a value a replicate and channel, in single precision: for error bars.
     pub(crate) fn gather_replicates<const C: usize>(&self, z: &[Deviation<C>]) -> Vec<Deviation<C>> {
-        let of_row = |i: usize| {
-            let mut sums = [[0f32; REPLICATES]; C];
-            let (columns, values) = row(&self.matrix, i);
-            for (&j, &s) in columns.iter().zip(values) {
-                let j = j as usize;
-                let factor = (self.left[i] * f64::from(s) * self.right[j]) as f32;
-                for (sums, z) in sums.iter_mut().zip(&z[j]) {
-                    for (sum, z) in sums.iter_mut().zip(z) {
-                        *sum += factor * z;
-                    }
-                }
+        let scaled = |z: &Deviation<C>, factor: f64| z.map(|z| z.map(|z| z * factor as f32));
+        let add = |to: &mut Deviation<C>, factor: f32, z: &Deviation<C>| {
+            for (to, z) in to.as_flattened_mut().iter_mut().zip(z.as_flattened()) {
+                *to += factor * z;
             }
-            sums
         };
-        (0..self.len()).into_par_iter().with_min_len(128).map(of_row).collect()
+        let z: Vec<Deviation<C>> =
+            z.par_iter().zip(&self.right).with_min_len(SHORT).map(|(z, right)| scaled(z, *right)).collect();
+        let mut sums = vec![[[0f32; REPLICATES]; C]; self.len()];
+        match &self.stored {
+            Stored::Symmetric(matrix) => {
+                matrix.diagonal().for_each(|(i, s)| add(&mut sums[i], s, &z[i]));
+                matrix.accumulate(&z, &mut sums, |s, z_i, z_j, at_i, at_j| {
+                    add(at_i, s, z_j);
+                    add(at_j, s, z_i);
+                });
+            }
+            Stored::Rows(matrix) => sums.par_iter_mut().enumerate().with_min_len(128).for_each(|(i, sum)| {
+                let (columns, values) = row(matrix, i);
+                columns.iter().zip(values).for_each(|(&j, &s)| add(sum, s, &z[j as usize]));
+            }),
+        }
+        let ends = sums.par_iter_mut().zip(&self.left).with_min_len(SHORT);
+        ends.for_each(|(sum, left)| *sum = scaled(sum, *left));
+        sums
     }
 
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j), by visiting every pair.
     fn measure_reciprocity(&self) -> f64 {
+        let Stored::Symmetric(matrix) = &self.stored else { unreachable!("only of pooled form factors") };
         let exchange =
             |i: usize, s: f32, j: usize| self.areas[i] * self.left[i] * f64::from(s) * self.right[j];
-        reciprocity::deviation(&self.matrix, &self.areas, exchange)
+        let defect = |(i, j, s): (usize, usize, f32)| {
+            (exchange(i, s, j) - exchange(j, s, i)).abs() / self.areas[i].min(self.areas[j])
+        };
+        matrix.tiles().map(|tile| tile.map(defect).fold(0.0, f64::max)).reduce(|| 0.0, f64::max)
     }
 
-    /// The exchange area A_i F_ij of the stored value `s`, for solvers that need columns and rows alike.
-    pub(crate) fn scaling(&self) -> (&Matrix, &[f64], &[f64]) {
-        (&self.matrix, &self.left, &self.right)
+    /// The left and right of F_ij = left_i s_ij right_j.
+    pub(crate) fn scaling(&self) -> (&[f64], &[f64]) {
+        (&self.left, &self.right)
+    }
+}
+
+/// Patches that are hardly worth a task of their own.
+pub(crate) const SHORT: usize = 4096;
+
+/// The sum of a value a patch: of each run of patches by itself, then of the runs, whatever the number of threads.
+pub(crate) fn ordered_sum<T: Copy + Send + std::iter::Sum<T>>(
+    len: usize,
+    value: impl Fn(usize) -> T + Sync,
+) -> T {
+    let run = |k: usize| (k * SHORT..((k + 1) * SHORT).min(len)).map(&value).sum();
+    let runs: Vec<T> = (0..len.div_ceil(SHORT)).into_par_iter().map(run).collect();
+    runs.into_iter().sum()
+}
+
+/// Hits on their way to form factors.
+struct Assembled {
+    samples: Samples,
+    areas: Vec<f64>,
+    buckets: Buckets,
+    /// Exchange areas of pairs without a source, and with one.
+    plain: Symmetric,
+    links: Symmetric,
+    /// Shares of each patch's light that leave the scene: of the rays, and refined.
+    of_rays: Vec<f64>,
+    escaped: Vec<f64>,
+    row_sum_deviation: f64,
+    one_way_deviation: f64,
+}
+
+impl Assembled {
+    fn new(mut hits: Hits, tracer: &Tracer, patches: &Patches, options: &CastOptions) -> Assembled {
+        let mut areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
+        let (n, scale) = (areas.len(), tracer.scale());
+        // In units of the mean area no exchange area leaves the range of single precision.
+        let mean = areas.iter().sum::<f64>() / n as f64;
+        areas.iter_mut().for_each(|a| *a = a.max(LEAST_AREA * mean));
+        let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
+        if options.estimator == Estimator::Pooled {
+            hits.withdraw_hidden(&relative);
+        }
+        let densities = Densities::new(&hits, &relative, scale * (scale / mean));
+        let buckets = Buckets::new(&hits);
+        let (plain, one_way_deviation) = reciprocity::pool(&hits, &buckets, &densities, &relative);
+        let links = reciprocity::links(&hits, &densities);
+        let share = |i: usize| {
+            let escaped = hits.of(i).iter().filter(|&&j| j == ESCAPED).count();
+            escaped as f64 / f64::from(hits.rays_of(i))
+        };
+        let of_rays: Vec<f64> = (0..n).into_par_iter().with_min_len(128).map(share).collect();
+        let sums = [plain.row_sums(), links.row_sums()];
+        let sum = |i: usize| (sums[0][i] + sums[1][i]) / relative[i];
+        let row_sum_deviation = closure::deviation((0..n).map(sum), &of_rays);
+        let escapes = escape::refine(&of_rays, &sums, &hits, &densities, &relative);
+        Assembled {
+            escaped: escapes.iter().map(|e| e.share).collect(),
+            samples: Samples {
+                hits,
+                densities,
+                escapes,
+                areas: relative,
+                radiosity: Vec::new(),
+                siblings: patches.families(2).collect(),
+                options: *options,
+            },
+            areas,
+            buckets,
+            plain,
+            links,
+            of_rays,
+            row_sum_deviation,
+            one_way_deviation,
+        }
+    }
+
+    fn measured(&self) -> Measured<'_> {
+        Measured {
+            links: &self.links,
+            densities: &self.samples.densities,
+            hits: &self.samples.hits,
+            areas: &self.samples.areas,
+            escaped: &self.escaped,
+        }
+    }
+
+    /// No more than tells the variances.
+    fn into_samples(mut self, patches: &Patches) -> Samples {
+        self.samples.radiosity = calibration::radiosity(&self.plain, &self.measured(), patches);
+        self.samples
+    }
+
+    fn pooled(mut self, patches: &Patches, precision: f64) -> FormFactors {
+        let mut plain = std::mem::take(&mut self.plain);
+        let buckets = std::mem::take(&mut self.buckets);
+        let radiosity = calibration::calibrate(
+            &mut plain,
+            buckets,
+            &self.measured(),
+            patches,
+            precision > closure::EXACT,
+        );
+        let Assembled { mut samples, links, mut escaped, areas, .. } = self;
+        closure::settle(&mut plain, &links.row_sums(), &samples.areas, &mut escaped);
+        plain.append(links);
+        let spare = |i: usize| 0.5 / f64::from(samples.hits.rays_of(i));
+        let mut form_factors = FormFactors::closed(plain, samples.areas.clone(), escaped, spare, precision);
+        samples.radiosity = radiosity;
+        form_factors.areas = areas;
+        form_factors.samples = Some(samples);
+        form_factors.row_sum_deviation.before = self.row_sum_deviation;
+        form_factors.reciprocity_deviation.before = self.one_way_deviation;
+        form_factors
+    }
+
+    fn one_way(self) -> FormFactors {
+        let Assembled { mut samples, areas, one_way_deviation: deviation, .. } = self;
+        samples.escapes = Vec::new();
+        FormFactors {
+            left: (0..areas.len()).map(|i| 1.0 / f64::from(samples.hits.rays_of(i))).collect(),
+            right: vec![1.0; areas.len()],
+            stored: Stored::Rows(reciprocity::one_way(&samples.hits)),
+            escaped: self.of_rays,
+            areas,
+            estimator: Estimator::OneWay,
+            samples: Some(samples),
+            row_sum_deviation: BeforeAfter::default(),
+            reciprocity_deviation: BeforeAfter { before: deviation, after: deviation },
+        }
     }
 }
 
@@ -502,30 +687,19 @@ pub(crate) fn row(matrix: &Matrix, i: usize) -> (&[u32], &[f32]) {
     (&matrix.indices()[range.clone()], &matrix.data()[range])
 }
 
-/// out_i = finish(i, Σ_j s_ij z_j) for `C` interleaved channels.
+/// out_i = Σ_j s_ij z_j for `C` channels.
 ///
 /// sprs's own product is serial; this one reads its slices row by row in parallel, each row summed in order, so that
 /// the bytes do not depend on the number of threads.
-pub(crate) fn gather<const C: usize>(
-    matrix: &Matrix,
-    z: &[[f64; C]],
-    out: &mut [f64],
-    finish: impl Fn(usize, [f64; C]) -> [f64; C] + Sync,
-) {
-    const ROWS: usize = 128;
-    assert_eq!((matrix.cols(), matrix.rows() * C), (z.len(), out.len()), "sizes disagree");
-    out.as_chunks_mut::<C>().0.par_chunks_mut(ROWS).enumerate().for_each(|(block, out)| {
-        for (k, out) in out.iter_mut().enumerate() {
-            let i = block * ROWS + k;
-            let (columns, values) = row(matrix, i);
-            let mut sums = [0.0; C];
-            for (&j, &s) in columns.iter().zip(values) {
-                let z = &z[j as usize];
-                for c in 0..C {
-                    sums[c] += f64::from(s) * z[c];
-                }
+fn gather<const C: usize>(matrix: &Matrix, z: &[[f64; C]], out: &mut [[f64; C]]) {
+    assert_eq!((matrix.cols(), matrix.rows()), (z.len(), out.len()), "sizes disagree");
+    out.par_iter_mut().enumerate().with_min_len(128).for_each(|(i, out)| {
+        let (columns, values) = row(matrix, i);
+        *out = [0.0; C];
+        for (&j, &s) in columns.iter().zip(values) {
+            for c in 0..C {
+                out[c] += f64::from(s) * z[j as usize][c];
             }
-            *out = finish(i, sums);
         }
     });
 }

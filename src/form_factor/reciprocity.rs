@@ -8,69 +8,10 @@ use rayon::prelude::*;
 
 use super::{
     Matrix,
-    hemisphere::{ESCAPED, Hits, LINKED, REPLICATES},
-    row,
+    hemisphere::{Hits, LINKED, REPLICATES},
     shadow::{Found, Link},
+    symmetric::{Blocks, PLACE, Symmetric},
 };
-
-/// Rows handled by one task.
-const ROWS: usize = 256;
-
-/// Hits counted: a compressed sparse row a patch.
-#[derive(Debug)]
-pub(super) struct Counts {
-    starts: Vec<usize>,
-    columns: Vec<u32>,
-    counts: Vec<f32>,
-    escaped: Vec<u32>,
-}
-
-impl Counts {
-    fn row(&self, i: usize) -> (&[u32], &[f32]) {
-        let range = self.starts[i]..self.starts[i + 1];
-        (&self.columns[range.clone()], &self.counts[range])
-    }
-
-    /// Rays of patch `i` that left the scene.
-    pub(super) fn escaped(&self, i: usize) -> f64 {
-        f64::from(self.escaped[i])
-    }
-
-    fn len(&self) -> usize {
-        self.escaped.len()
-    }
-
-    /// The counts as they are.
-    pub(super) fn into_matrix(self) -> Matrix {
-        let n = self.len();
-        Matrix::new((n, n), self.starts, self.columns, self.counts)
-    }
-
-    /// Rows and columns exchanged; rows stay sorted.
-    fn transposed(&self) -> Counts {
-        let n = self.len();
-        let mut starts = vec![0usize; n + 1];
-        for &j in &self.columns {
-            starts[j as usize + 1] += 1;
-        }
-        for j in 0..n {
-            starts[j + 1] += starts[j];
-        }
-        let mut next = starts.clone();
-        let mut columns = vec![0u32; self.columns.len()];
-        let mut counts = vec![0f32; self.columns.len()];
-        for i in 0..n {
-            let (own, hits) = self.row(i);
-            for (&j, &h) in own.iter().zip(hits) {
-                let at = &mut next[j as usize];
-                columns[*at] = i as u32;
-                counts[*at] = h;
-                *at += 1;
-            }
-        }
-        Counts { starts, columns, counts, escaped: Vec::new() }
-    }
-}
 
 /// Weight of a hemisphere ray's density against a shadow ray's in the balance heuristic, where lamps are many. Any gives
 /// the same mean. As many shadow rays as wanted go to a pair, while hemisphere rays find it by chance: their number varies
@@ -111,7 +52,7 @@ impl Densities {
             hemisphere: a_patch(&|i| f64::from(hits.rays_of(i))),
             shadow: a_patch(&|i| f64::from(hits.shadow_rays_of(i))),
             source: a_patch(&|i| hits.sources.probability(i)),
-            ratio: (0..areas.len()).map(ratio).collect(),
+            ratio: (0..areas.len()).into_par_iter().with_min_len(128).map(ratio).collect(),
             unit,
         }
     }
@@ -165,190 +106,108 @@ pub(super) fn excess_kernels(hits: &Hits, i: usize) -> [f64; REPLICATES] {
     excess
 }
 
-/// A run of equal targets in the rows being counted.
-struct Block {
-    lengths: Vec<usize>,
-    columns: Vec<u32>,
-    counts: Vec<f32>,
-    escaped: Vec<u32>,
+/// The hits that connect two patches, neither a source, by the blocks that these are in: what is near in memory is counted
+/// together.
+#[derive(Default)]
+pub(super) struct Buckets {
+    pub(super) blocks: Blocks,
+    /// Of each block, one after the other, what its rays met in each: place of the patch, place of what it met, replicate.
+    lists: Vec<Vec<u32>>,
 }
 
-/// Counts how many rays of each patch met which patch; for pairs with a source, sums up the links instead.
-pub(super) fn count(hits: &Hits, densities: &Densities) -> Counts {
-    let n = hits.len();
-    let blocks: Vec<Block> = (0..n.div_ceil(ROWS))
-        .into_par_iter()
-        .map(|block| {
-            let mut out =
-                Block { lengths: Vec::new(), columns: Vec::new(), counts: Vec::new(), escaped: Vec::new() };
-            let (mut targets, mut linked) = (Vec::new(), Vec::new());
-            for i in block * ROWS..((block + 1) * ROWS).min(n) {
-                targets.clear();
-                targets.extend_from_slice(hits.of(i));
-                targets.sort_unstable();
-                linked.clear();
-                let value = |l: &Link| (l.to, densities.link(hits, i, l) as f32);
-                linked.extend(hits.links_of(i).iter().map(value).filter(|&(_, value)| value > 0.0));
-                linked.sort_by_key(|&(to, _)| to);
-                count_row(&targets, &linked, &mut out);
+impl Buckets {
+    pub(super) fn new(hits: &Hits) -> Buckets {
+        let blocks = Blocks::new(hits.len());
+        let of_block = |block: usize| {
+            let mut lengths = vec![0; blocks.count()];
+            let rays = |i: usize| hits.of(i).iter().map(|&j| j as usize).filter(|&j| j < LINKED as usize);
+            for j in blocks.range(block).flat_map(rays) {
+                lengths[blocks.of(j).0] += 1;
             }
-            out
+            let mut lists: Vec<Vec<u32>> = lengths.into_iter().map(Vec::with_capacity).collect();
+            for i in blocks.range(block) {
+                let row = blocks.of(i).1 << (PLACE + REPLICATES.ilog2());
+                for replicate in 0..REPLICATES {
+                    for &j in hits.of_replicate(i, replicate).iter().filter(|&&j| j < LINKED) {
+                        let (other, column) = blocks.of(j as usize);
+                        lists[other].push(row | column << REPLICATES.ilog2() | replicate as u32);
+                    }
+                }
+            }
+            lists
+        };
+        let lists = (0..blocks.count()).into_par_iter().with_max_len(1).flat_map_iter(of_block).collect();
+        Buckets { blocks, lists }
+    }
+
+    /// What rays from one block met in another: place of the patch, place of what it met, replicate.
+    pub(super) fn list(&self, from: usize, to: usize) -> impl Iterator<Item = (usize, usize, usize)> + '_ {
+        let mask = (1 << PLACE) - 1;
+        self.lists[from * self.blocks.count() + to].iter().map(move |&hit| {
+            let pair = hit as usize >> REPLICATES.ilog2();
+            (pair >> PLACE, pair & mask, hit as usize % REPLICATES)
         })
-        .collect();
-    let mut all =
-        Counts { starts: vec![0], columns: Vec::new(), counts: Vec::new(), escaped: Vec::with_capacity(n) };
-    let total = blocks.iter().map(|b| b.columns.len()).sum();
-    all.columns.reserve_exact(total);
-    all.counts.reserve_exact(total);
-    let mut end = 0;
-    for block in blocks {
-        for length in block.lengths {
-            end += length;
-            all.starts.push(end);
-        }
-        all.columns.extend(block.columns);
-        all.counts.extend(block.counts);
-        all.escaped.extend(block.escaped);
-    }
-    all
-}
-
-/// Appends the row with these sorted targets and links, which have no patch in common.
-fn count_row(targets: &[u32], linked: &[(u32, f32)], out: &mut Block) {
-    let before = out.columns.len();
-    let mut escaped = 0;
-    let mut links = linked.chunk_by(|a, b| a.0 == b.0).peekable();
-    let mut push = |to: u32, value: f32| {
-        out.columns.push(to);
-        out.counts.push(value);
-    };
-    for run in targets.chunk_by(|a, b| a == b) {
-        while let Some(link) = links.next_if(|link| link[0].0 < run[0]) {
-            push(link[0].0, link.iter().map(|l| l.1).sum());
-        }
-        match run[0] {
-            ESCAPED => escaped = run.len() as u32,
-            LINKED => {}
-            to => push(to, run.len() as f32),
-        }
-    }
-    for link in links {
-        push(link[0].0, link.iter().map(|l| l.1).sum());
-    }
-    out.lengths.push(out.columns.len() - before);
-    out.escaped.push(escaped);
-}
-
-/// Calls `pair(j, h_ij, h_ji)` for every patch j that row `i` hits or is hit by, in the order of j.
-fn merge(own: (&[u32], &[f32]), back: (&[u32], &[f32]), mut pair: impl FnMut(u32, f32, f32)) {
-    let (mut p, mut q) = (0, 0);
-    loop {
-        let j = own.0.get(p).copied().unwrap_or(u32::MAX);
-        let k = back.0.get(q).copied().unwrap_or(u32::MAX);
-        if j == u32::MAX && k == u32::MAX {
-            return;
-        }
-        let (mut there, mut here) = (0.0, 0.0);
-        if j <= k {
-            there = own.1[p];
-            p += 1;
-        }
-        if k <= j {
-            here = back.1[q];
-            q += 1;
-        }
-        pair(j.min(k), there, here);
     }
 }
 
-/// The pooled exchange areas S_ij: symmetric to the bit.
-pub(super) fn pool(own: Counts, hits: &Hits, densities: &Densities) -> Matrix {
-    let n = own.len();
-    let back = own.transposed();
-    let lengths: Vec<usize> = (0..n)
-        .into_par_iter()
-        .with_min_len(ROWS)
-        .map(|i| {
-            let mut length = 0;
-            merge(own.row(i), back.row(i), |_, _, _| length += 1);
-            length
-        })
-        .collect();
-    let mut starts = vec![0usize; n + 1];
-    for i in 0..n {
-        starts[i + 1] = starts[i] + lengths[i];
-    }
-    let mut columns = vec![0u32; starts[n]];
-    let mut values = vec![0f32; starts[n]];
-    let mut tasks = Vec::new();
-    let (mut columns_left, mut values_left) = (&mut columns[..], &mut values[..]);
-    for first in (0..n).step_by(ROWS) {
-        let last = (first + ROWS).min(n);
-        let (c, c_tail) = columns_left.split_at_mut(starts[last] - starts[first]);
-        let (v, v_tail) = values_left.split_at_mut(starts[last] - starts[first]);
-        tasks.push((first..last, c, v));
-        (columns_left, values_left) = (c_tail, v_tail);
-    }
-    tasks.into_par_iter().for_each(|(range, columns, values)| {
-        let mut at = 0;
-        for i in range {
-            merge(own.row(i), back.row(i), |j, there, here| {
-                columns[at] = j;
-                let j = j as usize;
-                let weight = if hits.sources.concern(i, j) { 1.0 } else { densities.hit(i, j) };
-                values[at] = (f64::from(there + here) * weight) as f32;
-                at += 1;
-            });
+/// The pooled exchange areas S_ij of all pairs without a source, and the largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) that
+/// the one-way estimates F_ij = h_ij / R_i of these have.
+pub(super) fn pool(hits: &Hits, buckets: &Buckets, densities: &Densities, areas: &[f64]) -> (Symmetric, f64) {
+    let blocks = buckets.blocks;
+    let (matrix, deviations) = Symmetric::from_tiles(blocks, |(a, b)| {
+        let (start_a, start_b) = (blocks.range(a).start, blocks.range(b).start);
+        // Row, column, and whether the ray came from the column. A flat patch does not see itself.
+        let key = |r: usize, c: usize, back: bool| ((r << PLACE | c) as u32) << 1 | u32::from(back);
+        let mut keys: Vec<u32> = Vec::with_capacity(buckets.list(a, b).count() + buckets.list(b, a).count());
+        if a == b {
+            let hits = buckets.list(a, a).filter(|&(r, c, _)| r != c);
+            keys.extend(hits.map(|(r, c, _)| key(r.min(c), r.max(c), r > c)));
+        } else {
+            keys.extend(buckets.list(a, b).map(|(r, c, _)| key(r, c, false)));
+            keys.extend(buckets.list(b, a).map(|(c, r, _)| key(r, c, true)));
         }
+        keys.sort_unstable();
+        let mut deviation = 0f64;
+        let mut entries = Vec::with_capacity(keys.len());
+        for pair in keys.chunk_by(|x, y| x >> 1 == y >> 1) {
+            let (row, column) = (pair[0] >> 1 >> PLACE, pair[0] >> 1 & ((1 << PLACE) - 1));
+            let (i, j) = (start_a + row as usize, start_b + column as usize);
+            let (all, back) = (pair.len() as f64, pair.iter().filter(|&&k| k & 1 == 1).count() as f64);
+            let one_way = |k: usize, hits_of: f64| areas[k] * hits_of / f64::from(hits.rays_of(k));
+            let difference = one_way(i, all - back) - one_way(j, back);
+            deviation = deviation.max(difference.abs() / areas[i].min(areas[j]));
+            entries.push((row as u16, column as u16, (all * densities.hit(i, j)) as f32));
+        }
+        let count = entries.len();
+        (entries.into_iter(), count, deviation)
     });
-    Matrix::new((n, n), starts, columns, values)
+    (matrix, deviations.into_iter().fold(0.0, f64::max))
 }
 
-/// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) of the one-way estimates F_ij = h_ij / R_i, over the pairs that only
-/// hemisphere rays measure.
-pub(super) fn one_way_deviation(own: &Counts, hits: &Hits, areas: &[f64]) -> f64 {
-    let n = own.len();
-    let matrix = Matrix::new((n, n), own.starts.clone(), own.columns.clone(), own.counts.clone());
-    deviation(&matrix, areas, |i, h, j| {
-        let measured = !hits.sources.concern(i, j);
-        if measured { areas[i] * f64::from(h) / f64::from(hits.rays_of(i)) } else { 0.0 }
-    })
-}
-
-/// Largest |S_ij - S_ji| / min(A_i, A_j), where `exchange(i, stored, j)` is S_ij.
-///
-/// One pass: while rows are visited in order, the entries of row j with columns below j are met in order too, so a
-/// cursor a row finds the partner of each entry.
-pub(super) fn deviation(matrix: &Matrix, areas: &[f64], exchange: impl Fn(usize, f32, usize) -> f64) -> f64 {
-    let n = matrix.rows();
-    let mut cursor = vec![0usize; n];
-    let mut worst = 0f64;
-    let mut note = |i: usize, j: usize, difference: f64| {
-        worst = worst.max(difference.abs() / areas[i].min(areas[j]));
+/// The exchange areas S_ij of all pairs with a source.
+pub(super) fn links(hits: &Hits, densities: &Densities) -> Symmetric {
+    let blocks = Blocks::new(hits.len());
+    let of_block = |block: usize| -> Vec<(u32, u32, f32)> {
+        let value = |i: usize, l: &Link| (i as u32, l.to, densities.link(hits, i, l) as f32);
+        let of_patch = |i: usize| hits.links_of(i).iter().map(move |l| value(i, l));
+        blocks.range(block).flat_map(of_patch).filter(|&(_, _, s)| s > 0.0).collect()
     };
-    for i in 0..n {
-        let (columns, values) = row(matrix, i);
-        // What is left below the diagonal has no partner.
-        while cursor[i] < columns.len() && (columns[cursor[i]] as usize) < i {
-            let j = columns[cursor[i]] as usize;
-            note(i, j, exchange(i, values[cursor[i]], j));
-            cursor[i] += 1;
+    let lists: Vec<_> = (0..blocks.count()).into_par_iter().with_max_len(1).map(of_block).collect();
+    Symmetric::from_lists(hits.len(), &lists)
+}
+
+/// How many rays of each patch met which, row by row.
+pub(super) fn one_way(hits: &Hits) -> Matrix {
+    let mut starts = vec![0];
+    let (mut columns, mut counts) = (Vec::new(), Vec::new());
+    for i in 0..hits.len() {
+        let mut targets: Vec<u32> = hits.of(i).iter().copied().filter(|&j| j < LINKED).collect();
+        targets.sort_unstable();
+        for run in targets.chunk_by(|a, b| a == b) {
+            columns.push(run[0]);
+            counts.push(run.len() as f32);
         }
-        for (&j, &s) in columns.iter().zip(values).filter(|&(&j, _)| j as usize > i) {
-            let j = j as usize;
-            let (other_columns, other_values) = row(matrix, j);
-            while cursor[j] < other_columns.len() && (other_columns[cursor[j]] as usize) < i {
-                let k = other_columns[cursor[j]] as usize;
-                note(j, k, exchange(j, other_values[cursor[j]], k));
-                cursor[j] += 1;
-            }
-            let mut partner = 0.0;
-            if cursor[j] < other_columns.len() && other_columns[cursor[j]] as usize == i {
-                partner = exchange(j, other_values[cursor[j]], i);
-                cursor[j] += 1;
-            }
-            note(i, j, exchange(i, s, j) - partner);
-        }
+        starts.push(columns.len());
     }
-    worst
+    Matrix::new((hits.len(), hits.len()), starts, columns, counts)
 }

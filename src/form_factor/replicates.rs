@@ -1,12 +1,16 @@
 //! The replicates taken apart: how every row would differ had only one of them been cast.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::{
     CastOptions, Estimator, FormFactors, calibration,
     escape::Escape,
     hemisphere::{ESCAPED, Hits, LINKED, REPLICATES},
-    reciprocity::{Densities, excess_kernels},
+    reciprocity::{Buckets, Densities, excess_kernels},
+    shadow::{Found, Link},
+    symmetric::Blocks,
 };
 
 /// What the estimate was made of, kept for the error bars.
@@ -21,46 +25,52 @@ pub(super) struct Samples {
     /// The radiosity after some bounces, interleaved channels, in a unit of its own.
     pub(super) radiosity: Vec<f64>,
     /// Runs of patches that are close to each other.
-    pub(super) siblings: Vec<std::ops::Range<usize>>,
+    pub(super) siblings: Vec<Range<usize>>,
     /// What was asked for.
     pub(super) options: CastOptions,
 }
 
-/// Sums over one replicate for a patch: exchange areas and exchanged radiosity, of links and of everything else.
+/// Sums over each replicate for a patch: exchange areas and exchanged radiosity, of links and of everything else.
 #[derive(Debug, Clone, Copy)]
 struct Sums<const C: usize> {
-    plain: f32,
-    links: f32,
+    plain: [f32; REPLICATES],
+    links: [f32; REPLICATES],
     /// Shares of the hemisphere rays that escaped, and that connected with sources.
-    escaped: f32,
-    linked: f32,
-    plain_power: [f32; C],
-    link_power: [f32; C],
+    escaped: [f32; REPLICATES],
+    linked: [f32; REPLICATES],
+    plain_power: [[f32; REPLICATES]; C],
+    link_power: [[f32; REPLICATES]; C],
 }
 
 impl<const C: usize> Sums<C> {
     const ZERO: Self = Sums {
-        plain: 0.0,
-        links: 0.0,
-        escaped: 0.0,
-        linked: 0.0,
-        plain_power: [0.0; C],
-        link_power: [0.0; C],
+        plain: [0.0; REPLICATES],
+        links: [0.0; REPLICATES],
+        escaped: [0.0; REPLICATES],
+        linked: [0.0; REPLICATES],
+        plain_power: [[0.0; REPLICATES]; C],
+        link_power: [[0.0; REPLICATES]; C],
     };
 
     #[inline]
-    fn add_plain(&mut self, exchange: f64, radiosity: &[f64; C]) {
-        self.plain += exchange as f32;
+    fn add_plain(&mut self, replicate: usize, exchange: f64, radiosity: &[f64; C]) {
+        self.plain[replicate] += exchange as f32;
         for c in 0..C {
-            self.plain_power[c] += (exchange * radiosity[c]) as f32;
+            self.plain_power[c][replicate] += (exchange * radiosity[c]) as f32;
         }
     }
 
+    /// Adds a link, of which each replicate has a share.
     #[inline]
-    fn add_link(&mut self, exchange: f64, radiosity: &[f64; C]) {
-        self.links += exchange as f32;
+    fn add_link(&mut self, exchange: f64, shares: &[f32; REPLICATES], radiosity: &[f64; C]) {
+        let exchanges = shares.map(|share| exchange as f32 * share);
+        for k in 0..REPLICATES {
+            self.links[k] += exchanges[k];
+        }
         for c in 0..C {
-            self.link_power[c] += (exchange * radiosity[c]) as f32;
+            for k in 0..REPLICATES {
+                self.link_power[c][k] += exchanges[k] * radiosity[c] as f32;
+            }
         }
     }
 }
@@ -142,102 +152,116 @@ impl Samples {
         radiosity: &[[f64; C]],
         make: impl Fn(Parts<C>) -> T + Sync,
     ) -> Vec<T> {
-        let excess: Vec<[f64; REPLICATES]> =
-            (0..self.areas.len()).into_par_iter().map(|i| excess_kernels(&self.hits, i)).collect();
-        let replicates: Vec<Vec<Sums<C>>> = (0..REPLICATES)
-            .into_par_iter()
-            .map(|k| match self.options.estimator {
-                Estimator::OneWay => self.one_way(k, radiosity),
-                Estimator::Pooled => self.pooled(k, radiosity, &excess),
-            })
-            .collect();
-        (0..self.areas.len())
-            .into_par_iter()
-            .with_min_len(256)
-            .map(|i| make(self.deviation(i, |k| &replicates[k][i])))
-            .collect()
+        let pooled = self.options.estimator == Estimator::Pooled;
+        let incoming = if pooled { Incoming::new(&self.hits) } else { Incoming::default() };
+        let blocks = Blocks::new(self.areas.len());
+        let of_block = |block: usize| -> Vec<T> {
+            let mut sums = vec![Sums::ZERO; blocks.range(block).len()];
+            if pooled {
+                self.pooled(block, blocks, &incoming, radiosity, &mut sums);
+            } else {
+                self.one_way(blocks.range(block), radiosity, &mut sums);
+            }
+            blocks.range(block).zip(&sums).map(|(i, sums)| make(self.deviation(i, sums))).collect()
+        };
+        (0..blocks.count()).into_par_iter().with_max_len(1).flat_map_iter(of_block).collect()
     }
 
-    fn one_way<const C: usize>(&self, replicate: usize, radiosity: &[[f64; C]]) -> Vec<Sums<C>> {
-        (0..self.areas.len())
-            .map(|i| {
-                let mut sums = Sums::ZERO;
+    fn one_way<const C: usize>(&self, range: Range<usize>, radiosity: &[[f64; C]], sums: &mut [Sums<C>]) {
+        for (i, sums) in range.zip(sums) {
+            for replicate in 0..REPLICATES {
                 let targets = self.hits.of_replicate(i, replicate);
                 let weight = self.areas[i] / targets.len() as f64;
                 for &j in targets.iter().filter(|&&j| j != ESCAPED) {
-                    sums.add_plain(weight, &radiosity[j as usize]);
+                    sums.add_plain(replicate, weight, &radiosity[j as usize]);
                 }
-                sums
-            })
-            .collect()
+            }
+        }
     }
 
+    /// Sums for the patches of a block: of their own rays and of those that come in.
     fn pooled<const C: usize>(
         &self,
-        replicate: usize,
+        block: usize,
+        blocks: Blocks,
+        incoming: &Incoming,
         radiosity: &[[f64; C]],
-        excess: &[[f64; REPLICATES]],
-    ) -> Vec<Sums<C>> {
-        let Samples { hits, densities, areas, .. } = self;
-        let mut all = vec![Sums::<C>::ZERO; areas.len()];
-        for i in 0..areas.len() {
-            let targets = hits.of_replicate(i, replicate);
-            let many = f64::from(hits.rays_of(i)) / targets.len() as f64;
-            for &j in targets {
-                match j {
-                    LINKED => all[i].linked += 1.0 / targets.len() as f32,
-                    ESCAPED => all[i].escaped += 1.0 / targets.len() as f32,
-                    j => {
-                        let j = j as usize;
-                        let (own, incoming) = densities.one_sided(i, j, calibration::TRUST);
-                        all[i].add_plain(many * own, &radiosity[j]);
-                        all[j].add_plain(many * incoming, &radiosity[i]);
+        sums: &mut [Sums<C>],
+    ) {
+        let Samples { hits, densities, .. } = self;
+        // By how much the replicate's rays stand for all.
+        let many = |i: usize, replicate: usize| {
+            f64::from(hits.rays_of(i)) / hits.of_replicate(i, replicate).len() as f64
+        };
+        for (i, sums) in blocks.range(block).zip(&mut *sums) {
+            for replicate in 0..REPLICATES {
+                let targets = hits.of_replicate(i, replicate);
+                let share = 1.0 / targets.len() as f32;
+                let many = many(i, replicate);
+                for &j in targets {
+                    match j {
+                        LINKED => sums.linked[replicate] += share,
+                        ESCAPED => sums.escaped[replicate] += share,
+                        j => {
+                            let (own, _) = densities.one_sided(i, j as usize, calibration::TRUST);
+                            sums.add_plain(replicate, many * own, &radiosity[j as usize]);
+                        }
                     }
                 }
             }
-            for link in hits.links_of(i) {
-                let j = link.to as usize;
-                let own = if hits.replicate(i, link) == replicate { hits.weight(i, link) } else { 0.0 };
-                let share = own - excess[i][replicate];
-                if share == 0.0 {
-                    continue;
-                }
-                let exchange = densities.link(hits, i, link) * share;
-                all[i].add_link(exchange, &radiosity[j]);
-                all[j].add_link(exchange, &radiosity[i]);
+            let excess = excess_kernels(hits, i);
+            for link in hits.links_of(i).iter().filter(|link| link.found != Found::Blocked) {
+                let exchange = densities.link(hits, i, link);
+                sums.add_link(exchange, &shares(hits, i, link, &excess), &radiosity[link.to as usize]);
             }
         }
-        all
+        for other in 0..blocks.count() {
+            let start = blocks.range(other).start;
+            for (r, c, replicate) in incoming.plain.list(other, block) {
+                let (i, j) = (start + r, blocks.range(block).start + c);
+                let (_, exchange) = densities.one_sided(i, j, calibration::TRUST);
+                sums[c].add_plain(replicate, many(i, replicate) * exchange, &radiosity[i]);
+            }
+            let (mut from, mut excess) = (u32::MAX, [0.0; REPLICATES]);
+            for &(i, k) in &incoming.links[other * blocks.count() + block] {
+                if i != from {
+                    (from, excess) = (i, excess_kernels(hits, i as usize));
+                }
+                let i = i as usize;
+                let link = &hits.links_of(i)[k as usize];
+                let place = blocks.of(link.to as usize).1 as usize;
+                let exchange = densities.link(hits, i, link);
+                sums[place].add_link(exchange, &shares(hits, i, link, &excess), &radiosity[i]);
+            }
+        }
     }
 
     /// Deviations of the replicates of patch `i` from their mean: what the matrix makes of their sums.
-    fn deviation<'a, const C: usize>(&self, i: usize, replicate: impl Fn(usize) -> &'a Sums<C>) -> Parts<C> {
-        let mean = |value: &dyn Fn(&Sums<C>) -> f32| {
-            (0..REPLICATES).map(|k| f64::from(value(replicate(k)))).sum::<f64>() / REPLICATES as f64
+    fn deviation<const C: usize>(&self, i: usize, sums: &Sums<C>) -> Parts<C> {
+        let mean = |values: &[f32; REPLICATES]| {
+            values.iter().map(|&value| f64::from(value)).sum::<f64>() / REPLICATES as f64
         };
         let area = self.areas[i];
         let none = [[0.0; REPLICATES]; C];
         let mut deviation = Parts { hemisphere: none, shadow: none, scale: [0.0; REPLICATES] };
         let Some(&Escape { share, by_rays, by_links, by_linked }) = self.escapes.get(i) else {
             for c in 0..C {
-                let power = mean(&|s| s.plain_power[c]);
-                deviation.hemisphere[c] =
-                    std::array::from_fn(|k| ((f64::from(replicate(k).plain_power[c]) - power) / area) as f32);
+                let power = mean(&sums.plain_power[c]);
+                deviation.hemisphere[c] = sums.plain_power[c].map(|p| ((f64::from(p) - power) / area) as f32);
             }
             return deviation;
         };
-        let (plain, links) = (mean(&|s| s.plain), mean(&|s| s.links));
-        let (escaped, linked) = (mean(&|s| s.escaped), mean(&|s| s.linked));
+        let (plain, links) = (mean(&sums.plain), mean(&sums.links));
+        let (escaped, linked) = (mean(&sums.escaped), mean(&sums.linked));
         let is_source = self.hits.sources.contains(i);
         let ratio = |power: f64, exchange: f64| if exchange > 0.0 { power / exchange } else { 0.0 };
         for c in 0..C {
-            let (plain_power, link_power) = (mean(&|s| s.plain_power[c]), mean(&|s| s.link_power[c]));
+            let (plain_power, link_power) = (mean(&sums.plain_power[c]), mean(&sums.link_power[c]));
             for k in 0..REPLICATES {
-                let s = replicate(k);
-                let d_links = f64::from(s.links) - links;
-                let d_link_power = f64::from(s.link_power[c]) - link_power;
-                let d_escaped =
-                    by_rays * (f64::from(s.escaped) - escaped) + by_linked * (f64::from(s.linked) - linked);
+                let d_links = f64::from(sums.links[k]) - links;
+                let d_link_power = f64::from(sums.link_power[c][k]) - link_power;
+                let d_escaped = by_rays * (f64::from(sums.escaped[k]) - escaped)
+                    + by_linked * (f64::from(sums.linked[k]) - linked);
                 let d_escaped_links = by_links * d_links / area;
                 // A row sums to its area less what escapes: of a source, whose row is all links, these take up the rest,
                 // else what is no link does.
@@ -249,8 +273,9 @@ impl Samples {
                     (-closing * area * d_escaped, scale * d_closing - closing * area * d_escaped_links)
                 } else {
                     let closing = ratio(plain_power, plain);
-                    let d_closing =
-                        f64::from(s.plain_power[c]) - plain_power - closing * (f64::from(s.plain) - plain);
+                    let d_closing = f64::from(sums.plain_power[c][k])
+                        - plain_power
+                        - closing * (f64::from(sums.plain[k]) - plain);
                     let scale = ratio(area * (1.0 - share) - links, plain);
                     (
                         scale * d_closing - closing * area * d_escaped,
@@ -263,4 +288,39 @@ impl Samples {
         }
         deviation
     }
+}
+
+/// Samples by the blocks of patches that they come from and go to.
+#[derive(Default)]
+struct Incoming {
+    plain: Buckets,
+    /// The patch that each link comes from, and which of its links it is.
+    links: Vec<Vec<(u32, u32)>>,
+}
+
+impl Incoming {
+    fn new(hits: &Hits) -> Incoming {
+        let plain = Buckets::new(hits);
+        let blocks = plain.blocks;
+        let of_block = |block: usize| {
+            let mut lists = vec![Vec::new(); blocks.count()];
+            for i in blocks.range(block) {
+                let found = |&(_, link): &(usize, &Link)| link.found != Found::Blocked;
+                for (k, link) in hits.links_of(i).iter().enumerate().filter(found) {
+                    lists[blocks.of(link.to as usize).0].push((i as u32, k as u32));
+                }
+            }
+            lists
+        };
+        let links = (0..blocks.count()).into_par_iter().with_max_len(1).flat_map_iter(of_block).collect();
+        Incoming { plain, links }
+    }
+}
+
+/// The share of each replicate in a link from patch `i`: less than nothing where its kernels exceed their mean.
+#[inline]
+fn shares(hits: &Hits, i: usize, link: &Link, excess: &[f64; REPLICATES]) -> [f32; REPLICATES] {
+    let mut shares = excess.map(|excess| -excess);
+    shares[hits.replicate(i, link)] += hits.weight(i, link);
+    shares.map(|share| share as f32)
 }

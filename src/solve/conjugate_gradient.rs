@@ -8,7 +8,11 @@
 //! have y = 0. Hestenes and Stiefel 1952; the channels run side by side through one product an iteration.
 
 use super::{Iterate, SolveOptions, System};
-use crate::{Progress, Result, form_factor::magnitude};
+use crate::{
+    Progress, Result,
+    form_factor::{SHORT, magnitude, ordered_sum},
+};
+use rayon::prelude::*;
 
 /// Iterates until the true residual is small. Recursive residuals drift from the true ones in ill-conditioned rooms
 /// (reflectances of 1 - 10⁻⁶ and up), so that convergence is judged by the true residual and restarted where needed.
@@ -78,22 +82,22 @@ fn correct<const C: usize>(
         let q = apply(system, &areas, &gain, &p);
         let pq = dot(&p, &q);
         let alpha: [f64; C] = std::array::from_fn(|c| if pq[c] > 0.0 { rr[c] / pq[c] } else { 0.0 });
-        for i in 0..n {
+        let ends = y.par_iter_mut().zip(&mut r).zip(&p).zip(&q).with_min_len(SHORT);
+        ends.for_each(|(((y, r), p), q)| {
             for c in 0..C {
-                y[i][c] += alpha[c] * p[i][c];
-                r[i][c] -= alpha[c] * q[i][c];
+                y[c] += alpha[c] * p[c];
+                r[c] -= alpha[c] * q[c];
             }
-        }
+        });
         let next = dot(&r, &r);
         *iterations += 1;
         if (0..C).all(|c| alpha[c] == 0.0) {
             break;
         }
-        for i in 0..n {
-            for c in 0..C {
-                p[i][c] = if rr[c] > 0.0 { r[i][c] + next[c] / rr[c] * p[i][c] } else { 0.0 };
-            }
-        }
+        let growth: [f64; C] = std::array::from_fn(|c| if rr[c] > 0.0 { next[c] / rr[c] } else { 0.0 });
+        p.par_iter_mut().zip(&r).with_min_len(SHORT).for_each(|(p, r)| {
+            *p = std::array::from_fn(|c| if rr[c] > 0.0 { r[c] + growth[c] * p[c] } else { 0.0 });
+        });
         rr = next;
     }
     Ok((0..n).map(|i| std::array::from_fn(|c| gain[i][c] * y[i][c])).collect())
@@ -113,24 +117,22 @@ fn apply<const C: usize>(
     gain: &[[f64; C]],
     p: &[[f64; C]],
 ) -> Vec<[f64; C]> {
-    let lifted: Vec<[f64; C]> =
-        p.iter().zip(gain).map(|(p, g)| std::array::from_fn(|c| g[c] * p[c])).collect();
+    let lifted: Vec<[f64; C]> = p
+        .par_iter()
+        .zip(gain)
+        .with_min_len(SHORT)
+        .map(|(p, g)| std::array::from_fn(|c| g[c] * p[c]))
+        .collect();
     let mut out = system.irradiance(&lifted);
-    for i in 0..p.len() {
+    out.par_iter_mut().enumerate().with_min_len(SHORT).for_each(|(i, out)| {
         for c in 0..C {
-            out[i][c] = p[i][c] - gain[i][c] * areas[i] * out[i][c];
+            out[c] = p[i][c] - gain[i][c] * areas[i] * out[c];
         }
-    }
+    });
     out
 }
 
 /// Scalar products, summed in order.
 fn dot<const C: usize>(a: &[[f64; C]], b: &[[f64; C]]) -> [f64; C] {
-    let mut sum = [0.0; C];
-    for (a, b) in a.iter().zip(b) {
-        for c in 0..C {
-            sum[c] += a[c] * b[c];
-        }
-    }
-    sum
+    std::array::from_fn(|c| ordered_sum(a.len(), |i| a[i][c] * b[i][c]))
 }

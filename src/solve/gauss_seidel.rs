@@ -2,7 +2,10 @@
 //! converges about twice as fast, but each patch waits for the one before: a sweep runs on one thread.
 
 use super::{Iterate, SolveOptions, System};
-use crate::{Progress, Result, form_factor::row};
+use crate::{
+    Progress, Result,
+    form_factor::{Matrix, row},
+};
 
 /// Sweeps until the true residual is small. It costs a product, so it is computed only once the change of a sweep,
 /// which is of the same order, is small enough.
@@ -11,10 +14,11 @@ pub(super) fn solve<const C: usize>(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<Iterate<C>> {
+    let rows = system.form_factors.rows();
     let mut radiosity = system.emission.to_vec();
     for iteration in 0..options.max_iterations {
         progress.check()?;
-        let change = sweep(system, &mut radiosity);
+        let change = sweep(system, &rows, &mut radiosity);
         if system.relative(change.into_iter()) <= options.tolerance {
             let irradiance = system.irradiance(&radiosity);
             if system.relative_residual(&radiosity, &irradiance) <= options.tolerance {
@@ -26,11 +30,11 @@ pub(super) fn solve<const C: usize>(
 }
 
 /// One sweep over all patches; returns by how much each changed.
-fn sweep<const C: usize>(system: &System<C>, radiosity: &mut [[f64; C]]) -> Vec<[f64; C]> {
-    let (matrix, left, right) = system.form_factors.scaling();
+fn sweep<const C: usize>(system: &System<C>, rows: &Matrix, radiosity: &mut [[f64; C]]) -> Vec<[f64; C]> {
+    let (left, right) = system.form_factors.scaling();
     (0..radiosity.len())
         .map(|i| {
-            let (columns, values) = row(matrix, i);
+            let (columns, values) = row(rows, i);
             let mut sums = [0.0; C];
             for (&j, &s) in columns.iter().zip(values) {
                 let j = j as usize;

@@ -9,6 +9,7 @@ pub mod direct;
 pub mod gauss_seidel;
 pub mod jacobi;
 pub mod southwell;
+pub mod stochastic_jacobi;
 
 use crate::{
     Error, Progress, Result,
@@ -64,6 +65,13 @@ impl Default for SolveOptions {
     /// Solver chosen by the system, tolerance 1e-10, at most 10,000 iterations.
     fn default() -> Self {
         SolveOptions { solver: Solver::Auto, tolerance: 1e-10, max_iterations: 10_000 }
+    }
+}
+
+impl SolveOptions {
+    /// The same, no more precise than what tells how large an error is needs to be.
+    pub(crate) fn rough(&self) -> SolveOptions {
+        SolveOptions { tolerance: self.tolerance.max(1e-6), ..*self }
     }
 }
 
@@ -302,11 +310,14 @@ impl<'a, const C: usize> System<'a, C> {
         // From the losing patches backwards along the light. Hits need not be mutual in one-way form factors, so
         // sweep until nothing changes instead of walking a transposed graph.
         let mut changed = !drained.iter().all(|&d| d);
+        if !changed {
+            return drained;
+        }
+        let rows = self.form_factors.rows();
         while changed {
             changed = false;
             for i in (0..n).chain((0..n).rev()) {
-                if !drained[i] && row(self.form_factors.scaling().0, i).0.iter().any(|&j| drained[j as usize])
-                {
+                if !drained[i] && row(&rows, i).0.iter().any(|&j| drained[j as usize]) {
                     drained[i] = true;
                     changed = true;
                 }

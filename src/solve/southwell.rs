@@ -37,7 +37,7 @@ impl Ord for Queued {
 pub struct Shooting<'a, const C: usize> {
     system: System<'a, C>,
     /// Column i of the matrix as a row. A symmetric matrix is its own transpose.
-    transposed: Option<Matrix>,
+    transposed: Matrix,
     radiosity: Vec<[f64; C]>,
     unshot: Vec<[f64; C]>,
     queue: BinaryHeap<Queued>,
@@ -55,10 +55,11 @@ impl<'a, const C: usize> Shooting<'a, C> {
         let radiometry = radiometry.into();
         assert_eq!(radiometry.channels, C, "channels disagree");
         let system = System::new(form_factors, radiometry);
-        let transposed = (form_factors.estimator() == Estimator::OneWay).then(|| {
-            let matrix = form_factors.scaling().0;
-            matrix.transpose_view().to_csr()
-        });
+        let rows = form_factors.rows();
+        let transposed = match form_factors.estimator() {
+            Estimator::OneWay => rows.transpose_view().to_csr(),
+            Estimator::Pooled => rows.into_owned(),
+        };
         let mut shooting = Shooting {
             transposed,
             radiosity: vec![[0.0; C]; form_factors.len()],
@@ -102,10 +103,10 @@ impl<'a, const C: usize> Shooting<'a, C> {
         for c in 0..C {
             self.radiosity[i][c] += shot[c];
         }
-        let (matrix, left, right) = self.system.form_factors.scaling();
+        let (left, right) = self.system.form_factors.scaling();
         // Taken out for the loop, which changes the rest of self.
-        let transposed = self.transposed.take();
-        let (columns, values) = row(transposed.as_ref().unwrap_or(matrix), i);
+        let transposed = std::mem::replace(&mut self.transposed, Matrix::zero((0, 0)));
+        let (columns, values) = row(&transposed, i);
         for (&j, &s) in columns.iter().zip(values) {
             let j = j as usize;
             let form_factor = left[j] * f64::from(s) * right[i];

@@ -1,0 +1,191 @@
+//! One bounce of light without a matrix: rays are cast, bring the radiosity of what they meet, and are forgotten.
+//!
+//! Where [lamps are few](super::lamp) shadow rays bring their light, a ratio estimate as in [`shadow`], and hemisphere rays
+//! what the patches reflect; else hemisphere rays bring all. Memory is in proportion to the patches, not to the rays.
+
+use rayon::prelude::*;
+
+use super::{
+    hemisphere::REPLICATES,
+    shadow::{self, Footprint, Found, Sources},
+};
+use crate::{
+    Progress, Result,
+    patch::Patches,
+    scene::Scene,
+    trace::{
+        Tracer,
+        sampling::{around, mix, sobol_4d, square_to_cosine_hemisphere},
+    },
+};
+
+/// Rays of each patch that look for backs which are no unknowns yet.
+const LOOKING: u32 = 2 * REPLICATES as u32;
+
+/// What the rays of a sweep brought to a patch; what several did is their sum.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Arrived<const C: usize> {
+    /// Σ of the radiosity that hemisphere rays met.
+    pub(crate) met: [f64; C],
+    /// Hemisphere rays that left the scene, or met the back of what is no unknown.
+    pub(crate) escaped: f64,
+    /// Σ over the shadow rays that arrived of their kernels times the lamp's radiosity over its density.
+    pub(crate) lit: [f64; C],
+    /// Σ of the kernels of all shadow rays.
+    pub(crate) kernel: f64,
+}
+
+impl<const C: usize> Arrived<C> {
+    pub(crate) const NOTHING: Self = Arrived { met: [0.0; C], escaped: 0.0, lit: [0.0; C], kernel: 0.0 };
+
+    pub(crate) fn add(&mut self, other: &Self) {
+        for c in 0..C {
+            self.met[c] += other.met[c];
+            self.lit[c] += other.lit[c];
+        }
+        self.escaped += other.escaped;
+        self.kernel += other.kernel;
+    }
+}
+
+/// Casts sweeps of rays.
+#[derive(Debug)]
+pub struct Sweeper<'a> {
+    tracer: &'a Tracer,
+    patches: &'a Patches,
+    sources: Sources,
+    /// Of each patch; all zero where no shadow rays are cast.
+    mean_kernels: Vec<f64>,
+    areas: Vec<f64>,
+    seed: u64,
+}
+
+impl<'a> Sweeper<'a> {
+    /// Adds the backs that rays see to `patches`, and learns what lamps would send if nothing stood between.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
+    pub fn new(
+        scene: &Scene,
+        tracer: &'a Tracer,
+        patches: &'a mut Patches,
+        seed: u64,
+        progress: &Progress,
+    ) -> Result<Sweeper<'a>> {
+        let mut first = 0;
+        while first < patches.len() {
+            let (known, last) = (&*patches, patches.len());
+            let seen = (first..last).into_par_iter().with_min_len(32).map(|i| {
+                progress.check()?;
+                let (from, seed) = (Footprint::new(tracer, known, i), mix(&[seed, i as u64]));
+                let hits = (0..LOOKING).filter_map(|index| hemisphere_ray(tracer, &from, index, seed));
+                let unknown = hits.filter(|hit| known.at(hit.triangle, hit.barycentric, hit.front).is_none());
+                Ok(unknown.map(|hit| hit.triangle).collect::<Vec<u32>>())
+            });
+            let seen: Vec<Vec<u32>> = seen.collect::<Result<_>>()?;
+            let mut seen: Vec<u32> = seen.into_iter().flatten().collect();
+            seen.sort_unstable();
+            seen.dedup();
+            patches.add_backs(scene, &seen);
+            first = last;
+        }
+        let patches = &*patches;
+        let sources = Sources::emitters(tracer, patches);
+        let mean_kernel = |i: usize| {
+            if sources.are_lamps() { sources.mean_kernel(&Footprint::new(tracer, patches, i)) } else { 0.0 }
+        };
+        let mean_kernels = (0..patches.len()).into_par_iter().with_min_len(32).map(mean_kernel).collect();
+        let areas = (0..patches.len()).map(|i| patches.area(i)).collect();
+        Ok(Sweeper { tracer, patches, sources, mean_kernels, areas, seed })
+    }
+
+    /// The patches, with those backs that were seen.
+    pub fn patches(&self) -> &Patches {
+        self.patches
+    }
+
+    /// Area of each patch.
+    pub(crate) fn areas(&self) -> &[f64] {
+        &self.areas
+    }
+
+    /// Whether shadow rays bring the light of lamps.
+    pub(crate) fn has_lamps(&self) -> bool {
+        self.sources.are_lamps() && !self.sources.is_empty()
+    }
+
+    /// The irradiance from what came to patch `i` by so many hemisphere rays: of lamps, and of all else.
+    pub(crate) fn irradiance<const C: usize>(
+        &self,
+        i: usize,
+        came: &Arrived<C>,
+        hemisphere: f64,
+    ) -> [[f64; C]; 2] {
+        let ratio = if came.kernel > 0.0 { self.mean_kernels[i] / came.kernel } else { 0.0 };
+        [came.lit.map(|lit| ratio * lit), came.met.map(|met| met / hemisphere)]
+    }
+
+    /// Casts the rays with these indices from every patch, hemisphere and shadow rays, through patches of this radiosity.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
+    pub(crate) fn sweep<const C: usize>(
+        &self,
+        radiosity: &[[f64; C]],
+        hemisphere: std::ops::Range<u32>,
+        shadow: std::ops::Range<u32>,
+        progress: &Progress,
+    ) -> Result<Vec<Arrived<C>>> {
+        let emission = self.patches.emission().as_chunks::<C>().0;
+        let (lamps, scale) = (self.has_lamps(), self.tracer.scale());
+        let cast = |i: usize| {
+            if i % 1024 == 0 {
+                progress.check()?;
+            }
+            let (from, seed) = (Footprint::new(self.tracer, self.patches, i), mix(&[self.seed, i as u64]));
+            let mut came = Arrived::NOTHING;
+            for index in hemisphere.clone() {
+                let hit = hemisphere_ray(self.tracer, &from, index, seed);
+                let patch = hit.and_then(|hit| self.patches.at(hit.triangle, hit.barycentric, hit.front));
+                let Some(j) = patch.map(|j| j as usize) else {
+                    came.escaped += 1.0;
+                    continue;
+                };
+                for c in 0..C {
+                    came.met[c] += radiosity[j][c] - if lamps { emission[j][c] } else { 0.0 };
+                }
+            }
+            if lamps && self.mean_kernels[i] > 0.0 {
+                let mut links = Vec::new();
+                shadow::cast_patch(
+                    self.tracer,
+                    &self.sources,
+                    &from,
+                    shadow.clone(),
+                    mix(&[seed, 1]),
+                    &mut links,
+                );
+                for link in links {
+                    let (l, kernel) = (link.to as usize, f64::from(link.kernel));
+                    came.kernel += kernel;
+                    if link.found == Found::Shadow {
+                        // The mean kernel is in proportion to the density p / A of samples on lamps.
+                        let density = self.sources.probability(l) / (self.areas[l] / (scale * scale));
+                        for c in 0..C {
+                            came.lit[c] += kernel * emission[l][c] / density;
+                        }
+                    }
+                }
+            }
+            Ok(came)
+        };
+        (0..self.patches.len()).into_par_iter().with_min_len(64).map(cast).collect()
+    }
+}
+
+/// What a hemisphere ray meets.
+fn hemisphere_ray(tracer: &Tracer, from: &Footprint, index: u32, seed: u64) -> Option<crate::trace::Hit> {
+    let [u, v, x, y] = sobol_4d(index, seed);
+    let direction = around(from.normal, square_to_cosine_hemisphere(u, v));
+    tracer.closest(Tracer::leave(from.point(x, y), from.normal), direction)
+}

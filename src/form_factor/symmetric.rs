@@ -1,0 +1,473 @@
+//! Symmetric sparse matrices: each pair of patches is stored once, and serves both.
+//!
+//! The patches are divided into blocks, and the pairs into tiles, one for every two blocks. A product walks through the
+//! tiles: what a tile reads and writes is near in memory, and places within a block take 14 bits. No two tiles that are
+//! worked on at a time share a block: the rounds are those of a tournament in which everyone meets everyone (the circle
+//! method; Kirkman, 1847). So no two threads write to the same place, and every sum has one order, whatever the number of
+//! threads.
+//!
+//! An entry takes 4 bytes for its value and 2 for its column, and every run of entries of a row in a tile 4 bytes more: 6 to
+//! 10 bytes a pair.
+
+use std::{ops::Range, sync::Mutex};
+
+use rayon::prelude::*;
+
+use super::Matrix;
+
+/// Rows of a block at most: what a product reads and writes of one then fits into the second-level cache.
+const MOST_ROWS: usize = 1 << PLACE;
+/// Bits of a place within a block.
+pub(super) const PLACE: u32 = 14;
+/// Rows of a block at least: smaller tiles are not worth a task.
+const LEAST_ROWS: usize = 1 << 10;
+/// Blocks that there should be at least, for threads to share.
+const ENOUGH_BLOCKS: usize = 16;
+
+/// How patches are divided into blocks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Blocks {
+    len: usize,
+    /// Logarithm of the rows of each.
+    bits: u32,
+}
+
+impl Blocks {
+    pub(super) fn new(len: usize) -> Blocks {
+        let rows = (len / ENOUGH_BLOCKS).clamp(LEAST_ROWS, MOST_ROWS);
+        Blocks { len, bits: rows.ilog2() }
+    }
+
+    /// How many there are.
+    pub(super) fn count(self) -> usize {
+        self.len.div_ceil(self.rows())
+    }
+
+    /// Rows of each but the last.
+    pub(super) fn rows(self) -> usize {
+        1 << self.bits
+    }
+
+    /// The patches of a block.
+    pub(super) fn range(self, block: usize) -> Range<usize> {
+        block * self.rows()..((block + 1) * self.rows()).min(self.len)
+    }
+
+    /// The block that a patch is in, and its place there.
+    #[inline]
+    pub(super) fn of(self, i: usize) -> (usize, u32) {
+        (i >> self.bits, (i & (self.rows() - 1)) as u32)
+    }
+
+    /// The tiles, as pairs of blocks of which the second is not before the first.
+    fn tiles(self) -> Vec<(usize, usize)> {
+        (0..self.count()).flat_map(|a| (a..self.count()).map(move |b| (a, b))).collect()
+    }
+
+    /// Where a tile is in their order.
+    fn tile(self, (a, b): (usize, usize)) -> usize {
+        a * (2 * self.count() - a + 1) / 2 + b - a
+    }
+
+    /// All tiles in rounds; no two tiles of a round share a block.
+    fn rounds(self) -> impl Iterator<Item = Vec<(usize, usize)>> {
+        let count = self.count();
+        // With an odd number of blocks one rests in every round.
+        let last = (count + count % 2).max(2) - 1;
+        let round = move |round: usize| {
+            let meet = |k: usize| match k {
+                0 => (round, last),
+                k => {
+                    let (a, b) = ((round + k) % last, (round + last - k) % last);
+                    (a.min(b), a.max(b))
+                }
+            };
+            (0..=last / 2).map(meet).filter(|&(_, b)| b < count).collect()
+        };
+        std::iter::once((0..count).map(|a| (a, a)).collect()).chain((0..last).map(round))
+    }
+
+    /// Calls `work(a, b, part a of values, part b)` for all tiles, where the second part is `None` on the diagonal. Each
+    /// value is worked on in one order, whatever the number of threads.
+    pub(super) fn meet<Y: Send>(
+        self,
+        values: &mut [Y],
+        work: impl Fn((usize, usize), &mut [Y], Option<&mut [Y]>) + Sync,
+    ) {
+        assert_eq!(values.len(), self.len, "sizes disagree");
+        let parts: Vec<Mutex<&mut [Y]>> = values.chunks_mut(self.rows()).map(Mutex::new).collect();
+        // Nobody else holds these locks: they only tell the compiler so.
+        let part = |k: usize| parts[k].try_lock().expect("no two tiles of a round share a block");
+        for round in self.rounds() {
+            round.into_par_iter().with_max_len(1).for_each(|(a, b)| {
+                if a == b {
+                    work((a, b), &mut part(a), None);
+                } else {
+                    work((a, b), &mut part(a), Some(&mut part(b)));
+                }
+            });
+        }
+    }
+}
+
+/// Entry of a tile: its row and column there, and its value.
+pub(super) type Entry = (u16, u16, f32);
+
+/// The entries of two blocks, by rows.
+#[derive(Debug, Clone, Default)]
+struct Tile {
+    /// Row and length of each run of entries.
+    runs: Vec<[u16; 2]>,
+    columns: Vec<u16>,
+    values: Vec<f32>,
+}
+
+impl Tile {
+    fn of(entries: impl Iterator<Item = Entry>, count: usize) -> Tile {
+        let mut tile =
+            Tile { runs: Vec::new(), columns: Vec::with_capacity(count), values: Vec::with_capacity(count) };
+        for (row, column, value) in entries {
+            match tile.runs.last_mut() {
+                Some([last, length]) if *last == row => *length += 1,
+                _ => tile.runs.push([row, 1]),
+            }
+            tile.columns.push(column);
+            tile.values.push(value);
+        }
+        tile.runs.shrink_to_fit();
+        tile
+    }
+
+    fn entries(&self) -> impl Iterator<Item = Entry> + '_ {
+        let rows = self.runs.iter().flat_map(|&[row, length]| std::iter::repeat_n(row, length.into()));
+        rows.zip(&self.columns).zip(&self.values).map(|((row, &column), &value)| (row, column, value))
+    }
+}
+
+/// A symmetric matrix of non-negative values.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Symmetric {
+    blocks: Blocks,
+    tiles: Vec<Tile>,
+    /// Empty where it is zero.
+    diagonal: Vec<f32>,
+}
+
+impl Symmetric {
+    /// From what `entries` says of each tile: its entries sorted by row and column, and how many there are.
+    pub(super) fn from_tiles<T, I>(
+        blocks: Blocks,
+        entries: impl Fn((usize, usize)) -> (I, usize, T) + Sync,
+    ) -> (Symmetric, Vec<T>)
+    where
+        T: Send,
+        I: Iterator<Item = Entry>,
+    {
+        let make = |&at: &(usize, usize)| {
+            let (entries, count, rest) = entries(at);
+            (Tile::of(entries, count), rest)
+        };
+        let (tiles, rest) = blocks.tiles().par_iter().with_max_len(1).map(make).unzip();
+        (Symmetric { blocks, tiles, diagonal: Vec::new() }, rest)
+    }
+
+    /// From lists of (i, j, s), in any order, that name each pair in one of its directions or both; what is said of a pair
+    /// is summed up, in the order of the lists.
+    pub(super) fn from_lists(len: usize, lists: &[Vec<(u32, u32, f32)>]) -> Symmetric {
+        let blocks = Blocks::new(len);
+        let count = blocks.count();
+        // By tile, each list by itself.
+        let sorted: Vec<Vec<Vec<(u32, f32)>>> = lists
+            .par_iter()
+            .map(|list| {
+                let place = |i: u32, j: u32| {
+                    let ((a, r), (b, c)) = (blocks.of(i.min(j) as usize), blocks.of(i.max(j) as usize));
+                    (blocks.tile((a, b)), r << PLACE | c)
+                };
+                let mut lengths = vec![0; count * (count + 1) / 2];
+                list.iter().for_each(|&(i, j, _)| lengths[place(i, j).0] += 1);
+                let mut tiles: Vec<Vec<(u32, f32)>> = lengths.into_iter().map(Vec::with_capacity).collect();
+                for &(i, j, value) in list.iter().filter(|&(i, j, _)| i != j) {
+                    let (tile, key) = place(i, j);
+                    tiles[tile].push((key, value));
+                }
+                tiles
+            })
+            .collect();
+        let (mut matrix, _) = Self::from_tiles(blocks, |at| {
+            let tile = blocks.tile(at);
+            let mut all: Vec<(u32, f32)> = sorted.iter().flat_map(|tiles| &tiles[tile]).copied().collect();
+            // Stable, so that sums have one order.
+            all.sort_by_key(|&(key, _)| key);
+            all.dedup_by(|later, first| {
+                let same = later.0 == first.0;
+                if same {
+                    first.1 += later.1;
+                }
+                same
+            });
+            let mask = (1 << PLACE) - 1;
+            let many = all.len();
+            let entries =
+                all.into_iter().map(move |(key, s)| ((key >> PLACE) as u16, (key & mask) as u16, s));
+            (entries, many, ())
+        });
+        for &(i, _, value) in lists.iter().flatten().filter(|&(i, j, _)| i == j) {
+            matrix.diagonal.resize(len, 0.0);
+            matrix.diagonal[i as usize] += value;
+        }
+        matrix
+    }
+
+    /// From the upper triangle of a matrix.
+    pub(super) fn from_rows(rows: &Matrix) -> Symmetric {
+        let upper = rows.iter().filter(|&(_, (i, j))| i as usize <= j as usize);
+        Self::from_lists(rows.rows(), &[upper.map(|(&s, (i, j))| (i, j, s)).collect()])
+    }
+
+    /// Adds the entries of another one, whose entries are elsewhere.
+    pub(super) fn append(&mut self, other: Symmetric) {
+        assert_eq!((self.blocks, &self.diagonal, &other.diagonal), (other.blocks, &Vec::new(), &Vec::new()));
+        self.tiles.par_iter_mut().zip(other.tiles).for_each(|(tile, other)| {
+            tile.runs.reserve_exact(other.runs.len());
+            tile.columns.reserve_exact(other.columns.len());
+            tile.values.reserve_exact(other.values.len());
+            tile.runs.extend(other.runs);
+            tile.columns.extend(other.columns);
+            tile.values.extend(other.values);
+        });
+    }
+
+    /// Number of rows.
+    pub(super) fn len(&self) -> usize {
+        self.blocks.len
+    }
+
+    /// Entries, both directions of a pair counted.
+    pub(super) fn non_zeros(&self) -> usize {
+        let of_tiles: usize = self.tiles.iter().map(|tile| tile.values.len()).sum();
+        2 * of_tiles + self.diagonal.iter().filter(|&&s| s != 0.0).count()
+    }
+
+    /// Bytes held.
+    pub(super) fn bytes(&self) -> usize {
+        let of_tile = |tile: &Tile| 4 * tile.runs.len() + 6 * tile.values.len();
+        self.tiles.iter().map(of_tile).sum::<usize>() + 4 * self.diagonal.len()
+    }
+
+    /// The entries of each tile as (i, j, s), i < j, tiles in parallel.
+    pub(super) fn tiles(
+        &self,
+    ) -> impl IndexedParallelIterator<Item = impl Iterator<Item = (usize, usize, f32)> + '_> + '_ {
+        let rows = self.blocks.rows();
+        let tiles = self.tiles.par_iter().with_max_len(1).zip(self.blocks.tiles());
+        tiles.map(move |(tile, (a, b))| {
+            let whole = move |(r, c, s): Entry| (a * rows + usize::from(r), b * rows + usize::from(c), s);
+            tile.entries().map(whole)
+        })
+    }
+
+    /// The entries of the diagonal as (i, s).
+    pub(super) fn diagonal(&self) -> impl Iterator<Item = (usize, f32)> + '_ {
+        self.diagonal.iter().copied().enumerate().filter(|&(_, s)| s != 0.0)
+    }
+
+    /// The entry of two patches.
+    pub(super) fn get(&self, i: usize, j: usize) -> f32 {
+        if i == j {
+            return self.diagonal.get(i).copied().unwrap_or(0.0);
+        }
+        let ((a, row), (b, column)) = (self.blocks.of(i.min(j)), self.blocks.of(i.max(j)));
+        let tile = &self.tiles[self.blocks.tile((a, b))];
+        let mut end = 0;
+        for &[of, length] in &tile.runs {
+            let start = end;
+            end += usize::from(length);
+            if u32::from(of) == row
+                && let Ok(k) = tile.columns[start..end].binary_search(&(column as u16))
+            {
+                return tile.values[start + k];
+            }
+        }
+        0.0
+    }
+
+    /// The entries of row `i` as (j, s), sorted. Goes through all tiles that the row is in.
+    pub(super) fn row(&self, i: usize) -> Vec<(usize, f32)> {
+        let (block, _) = self.blocks.of(i);
+        let mut row: Vec<(usize, f32)> = self.diagonal().filter(|&(j, _)| j == i).collect();
+        for other in 0..self.blocks.count() {
+            let at = (block.min(other), block.max(other));
+            let start = |block: usize| self.blocks.range(block).start;
+            for (r, c, s) in self.tiles[self.blocks.tile(at)].entries() {
+                let (p, q) = (start(at.0) + usize::from(r), start(at.1) + usize::from(c));
+                if p == i {
+                    row.push((q, s));
+                } else if q == i {
+                    row.push((p, s));
+                }
+            }
+        }
+        row.sort_unstable_by_key(|&(j, _)| j);
+        row
+    }
+
+    /// All rows, compressed, with both directions of every pair: twice the memory.
+    pub(super) fn rows(&self) -> Matrix {
+        let n = self.len();
+        let mut rows: Vec<Vec<(u32, f32)>> = vec![Vec::new(); n];
+        for (i, s) in self.diagonal() {
+            rows[i].push((i as u32, s));
+        }
+        let entries: Vec<Vec<(usize, usize, f32)>> = self.tiles().map(Iterator::collect).collect();
+        for (i, j, s) in entries.into_iter().flatten() {
+            rows[i].push((j as u32, s));
+            rows[j].push((i as u32, s));
+        }
+        rows.par_iter_mut().for_each(|row| row.sort_unstable_by_key(|&(j, _)| j));
+        let mut starts = vec![0];
+        rows.iter().for_each(|row| starts.push(starts[starts.len() - 1] + row.len()));
+        let (columns, values) = rows.into_iter().flatten().unzip();
+        Matrix::new((n, n), starts, columns, values)
+    }
+
+    /// Replaces every value off the diagonal by `value(i, j, s)`.
+    pub(super) fn update(&mut self, value: impl Fn(usize, usize, f32) -> f32 + Sync) {
+        let rows = self.blocks.rows();
+        let at = self.blocks.tiles();
+        self.tiles.par_iter_mut().with_max_len(1).zip(at).for_each(|(tile, (a, b))| {
+            let mut rest = tile.columns.iter().zip(&mut tile.values);
+            for &[row, length] in &tile.runs {
+                let i = a * rows + usize::from(row);
+                for (&column, s) in rest.by_ref().take(length.into()) {
+                    *s = value(i, b * rows + usize::from(column), *s);
+                }
+            }
+        });
+    }
+
+    /// Calls `pair(s_ij, z_i, z_j, y_i, y_j)` for all pairs off the diagonal. Each y is worked on in one order, whatever the
+    /// number of threads.
+    pub(super) fn accumulate<Z: Sync, Y: Copy + Send>(
+        &self,
+        z: &[Z],
+        y: &mut [Y],
+        pair: impl Fn(f32, &Z, &Z, &mut Y, &mut Y) + Sync,
+    ) {
+        assert_eq!(z.len(), self.len(), "sizes disagree");
+        self.blocks.meet(y, |at, first, mut second| {
+            let tile = &self.tiles[self.blocks.tile(at)];
+            let (z_first, z_second) = (&z[self.blocks.range(at.0)], &z[self.blocks.range(at.1)]);
+            let (mut columns, mut values) = (&tile.columns[..], &tile.values[..]);
+            for &[row, length] in &tile.runs {
+                let (own, rest) = columns.split_at(length.into());
+                let (s, rest_of_values) = values.split_at(length.into());
+                (columns, values) = (rest, rest_of_values);
+                let row = usize::from(row);
+                // In registers while the row lasts.
+                let (z_row, mut sum) = (&z_first[row], first[row]);
+                let y_second = match &mut second {
+                    Some(second) => &mut **second,
+                    None => &mut *first,
+                };
+                // One check of bounds then does for both.
+                let z_second = &z_second[..y_second.len()];
+                for (&column, &s) in own.iter().zip(s) {
+                    let column = usize::from(column);
+                    pair(s, z_row, &z_second[column], &mut sum, &mut y_second[column]);
+                }
+                first[row] = sum;
+            }
+        });
+    }
+
+    /// Adds Σ_j s_ij z_j to every `out_i`, for `C` channels.
+    pub(super) fn add_product<const C: usize>(&self, z: &[[f64; C]], out: &mut [[f64; C]]) {
+        for (i, s) in self.diagonal() {
+            for c in 0..C {
+                out[i][c] += f64::from(s) * z[i][c];
+            }
+        }
+        self.accumulate(z, out, |s, z_i, z_j, at_i, at_j| {
+            let s = f64::from(s);
+            for c in 0..C {
+                at_i[c] += s * z_j[c];
+                at_j[c] += s * z_i[c];
+            }
+        });
+    }
+
+    /// Σ_j s_ij of every row.
+    pub(super) fn row_sums(&self) -> Vec<f64> {
+        let mut sums = vec![[0.0]; self.len()];
+        self.add_product(&vec![[1.0]; self.len()], &mut sums);
+        sums.into_flattened()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everyone_meets_everyone_once_and_nobody_two_at_a_time() {
+        for len in [1, 1024, 1025, 3000, 5000, 40_000, 16 * 16_384, 700_000] {
+            let blocks = Blocks::new(len);
+            let mut met = Vec::new();
+            for round in blocks.rounds() {
+                let mut busy: Vec<usize> =
+                    round.iter().flat_map(|&(a, b)| if a == b { vec![a] } else { vec![a, b] }).collect();
+                busy.sort_unstable();
+                assert!(busy.windows(2).all(|w| w[0] != w[1]), "{len}: {round:?}");
+                met.extend(round);
+            }
+            met.sort_unstable();
+            assert_eq!(met, blocks.tiles());
+            assert!(met.iter().enumerate().all(|(k, &at)| blocks.tile(at) == k));
+        }
+    }
+
+    /// Against the plain sum over a list of pairs, all whole numbers, so that no rounding hides a difference.
+    #[test]
+    fn a_product_is_that_of_the_whole_matrix() {
+        let n = 2500u32;
+        let mut pairs = Vec::new();
+        for i in 0..n {
+            for k in 0..7 {
+                pairs.push((i, (i * 37 + k * k * 101) % n, ((i + k) % 5 + 1) as f32));
+            }
+        }
+        let z: Vec<[f64; 3]> =
+            (0..n).map(|i| [f64::from(i % 11), f64::from(i % 3), f64::from(i % 17)]).collect();
+        let mut wanted = vec![[0.0; 3]; n as usize];
+        let mut add = |i: u32, j: u32, s: f32| {
+            for c in 0..3 {
+                wanted[i as usize][c] += f64::from(s) * z[j as usize][c];
+            }
+        };
+        for &(i, j, s) in &pairs {
+            add(i, j, s);
+            if i != j {
+                add(j, i, s);
+            }
+        }
+        let lists: Vec<Vec<(u32, u32, f32)>> = pairs.chunks(1000).map(<[_]>::to_vec).collect();
+        let matrix = Symmetric::from_lists(n as usize, &lists);
+        let mut found = vec![[0.0; 3]; n as usize];
+        matrix.add_product(&z, &mut found);
+        assert_eq!(found, wanted);
+        let rows = matrix.rows();
+        assert_eq!(rows.nnz(), matrix.non_zeros());
+        for i in [0, 1, 1023, 1024, 2499] {
+            for j in 0..n as usize {
+                assert_eq!(matrix.get(i, j), rows.get(i, j).copied().unwrap_or(0.0));
+            }
+            let (columns, values) = crate::form_factor::row(&rows, i);
+            let row: Vec<(usize, f32)> =
+                columns.iter().map(|&j| j as usize).zip(values.iter().copied()).collect();
+            assert_eq!(matrix.row(i), row);
+        }
+        let again = Symmetric::from_rows(&rows);
+        assert_eq!((again.non_zeros(), again.row_sums()), (matrix.non_zeros(), matrix.row_sums()));
+    }
+}

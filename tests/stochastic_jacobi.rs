@@ -1,0 +1,96 @@
+//! The solution without a matrix, against the one with it.
+
+mod common;
+
+use glam::DVec3;
+use radiosity::{
+    Progress, Scene,
+    accuracy::error_bars::T_QUANTILE,
+    form_factor::{CastOptions, FormFactors, sweep::Sweeper},
+    patch::{Patches, Subdivision},
+    solve::{
+        SolveOptions, solve,
+        stochastic_jacobi::{self, StochasticOptions, StochasticSolution},
+    },
+    trace::Tracer,
+};
+
+fn by_sweeps(scene: &Scene, patches: usize, rays: f64, seed: u64) -> (Patches, StochasticSolution) {
+    let (tracer, progress) = (Tracer::new(scene), Progress::new());
+    let mut patches = Patches::subdivide(scene, &Subdivision::Count(patches));
+    let sweeper = Sweeper::new(scene, &tracer, &mut patches, seed, &progress).unwrap();
+    let solution =
+        stochastic_jacobi::solve(&sweeper, sweeper.patches(), &StochasticOptions { rays }, &progress)
+            .unwrap();
+    (patches, solution)
+}
+
+/// The same patches by a matrix with many more rays, whose own error is small beside that of the sweeps.
+fn by_matrix(scene: &Scene, patches: usize) -> (Patches, Vec<f64>) {
+    let (tracer, progress) = (Tracer::new(scene), Progress::new());
+    let mut patches = Patches::subdivide(scene, &Subdivision::Count(patches));
+    let cast = CastOptions { rays: 8192.0, ..CastOptions::default() };
+    let form_factors = FormFactors::cast(scene, &tracer, &mut patches, &cast, &progress).unwrap();
+    let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress).unwrap();
+    (patches, solution.irradiance)
+}
+
+/// Standard errors are of 16 batches: of 95 % intervals with t quantiles, 95 % should hold. Neighbouring patches err together,
+/// so that single runs scatter by some per cent; three seeds together must hold 90 %.
+#[test]
+fn sweeps_agree_with_the_matrix_within_their_error_bars() {
+    for name in ["cornell-box", "door-ajar"] {
+        let scene = Scene::load(format!("meshes/{name}.obj")).unwrap();
+        let (patches, truth) = by_matrix(&scene, 300);
+        let (mut inside, mut all, mut squares, mut off, mut mean) = (0, 0, 0.0, 0.0, 0.0);
+        for seed in 0..3 {
+            let (same, found) = by_sweeps(&scene, 300, 256.0, seed);
+            assert_eq!(same.fronts(), patches.fronts());
+            for q in 0..patches.fronts() * found.channels {
+                let difference = found.irradiance[q] - truth[q];
+                let error = found.standard_error[q];
+                inside += usize::from(difference.abs() <= T_QUANTILE * error);
+                all += 1;
+                let area = patches.area(q / found.channels);
+                squares += area * error * error;
+                off += area * difference * difference;
+                mean += area * truth[q];
+            }
+            for (imbalance, error) in found.imbalance.iter().zip(&found.imbalance_error) {
+                assert!(imbalance.abs() <= 5.0 * error + 1e-9, "{name}: {imbalance} with error {error}");
+            }
+        }
+        let area: f64 = 9.0 * (0..patches.fronts()).map(|i| patches.area(i)).sum::<f64>();
+        let share = inside as f64 / all as f64;
+        println!(
+            "{name}: {:.1} % in 95 % intervals; RMS error {:.2} %, estimated {:.2} %",
+            100.0 * share,
+            100.0 * (off / area).sqrt() / (mean / area),
+            100.0 * (squares / area).sqrt() / (mean / area)
+        );
+        assert!(share >= 0.9, "{name}: {share}");
+    }
+}
+
+/// In a closed furnace every patch gets Be / (1 - ρ), to the rounding of single precision. Here ρ = 0.9: without the balance of
+/// the first 16 sweeps, each a bounce at most, at least 0.9¹⁶ = 19 % of it would still be missing after them.
+#[test]
+fn a_furnace_is_as_bright_as_it_must_be() {
+    let room = common::room(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
+    let scene = common::scene(&[common::part(room, 0.9, 1.0)]);
+    let (_, found) = by_sweeps(&scene, 200, 64.0, 1);
+    let wanted = 1.0 / (1.0 - 0.9);
+    for (e, error) in found.irradiance.iter().zip(&found.standard_error) {
+        assert!((e / wanted - 1.0).abs() < 1e-5, "{e} of {wanted} with error {error}");
+    }
+}
+
+#[test]
+fn sweeps_are_the_same_for_any_number_of_threads() {
+    let scene = Scene::load("meshes/cornell-box.obj").unwrap();
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| by_sweeps(&scene, 300, 32.0, 7).1)
+    };
+    assert_eq!(with(1), with(3));
+}
