@@ -1,6 +1,6 @@
 //! How long `solve` samples, and on which patches.
 
-use std::time::Instant;
+use std::{sync::Arc, time::Instant};
 
 use radiosity::{
     Result, Scene,
@@ -9,7 +9,7 @@ use radiosity::{
         refinement::{FIRST_RAYS, Plan, Round, refine},
         solved::Solved,
     },
-    form_factor::CastOptions,
+    form_factor::{CastOptions, Checkpoint},
     output::report::Seconds,
     patch::{Patches, Subdivision},
     trace::Tracer,
@@ -31,6 +31,8 @@ pub struct Sampling<'a> {
     pub scene: &'a Scene,
     pub tracer: &'a Tracer,
     pub watch: &'a Watch,
+    /// Where rays are kept.
+    pub checkpoint: Option<Arc<Checkpoint>>,
 }
 
 /// What came of it.
@@ -71,7 +73,6 @@ impl Sampling<'_> {
         };
         let cast =
             CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
-        let options = args.solve_options();
         let tell = |solved: &Solved, rounds: &[Round]| {
             if !in_rounds {
                 return Ok(());
@@ -82,13 +83,23 @@ impl Sampling<'_> {
             self.tell(&plan, rounds);
             Ok(())
         };
-        let ((solved, rounds), _) = self.watch.stage("rays", || {
-            refine(self.scene, self.tracer, patches, &cast, &options, &plan, tell, self.watch.progress())
-                .map_err(|error| blame(&args.scene.path, error))
-        })?;
+        let ((solved, rounds), _) = self.watch.stage("rays", || self.refine(patches, &cast, &plan, tell))?;
         times.form_factors = rounds.iter().map(|round| round.casting).sum();
         times.solve = rounds.last().map_or(0.0, |round| round.elapsed) - times.form_factors;
         Ok(Sampled { solved, rounds, chosen })
+    }
+
+    fn refine(
+        &self,
+        patches: Patches,
+        cast: &CastOptions,
+        plan: &Plan,
+        tell: impl FnMut(&Solved, &[Round]) -> Result<()>,
+    ) -> Result<(Solved, Vec<Round>)> {
+        let (options, progress) = (self.args.solve_options(), self.watch.progress());
+        let file = self.checkpoint.clone();
+        refine(self.scene, self.tracer, patches, cast, &options, plan, tell, file, progress)
+            .map_err(|error| blame(&self.args.scene.path, error))
     }
 
     /// Patches small enough for a wanted error, and the error that they leave; none where that cannot be told.
@@ -99,8 +110,8 @@ impl Sampling<'_> {
             let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
             let options = self.args.solve_options();
             let progress = self.watch.progress();
-            let solved = Solved::new(self.scene, self.tracer, &subdivision, &cast, &options, progress)
-                .map_err(|error| blame(&self.args.scene.path, error))?;
+            let patches = Patches::subdivide(self.scene, &subdivision);
+            let (solved, _) = self.refine(patches, &cast, &Plan::default(), |_, _| Ok(()))?;
             let Solved { patches, form_factors, solution, .. } = &solved;
             let found = Discretisation::of(form_factors, patches, solution, &options, progress)?;
             floor = found.map(|d| d.relative);

@@ -8,7 +8,10 @@
 
 use rayon::prelude::*;
 
-use super::shadow::{self, Footprint, Found, Link, Sources};
+use super::{
+    checkpoint::{Known, Record, Section},
+    shadow::{self, Footprint, Found, Link, Sources},
+};
 use crate::{
     Progress, Result,
     patch::Patches,
@@ -34,7 +37,7 @@ pub const LINKED: u32 = u32::MAX - 1;
 const HIDDEN: f64 = 20.0;
 
 /// While casting: the ray met the back of this front patch, which was no unknown yet.
-const BACK: u32 = 1 << 31;
+pub(super) const BACK: u32 = 1 << 31;
 
 /// How many rays leave a patch: none, or at least [`REPLICATES`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -64,6 +67,8 @@ pub struct Hits {
     mean_kernels: Vec<f64>,
     pub(super) sources: Sources,
     back_hits: u64,
+    /// Where rays are kept, and looked for before they are cast.
+    pub(super) checkpoint: Option<Section>,
 }
 
 impl Hits {
@@ -78,6 +83,7 @@ impl Hits {
             mean_kernels: Vec::new(),
             sources,
             back_hits: 0,
+            checkpoint: None,
         }
     }
 
@@ -270,7 +276,7 @@ impl Hits {
         old
     }
 
-    /// Casts the rays that patches from `first` on have not cast yet.
+    /// Casts the rays that patches from `first` on have not cast yet, but for those that the checkpoint knows.
     fn cast(
         &mut self,
         tracer: &Tracer,
@@ -281,7 +287,8 @@ impl Hits {
         progress: &Progress,
     ) -> Result<()> {
         const BLOCK: usize = 32;
-        let Hits { shares, offsets, targets, sources, .. } = self;
+        let Hits { shares, offsets, targets, sources, checkpoint, .. } = self;
+        let checkpoint = checkpoint.as_ref().map(|section| section.names(patches));
         let mut rest = &mut targets[offsets[first]..];
         let mut blocks = Vec::new();
         for start in (first..patches.len()).step_by(BLOCK) {
@@ -295,20 +302,33 @@ impl Hits {
             .map(|(range, mut rest)| {
                 progress.check()?;
                 let mut found = Vec::with_capacity(range.len());
+                let mut record = Record::default();
                 for i in range {
                     let (had, share) = (old[i], shares[i]);
                     let (own, tail) = rest.split_at_mut(share.hemisphere as usize);
                     rest = tail;
                     let from = Footprint::new(tracer, patches, i);
-                    let mut links = Vec::new();
-                    let new = had.hemisphere..share.hemisphere;
+                    let known = match &checkpoint {
+                        Some(checkpoint) => checkpoint.known(i, had, share)?,
+                        None => Known::nothing(had),
+                    };
+                    own[had.hemisphere as usize..][..known.targets.len()].copy_from_slice(&known.targets);
+                    let mut links = known.hemisphere_links;
+                    let new = known.rays.hemisphere..share.hemisphere;
                     let seed = mix(&[seed, i as u64]);
                     cast_patch(tracer, patches, sources, &from, i, (new, seed), own, &mut links);
-                    let new = had.shadow..share.shadow;
+                    links.extend(known.shadow_links);
+                    let new = known.rays.shadow..share.shadow;
                     shadow::cast_patch(tracer, sources, &from, new, mix(&[seed, 1]), &mut links);
+                    if let Some(checkpoint) = &checkpoint {
+                        checkpoint.add(&mut record, i, (known.rays, share), own, &links);
+                    }
                     found.push(links);
                     let before = had.hemisphere + had.shadow;
                     progress.advance(u64::from(share.hemisphere + share.shadow - before));
+                }
+                if let Some(checkpoint) = &checkpoint {
+                    checkpoint.write(record)?;
                 }
                 Ok(found)
             })

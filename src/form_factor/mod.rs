@@ -6,6 +6,7 @@
 
 mod allocation;
 mod calibration;
+mod checkpoint;
 pub mod closure;
 mod escape;
 pub mod exact;
@@ -15,14 +16,19 @@ pub mod reciprocity;
 pub(crate) mod replicates;
 mod shadow;
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 use sprs::CsMatI;
 
 use crate::{Progress, Result, patch::Patches, scene::Scene, trace::Tracer};
+use checkpoint::Section;
 use hemisphere::{Hits, REPLICATES};
 use reciprocity::Densities;
 use replicates::{Deviation, Samples};
 use shadow::Sources;
+
+pub use checkpoint::Checkpoint;
 
 /// Sparse matrix with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns.
 pub type Matrix = CsMatI<f32, u32, usize>;
@@ -118,12 +124,33 @@ impl FormFactors {
         options: &CastOptions,
         progress: &Progress,
     ) -> Result<FormFactors> {
+        Self::cast_checkpointed(scene, tracer, patches, options, None, progress)
+    }
+
+    /// As [`FormFactors::cast`], with a file that takes up what rays meet as they are cast, and from which those are taken that
+    /// it holds already. [`FormFactors::cast_more`] goes on with it. The result is the same with a file and without.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so, [`Error::Io`](crate::Error::Io) and
+    /// [`Error::Input`](crate::Error::Input) when the file cannot be read or written; what it holds stays good.
+    ///
+    /// # Panics
+    /// When the checkpoint is of another seed.
+    pub fn cast_checkpointed(
+        scene: &Scene,
+        tracer: &Tracer,
+        patches: &mut Patches,
+        options: &CastOptions,
+        checkpoint: Option<Arc<Checkpoint>>,
+        progress: &Progress,
+    ) -> Result<FormFactors> {
         let sources = match options.estimator {
             // What no shadow ray looks at must be found by hemisphere rays.
             Estimator::Pooled if options.shadow_share > 0.0 => Sources::emitters(tracer, patches),
             _ => Sources::default(),
         };
         let mut hits = Hits::none(sources);
+        hits.checkpoint = checkpoint.map(|file| Section::new(file, patches, &hits.sources, options.seed));
         let rays = if options.looks_first() { allocation::PILOT * options.rays } else { options.rays };
         let share = allocation::even(options, rays, !hits.sources.is_empty());
         hits.extend(scene, tracer, patches, share, options.seed, progress)?;
