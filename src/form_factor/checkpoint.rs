@@ -60,14 +60,22 @@ struct Store {
     rays: u64,
     /// Whether the file was made here.
     made: bool,
-    known: HashMap<Key, Vec<Piece>>,
+    known: HashMap<Key, Kept>,
 }
 
 /// The subdivision; the patch's number, which chooses its rays; and what surface it is on, since numbers of backs depend on
 /// the order in which they were found.
 type Key = (u64, u32, u32);
 
-/// Rays of one patch in a record; each piece begins where the one before ends.
+/// The rays of one patch.
+#[derive(Debug, Default)]
+struct Kept {
+    /// How many of each kind there are.
+    rays: Share,
+    pieces: Vec<Piece>,
+}
+
+/// Rays of one patch in a record. Those of a kind begin where the ones before end; there may be none of a kind.
 #[derive(Debug, Clone, Copy)]
 struct Piece {
     /// Where in the file the targets are; the links follow.
@@ -202,14 +210,17 @@ impl Store {
     /// Takes note of a piece, unless it does not follow what is known.
     fn add(&mut self, key: Key, piece: Piece) -> bool {
         let Piece { from, to, .. } = piece;
-        let known = self.known.entry(key).or_default();
-        let follows = known.last().map_or(Share::default(), |last| last.to) == from;
-        let forward = to.hemisphere >= from.hemisphere && to.shadow >= from.shadow;
-        if follows && forward {
-            known.push(piece);
+        let kept = self.known.entry(key).or_default();
+        let follows = |from: u32, to: u32, end: u32| from == to || (from == end && from < to);
+        let fits = follows(from.hemisphere, to.hemisphere, kept.rays.hemisphere)
+            && follows(from.shadow, to.shadow, kept.rays.shadow);
+        if fits {
+            kept.rays.hemisphere = kept.rays.hemisphere.max(to.hemisphere);
+            kept.rays.shadow = kept.rays.shadow.max(to.shadow);
+            kept.pieces.push(piece);
             self.rays += u64::from(to.hemisphere - from.hemisphere) + u64::from(to.shadow - from.shadow);
         }
-        follows && forward
+        fits
     }
 
     fn read(&mut self, piece: &Piece) -> io::Result<Vec<u8>> {
@@ -430,13 +441,12 @@ impl Names<'_> {
         let checkpoint = &*self.section.checkpoint;
         let mut known = Known::nothing(had);
         let mut store = checkpoint.store();
-        let Some(pieces) = store.known.get(&self.key(patch)) else { return Ok(known) };
+        let Some(kept) = store.known.get(&self.key(patch)) else { return Ok(known) };
         let more = |from: Share, to: Share| from.hemisphere < to.hemisphere || from.shadow < to.shadow;
-        let last = pieces.last().map_or(had, |piece| piece.to);
         let needed: Vec<Piece> =
-            pieces.iter().filter(|p| more(had, p.to) && more(p.from, wanted)).copied().collect();
-        known.rays.hemisphere = last.hemisphere.clamp(had.hemisphere, wanted.hemisphere);
-        known.rays.shadow = last.shadow.clamp(had.shadow, wanted.shadow);
+            kept.pieces.iter().filter(|p| more(had, p.to) && more(p.from, wanted)).copied().collect();
+        known.rays.hemisphere = kept.rays.hemisphere.clamp(had.hemisphere, wanted.hemisphere);
+        known.rays.shadow = kept.rays.shadow.clamp(had.shadow, wanted.shadow);
         let read: Vec<_> = needed
             .into_iter()
             .map(|piece| Ok((piece, store.read(&piece)?)))
