@@ -184,7 +184,7 @@ fn a_checkpoint_takes_the_place_of_nothing() {
         ("--checkpoint nowhere/rays", "nowhere/rays"),
         ("--checkpoint .", "error: ."),
         ("--checkpoint /dev/null", "regular file"),
-        ("--checkpoint rays --patches 100000000 --rays 4000000000", "GiB of memory"),
+        ("--checkpoint rays --patches 100000000 --rays 4000000000", "of memory, this machine has"),
     ] {
         let errors = here.fails(&format!("solve scene.obj {options}"), 2);
         assert!(errors.contains(said), "{options}: {errors}");

@@ -9,13 +9,18 @@ use radiosity::{
         refinement::{FIRST_RAYS, Plan, Round, refine},
         solved::Solved,
     },
-    form_factor::{CastOptions, Checkpoint},
+    form_factor::{CastOptions, Checkpoint, Estimator},
     output::report::Seconds,
     patch::{Patches, Subdivision},
     trace::Tracer,
 };
 
-use super::{forecast, pipeline::blame, solve::SolveArgs, watch::Watch};
+use super::{
+    forecast::{self, Work},
+    pipeline::blame,
+    solve::SolveArgs,
+    watch::Watch,
+};
 
 /// Patches that a wanted error starts with.
 const FIRST_PATCHES: usize = 1000;
@@ -59,7 +64,8 @@ impl Sampling<'_> {
             target = Some(left.unwrap_or(wanted));
         }
         let count = Patches::forecast(self.scene, &subdivision);
-        if let Some(warning) = forecast::check(count, rays)? {
+        let bytes = forecast::bytes(self.scene, args.estimator());
+        if let Some(warning) = args.common.limit().check(&self.work(count, rays, &bytes))? {
             self.watch.warn(&warning);
         }
         let (patches, subdivide) =
@@ -69,7 +75,7 @@ impl Sampling<'_> {
         let plan = Plan {
             error: target,
             seconds: args.time.map(|seconds| seconds - before),
-            most_rays: in_rounds.then(|| forecast::most_rays(count)),
+            most_rays: in_rounds.then(|| args.common.limit().most_rays(count, &bytes)),
         };
         let cast =
             CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
@@ -89,6 +95,10 @@ impl Sampling<'_> {
         Ok(Sampled { solved, rounds, chosen })
     }
 
+    fn work<'a>(&'a self, patches: f64, rays: f64, bytes: &'a dyn Fn(f64, f64) -> f64) -> Work<'a> {
+        Work { scene: self.scene, patches, rays, bytes, options: forecast::USUAL }
+    }
+
     fn refine(
         &self,
         patches: Patches,
@@ -106,6 +116,7 @@ impl Sampling<'_> {
     fn small_enough(&self, wanted: f64, start: Instant) -> Result<(Subdivision, Option<f64>)> {
         let mut subdivision = Subdivision::Count(FIRST_PATCHES);
         let mut floor = None;
+        let (limit, bytes) = (self.args.common.limit(), forecast::bytes(self.scene, Estimator::Pooled));
         for _ in 0..MOST_CUTS {
             let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
             let options = self.args.solve_options();
@@ -123,7 +134,8 @@ impl Sampling<'_> {
             }
             let next = Subdivision::Count((patches.fronts() as f64 * more.max(1.2)) as usize);
             let count = Patches::forecast(self.scene, &next);
-            if count <= patches.fronts() as f64 || forecast::check(count, FIRST_RAYS).is_err() {
+            if count <= patches.fronts() as f64 || limit.check(&self.work(count, FIRST_RAYS, &bytes)).is_err()
+            {
                 break;
             }
             subdivision = next;
@@ -167,7 +179,7 @@ impl Sampling<'_> {
             let left = round.elapsed * (rays / round.rays - 1.0);
             line += &format!("; {:.3} % needs about {rays:.0} rays, {left:.1} s more", 100.0 * target);
             if plan.most_rays.is_some_and(|most| rays > most) {
-                line += ": out of reach of this machine's memory";
+                line += ": out of reach of memory";
             }
         }
         if !self.args.common.quiet {

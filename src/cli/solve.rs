@@ -196,7 +196,7 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
 
     watch.progress().check()?;
     // All is on the disk already: from here only names change.
-    pending.into_iter().try_for_each(Pending::commit)?;
+    Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
         let names = outputs::names(&[&args.output, &args.report]);

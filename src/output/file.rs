@@ -140,6 +140,16 @@ impl OutputFile {
 }
 
 impl Pending {
+    /// Gives all files their names. Devices and pipes come first: they may refuse what they are sent, and then nothing is
+    /// there yet.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn commit_all(mut all: Vec<Pending>) -> Result<()> {
+        all.sort_by_key(|pending| matches!(pending.contents, Contents::File(_)));
+        all.into_iter().try_for_each(Pending::commit)
+    }
+
     /// Gives the file its name, replacing what was there.
     ///
     /// # Errors
