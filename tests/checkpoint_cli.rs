@@ -112,6 +112,7 @@ fn killed_again_and_again_it_ends_with_the_same_bytes() {
         );
         assert!((here.read("out.ply"), report(&here)) == truth, "{options}");
         assert_eq!(size(&here, "rays"), all, "{options}: rays are missing, or there twice");
+        assert_eq!(here.names(), ["out.ply", "r.json", "rays", "scene.mtl", "scene.obj"]);
         fs::remove_file(here.path("rays")).unwrap();
     }
     // A program that ended before it could be killed proves nothing.

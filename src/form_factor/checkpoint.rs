@@ -367,14 +367,14 @@ impl Section {
     }
 
     /// Ready to read and write while these are the patches.
-    pub(super) fn names<'a>(&'a self, patches: &'a Patches) -> Names<'a> {
+    pub(super) fn names<'a>(&'a self, patches: &'a Patches, sources: &'a Sources) -> Names<'a> {
         let mut fronts = vec![0; patches.len() - patches.fronts()];
         for front in 0..patches.fronts() {
             if let Some(back) = patches.back_of(front) {
                 fronts[back as usize - patches.fronts()] = front as u32;
             }
         }
-        Names { section: self, patches, fronts }
+        Names { section: self, patches, sources, fronts }
     }
 }
 
@@ -383,6 +383,7 @@ impl Section {
 pub(super) struct Names<'a> {
     section: &'a Section,
     patches: &'a Patches,
+    sources: &'a Sources,
     /// Of each back that is a patch, the front.
     fronts: Vec<u32>,
 }
@@ -455,7 +456,7 @@ impl Names<'_> {
         drop(store);
         let to = known.rays;
         for (piece, bytes) in read {
-            self.decode(&piece, &bytes, (had, to), &mut known)
+            self.decode(patch, (&piece, &bytes), (had, to), &mut known)
                 .ok_or_else(|| damage(&checkpoint.path, &format!("byte {}", piece.at)))?;
         }
         Ok(known)
@@ -464,8 +465,8 @@ impl Names<'_> {
     /// Adds the rays with numbers in a range; `None` when the bytes say what cannot be.
     fn decode(
         &self,
-        piece: &Piece,
-        bytes: &[u8],
+        patch: usize,
+        (piece, bytes): (&Piece, &[u8]),
         (had, to): (Share, Share),
         known: &mut Known,
     ) -> Option<()> {
@@ -484,8 +485,13 @@ impl Names<'_> {
                 2 => (Found::Blocked, &mut known.shadow_links, had.shadow..to.shadow),
                 _ => return None,
             };
-            let kernel = f32::from_bits(kernel);
-            if to_patch >= LINKED || !(kernel.is_finite() && kernel >= 0.0) {
+            let (kernel, j) = (f32::from_bits(kernel), to_patch as usize);
+            // Without a source at either end the pair would have no density.
+            let is_link = match found {
+                Found::Hemisphere => self.sources.concern(patch, j),
+                _ => self.sources.contains(j),
+            };
+            if to_patch >= LINKED || !is_link || !(kernel >= 0.0) {
                 return None;
             }
             if range.contains(&index) {

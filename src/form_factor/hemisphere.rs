@@ -221,7 +221,7 @@ impl Hits {
 
     /// Lets patches lose all light that are not there for others: their own rays meet patches that should have met them
     /// [many times](HIDDEN), and never did. So it is with one of two faces at the same place, and reciprocity would have to
-    /// send it what it cannot get. Sources are kept.
+    /// send it what it cannot get. Sources are kept, but for those that are known to be hidden.
     pub(super) fn withdraw_hidden(&mut self, areas: &[f64]) {
         let density = |i: usize| f64::from(self.rays_of(i)) / areas[i];
         let (mut met, mut expected) = (vec![false; self.len()], vec![0.0; self.len()]);
@@ -232,7 +232,8 @@ impl Hits {
             }
             self.links_of(i).iter().for_each(|link| met[link.to as usize] = true);
         }
-        for i in (0..self.len()).filter(|&i| !met[i] && expected[i] >= HIDDEN && !self.sources.contains(i)) {
+        let is_hidden = |i: usize| !met[i] && expected[i] >= HIDDEN && !self.sources.contains(i);
+        for i in (0..self.len()).filter(|&i| self.sources.hide(i) || is_hidden(i)) {
             self.targets[self.offsets[i]..self.offsets[i + 1]].fill(ESCAPED);
             self.links[self.link_offsets[i]..self.link_offsets[i + 1]]
                 .iter_mut()
@@ -288,7 +289,7 @@ impl Hits {
     ) -> Result<()> {
         const BLOCK: usize = 32;
         let Hits { shares, offsets, targets, sources, checkpoint, .. } = self;
-        let checkpoint = checkpoint.as_ref().map(|section| section.names(patches));
+        let checkpoint = checkpoint.as_ref().map(|section| section.names(patches, sources));
         let mut rest = &mut targets[offsets[first]..];
         let mut blocks = Vec::new();
         for start in (first..patches.len()).step_by(BLOCK) {
