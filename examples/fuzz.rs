@@ -361,15 +361,15 @@ impl Kept {
 fn repair(bytes: &mut [u8]) {
     let check = |bytes: &[u8]| crc32fast::hash(bytes).to_le_bytes();
     let mut at = 48;
-    while let Some(record) = bytes.get_mut(at..).filter(|rest| rest.len() >= 12) {
-        let length = u32::from_le_bytes([record[0], record[1], record[2], record[3]]) as usize;
-        let sum = check(&record[..4]);
-        record[4..8].copy_from_slice(&sum);
-        let Some(body) = record.get(8..8usize.saturating_add(length)) else { return };
+    while let Some(record) = bytes.get_mut(at..).filter(|rest| rest.len() >= 16) {
+        let length = u64::from_le_bytes(std::array::from_fn(|k| record[k])) as usize;
+        let sum = check(&record[..8]);
+        record[8..12].copy_from_slice(&sum);
+        let Some(body) = record.get(12..length.saturating_add(12)) else { return };
         let sum = check(body);
-        let Some(end) = record.get_mut(8 + length..12 + length) else { return };
+        let Some(end) = record.get_mut(12 + length..16 + length) else { return };
         end.copy_from_slice(&sum);
-        at += 12 + length;
+        at += 16 + length;
     }
 }
 

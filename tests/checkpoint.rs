@@ -68,8 +68,8 @@ fn records(bytes: &[u8]) -> Vec<usize> {
     let mut at = vec![48];
     while at[at.len() - 1] < bytes.len() {
         let start = at[at.len() - 1];
-        let length = u32::from_le_bytes(bytes[start..start + 4].try_into().unwrap());
-        at.push(start + 12 + length as usize);
+        let length = u64::from_le_bytes(bytes[start..start + 8].try_into().unwrap());
+        at.push(start + 16 + length as usize);
     }
     assert_eq!(at.last(), Some(&bytes.len()));
     at
@@ -174,7 +174,7 @@ fn a_torn_tail_is_cut_off_at_whatever_byte() {
         assert_eq!((open(&path, &scene).found(), fs::read(&path).unwrap()), (0, bytes[..48].to_vec()));
     }
     let truth = bits(&cast_with(&scene, 64, &options(32.0), None, 2));
-    for cut in [last + 1, last + 9, (last + end) / 2, end - 1] {
+    for cut in [last + 1, last + 13, (last + end) / 2, end - 1] {
         fs::write(&path, &bytes[..cut]).unwrap();
         assert!(bits(&cast_with(&scene, 64, &options(32.0), Some(&open(&path, &scene)), 2)) == truth);
     }
@@ -188,7 +188,7 @@ fn damage_is_recognised_wherever_it_is() {
     let bytes = fs::read(&path).unwrap();
     let mut random = Random::new(3);
     let anywhere = (0..400).map(|_| (random.next() * bytes.len() as f64) as usize);
-    let lengths = records(&bytes).into_iter().take(3).flat_map(|start| start..(start + 8).min(bytes.len()));
+    let lengths = records(&bytes).into_iter().take(3).flat_map(|start| start..(start + 12).min(bytes.len()));
     for at in (0..48).chain(lengths.collect::<Vec<_>>()).chain(anywhere) {
         let mut damaged = bytes.clone();
         damaged[at] ^= 1 << (at % 8);

@@ -127,13 +127,13 @@ fn directories_that_cannot_be_written_to() {
         &here,
         &format!("{SOLVE} -o /proc/self/out.ply"),
         "/proc/self/out.ply",
-        &["denied", "No such", "permitted"],
+        &["denied", "not found", "permitted"],
     );
     refused(
         &here,
         &format!("{SOLVE} --report /sys/r.json"),
         "/sys/r.json",
-        &["denied", "No such", "permitted", "ead-only"],
+        &["denied", "not found", "permitted", "ead-only"],
     );
     let locked = here.path("locked");
     fs::create_dir(&locked).unwrap();

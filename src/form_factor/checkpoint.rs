@@ -8,7 +8,7 @@
 //! The file, little endian: a header that names the program's version, the scene and the seed, then one record for every block
 //! of patches cast, appended by one write:
 //!
-//!   length of the body (4 bytes), its CRC-32 (4), body, CRC-32 of the body (4).
+//!   length of the body (8 bytes), its CRC-32 (4), body, CRC-32 of the body (4).
 //!
 //! A process killed while writing leaves a record that is cut short, the last; it is cut off. Anything else that does not
 //! match its checksum is damage, and the file is refused. Nothing is forced to the disk: what was written survives the
@@ -35,6 +35,9 @@ const MAGIC: &[u8; 16] = b"radiosity rays\r\n";
 /// Counts changes of the file's format, and of which rays a seed stands for.
 const FORMAT: u32 = 1;
 const HEADER: usize = 48;
+/// Bytes of a record before its body and after it.
+const BEFORE: usize = 12;
+const AFTER: usize = 4;
 /// Numbers of 4 bytes that a record has for each patch beside its targets and links.
 const NUMBERS: usize = 7;
 /// Bytes of a link.
@@ -181,29 +184,30 @@ impl Store {
         let damaged = |at: u64| damage(path, &format!("byte {at}"));
         loop {
             let left = size - self.end;
-            let mut length = [0; 8];
-            if left < length.len() as u64 {
+            let mut before = [0; BEFORE];
+            if left < BEFORE as u64 {
                 return Ok(());
             }
-            reader.read_exact(&mut length).map_err(failed)?;
-            let [length, check] = numbers(&length);
-            if crc32fast::hash(&length.to_le_bytes()) != check {
+            reader.read_exact(&mut before).map_err(failed)?;
+            let (length, check) = before.split_at(8);
+            if crc32fast::hash(length).to_le_bytes() != check {
                 return Err(damaged(self.end));
             }
-            if left - 8 < u64::from(length) + 4 {
+            let length = u64::from_le_bytes(std::array::from_fn(|k| length[k]));
+            if left < length.saturating_add((BEFORE + AFTER) as u64) {
                 return Ok(());
             }
-            let mut body = vec![0; length as usize + 4];
+            let mut body = vec![0; length as usize + AFTER];
             reader.read_exact(&mut body).map_err(failed)?;
             let (body, check) = body.split_at(length as usize);
             if crc32fast::hash(body).to_le_bytes() != check {
                 return Err(damaged(self.end));
             }
-            let pieces = pieces(body, self.end + 8).ok_or_else(|| damaged(self.end))?;
+            let pieces = pieces(body, self.end + BEFORE as u64).ok_or_else(|| damaged(self.end))?;
             if pieces.into_iter().any(|(key, piece)| !self.add(key, piece)) {
                 return Err(damaged(self.end));
             }
-            self.end += 12 + u64::from(length);
+            self.end += length + (BEFORE + AFTER) as u64;
         }
     }
 
@@ -515,7 +519,7 @@ impl Names<'_> {
         }
         let Record { bytes, pieces } = record;
         if bytes.is_empty() {
-            bytes.extend([0; 8]);
+            bytes.extend([0; BEFORE]);
             bytes.extend(self.section.digest.to_le_bytes());
         }
         let is_new = |link: &&Link| {
@@ -550,10 +554,10 @@ impl Names<'_> {
         if pieces.is_empty() {
             return Ok(());
         }
-        let length = (bytes.len() as u32 - 8).to_le_bytes();
-        bytes[..4].copy_from_slice(&length);
-        bytes[4..8].copy_from_slice(&crc32fast::hash(&length).to_le_bytes());
-        let check = crc32fast::hash(&bytes[8..]);
+        let length = ((bytes.len() - BEFORE) as u64).to_le_bytes();
+        bytes[..8].copy_from_slice(&length);
+        bytes[8..BEFORE].copy_from_slice(&crc32fast::hash(&length).to_le_bytes());
+        let check = crc32fast::hash(&bytes[BEFORE..]);
         bytes.extend(check.to_le_bytes());
         let checkpoint = &*self.section.checkpoint;
         let mut store = checkpoint.store();

@@ -301,10 +301,12 @@ impl Hits {
         let found: Vec<Vec<Vec<Link>>> = blocks
             .into_par_iter()
             .map(|(range, mut rest)| {
-                progress.check()?;
                 let mut found = Vec::with_capacity(range.len());
                 let mut record = Record::default();
                 for i in range {
+                    if progress.is_stopped() {
+                        break;
+                    }
                     let (had, share) = (old[i], shares[i]);
                     let (own, tail) = rest.split_at_mut(share.hemisphere as usize);
                     rest = tail;
@@ -331,6 +333,7 @@ impl Hits {
                 if let Some(checkpoint) = &checkpoint {
                     checkpoint.write(record)?;
                 }
+                progress.check()?;
                 Ok(found)
             })
             .collect::<Result<_>>()?;

@@ -133,6 +133,9 @@ impl OutputFile {
         builder.prefix(&prefix).rand_bytes(RANDOM).suffix(".part");
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        // tempfile's own error would name the temporary file, and hides the operating system's.
+        let bare = |e: io::Error| io::Error::from(e.kind());
+        fs::metadata(directory(target)).map_err(failed)?;
         let file = loop {
             let file = builder.tempfile_in(directory(target)).map_err(|e| failed(bare(e)))?;
             // Locked until it has its name, so that nobody takes it for abandoned; who did so before is noticed.
@@ -178,13 +181,6 @@ impl Pending {
                 .map_err(failed),
         }
     }
-}
-
-/// The operating system's own error: tempfile's would name the temporary file.
-fn bare(error: io::Error) -> io::Error {
-    let inner = error.get_ref().and_then(|e| e.source()).and_then(|e| e.downcast_ref::<io::Error>());
-    let code = inner.unwrap_or(&error).raw_os_error();
-    code.map_or_else(|| error.kind().into(), io::Error::from_raw_os_error)
 }
 
 /// Removes temporary files for `target` that a process left which was killed: nobody holds their lock. What cannot be
