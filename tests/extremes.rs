@@ -471,7 +471,7 @@ fn thin_walls_hold_light_back() {
 }
 
 /// A lamp that is there twice, as exporters leave them, shines once: the second is hidden, and what it emits is lost. Both where
-/// lamps are few, and known exactly, and where they are many. Rays being the same, only roundings of other units differ.
+/// lamps are few, and known exactly, and where they are many. The rays are the same, what calibrates their rows is not.
 #[test]
 fn doubled_lamps_shine_once() {
     for pieces in [1, 3] {
@@ -490,14 +490,18 @@ fn doubled_lamps_shine_once() {
             light(cast(scene(&parts), Subdivision::Edge(0.15), options), None)
         };
         let (once, twice) = (lit(1), lit(2));
-        let walls = once.cast.of_part(0);
-        let off = walls
-            .iter()
-            .map(|&i| (twice.solution.irradiance[i] / once.solution.irradiance[i] - 1.0).abs())
-            .fold(0.0, f64::max);
+        let (mut off, mut sigmas) = (0f64, 0f64);
+        for i in once.cast.of_part(0) {
+            let [a, b] = [&once, &twice].map(|lit| lit.solution.irradiance[i]);
+            off = off.max((b / a - 1.0).abs());
+            sigmas = sigmas.max((b - a).abs() / once.errors[i].hypot(twice.errors[i]));
+        }
         let hidden = twice.cast.of_part(2);
-        println!("a doubled lamp of {} triangles: off by {off:.1e}", ceiling.len());
-        assert!(off <= 1e-5, "{off:e}");
+        println!(
+            "a doubled lamp of {} triangles: off by {off:.1e}, {sigmas:.1} standard errors",
+            ceiling.len()
+        );
+        assert!(sigmas <= T15, "{off:e}, {sigmas}");
         assert!(hidden.iter().all(|&i| twice.cast.form_factors.escaped()[i] == 1.0));
         assert!((twice.ledger.emitted[0] / once.ledger.emitted[0] - 2.0).abs() <= 1e-12);
     }

@@ -67,7 +67,7 @@ impl Memory {
         let (sums, deviations) = (16.0 + 8.0 * channels, 4.0 * (7.0 * channels + 3.0));
         Memory {
             scene: BASE + TRIANGLE * scene.triangles.len() as f64,
-            patches: n * 1000.0,
+            patches: n * 1200.0,
             hits: n * hits,
             matrix: n * matrix,
             calibration: n * factors,
