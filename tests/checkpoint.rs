@@ -199,6 +199,42 @@ fn damage_is_recognised_wherever_it_is() {
     }
 }
 
+/// Checksums may be right where what they guard is not: what cannot be is refused when it is used.
+#[test]
+fn what_cannot_be_is_refused_even_with_right_checksums() {
+    let scene = furnished();
+    let (_dir, path) = finished(&scene);
+    let bytes = fs::read(&path).unwrap();
+    let (start, end) = (48 + 12, records(&bytes)[1] - 4);
+    let target = start + 8 + 28;
+    let links = target + 4 * u32::from_le_bytes(std::array::from_fn(|k| bytes[start + 20 + k])) as usize;
+    let lamp = Patches::subdivide(&scene, &Subdivision::Count(64));
+    let lamp = (0..lamp.len()).find(|&i| lamp.emission()[i] > 0.0).unwrap() as u32;
+    // A lamp, with which pairs have links; patches that there are not; a link to what is no lamp, and of no kind.
+    for (at, value) in [
+        (target, &lamp.to_le_bytes()[..]),
+        (target, &[0xff, 0xff, 0xff, 0x7f]),
+        (target, &[0xf0, 0xff, 0xff, 0xff]),
+        (links, &[0; 4]),
+        (links + 4, &f32::NAN.to_le_bytes()),
+        (links + 12, &[9]),
+    ] {
+        let mut crafted = bytes.clone();
+        crafted[at..at + value.len()].copy_from_slice(value);
+        let check = crc32fast::hash(&crafted[start..end]);
+        crafted[end..end + 4].copy_from_slice(&check.to_le_bytes());
+        fs::write(&path, &crafted).unwrap();
+        let (tracer, progress) = (Tracer::new(&scene), Progress::new());
+        let mut patches = Patches::subdivide(&scene, &Subdivision::Count(64));
+        let file = Some(open(&path, &scene));
+        let cast =
+            FormFactors::cast_checkpointed(&scene, &tracer, &mut patches, &options(32.0), file, &progress);
+        let error = cast.map(|_| ()).unwrap_err();
+        assert!(matches!(error, Error::Input { .. }), "{value:?} at {at}: {error}");
+        assert!(error.to_string().contains("damaged"), "{error}");
+    }
+}
+
 /// What is of something else is named, and left as it is.
 #[test]
 fn what_is_foreign_is_refused() {

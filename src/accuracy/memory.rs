@@ -60,8 +60,8 @@ impl Memory {
         let both = if pooled { 2.0 } else { 1.0 };
         let hits = 4.0 * hemisphere + LINK * links + 100.0;
         let matrix = ENTRY * row(both * rays, n);
-        // Of a family of four put together: as they are found, then as a matrix.
-        let merging = 3.0 * ENTRY * row(4.0 * both * rays, 0.25 * n) * 0.25;
+        // Of a family of four put together: as they are found, 16 bytes and room to spare, then as a matrix.
+        let merging = 3.5 * ENTRY * row(4.0 * both * rays, 0.25 * n) * 0.25;
         let factors = if pooled { 1.5 * matrix + ENTRY * row(rays, n) } else { 2.0 * ENTRY * row(rays, n) };
         let half = ENTRY * row(0.5 * both * rays, n);
         let (sums, deviations) = (16.0 + 8.0 * channels, 4.0 * (7.0 * channels + 3.0));

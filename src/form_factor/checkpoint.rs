@@ -478,7 +478,12 @@ impl Names<'_> {
         let (targets, links) = bytes.split_at(4 * targets);
         for (index, target) in (piece.from.hemisphere..).zip(targets.as_chunks::<4>().0) {
             if (had.hemisphere..to.hemisphere).contains(&index) {
-                known.targets.push(self.present(u32::from_le_bytes(*target))?);
+                let target = u32::from_le_bytes(*target);
+                // With a source at either end the pair has links.
+                if target < LINKED && self.sources.concern(patch, target as usize) {
+                    return None;
+                }
+                known.targets.push(self.present(target)?);
             }
         }
         for link in links.as_chunks::<LINK>().0 {
