@@ -114,7 +114,7 @@ fn targets(name: &str, scene: &Scene, tracer: &Tracer, reference: &Solved) -> Re
         let cast = CastOptions { seed, ..CastOptions::default() };
         let options = SolveOptions::default();
         let (solved, rounds) =
-            refine(scene, tracer, patches, &cast, &options, &plan, |_, _| Ok(()), &Progress::new())?;
+            refine(scene, tracer, patches, &cast, &options, &plan, |_, _| Ok(()), None, &Progress::new())?;
         let off: Vec<f64> = solved.solution.irradiance.iter().zip(truth).map(|(e, t)| e - t).collect();
         let actual = relative_rms(&off, truth, areas);
         honest += usize::from(actual <= 1.15 * TARGET);

@@ -109,6 +109,7 @@ fn a_wanted_error_is_reached() {
                 told = rounds.to_vec();
                 Ok(())
             },
+            None,
             &Progress::new(),
         )
         .unwrap();

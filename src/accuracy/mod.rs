@@ -4,6 +4,7 @@ pub mod bias;
 pub mod comparison;
 pub mod discretisation;
 pub mod error_bars;
+pub mod memory;
 pub mod refinement;
 pub mod solved;
 pub mod survey;

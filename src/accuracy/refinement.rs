@@ -3,7 +3,7 @@
 //! Every round keeps all rays cast before, and sends more where they lower the error of irradiance most. How many more is
 //! told by [`Plan`]s, which look at the rounds so far and at nothing else.
 
-use std::time::Instant;
+use std::{sync::Arc, time::Instant};
 
 use crate::{
     Progress, Result,
@@ -11,7 +11,7 @@ use crate::{
         error_bars::{ErrorBars, relative_rms},
         solved::Solved,
     },
-    form_factor::{CastOptions, FormFactors},
+    form_factor::{CastOptions, Checkpoint, FormFactors},
     patch::Patches,
     scene::Scene,
     solve::{SolveOptions, solve},
@@ -96,10 +96,11 @@ fn rate(rounds: &[Round]) -> f64 {
 }
 
 /// Casts and solves in rounds as `plan` says, calls `tell` after each with the solution and all rounds so far, and returns
-/// the last solution. The first round has the rays of `cast`.
+/// the last solution. The first round has the rays of `cast`. What rays meet is kept in the checkpoint, if there is one, and
+/// taken from there where it is known.
 ///
 /// # Errors
-/// As [`FormFactors::cast`] and [`solve()`], and what `tell` returns.
+/// As [`FormFactors::cast_checkpointed`] and [`solve()`], and what `tell` returns.
 #[expect(clippy::too_many_arguments, reason = "all stages of a solution")]
 pub fn refine(
     scene: &Scene,
@@ -109,11 +110,13 @@ pub fn refine(
     options: &SolveOptions,
     plan: &Plan,
     mut tell: impl FnMut(&Solved, &[Round]) -> Result<()>,
+    checkpoint: Option<Arc<Checkpoint>>,
     progress: &Progress,
 ) -> Result<(Solved, Vec<Round>)> {
     let start = Instant::now();
     let mut rounds: Vec<Round> = Vec::new();
-    let mut form_factors = FormFactors::cast(scene, tracer, &mut patches, cast, progress)?;
+    let mut form_factors =
+        FormFactors::cast_checkpointed(scene, tracer, &mut patches, cast, checkpoint, progress)?;
     loop {
         let before = rounds.last().map_or(0.0, |round| round.elapsed);
         let casting = start.elapsed().as_secs_f64() - before;

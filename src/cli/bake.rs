@@ -25,7 +25,7 @@ use radiosity::{
 };
 
 use super::{
-    Common, Outcome, forecast,
+    Common, Outcome,
     options::{CastArgs, SceneArgs, positive, stops},
     outputs::{self, Directory},
     pipeline::{self, Job, Solved},
@@ -147,7 +147,7 @@ impl BakeArgs {
     }
 
     fn job(&self) -> Job<'_> {
-        Job { file: &self.scene.path, cast: &self.cast, seed: self.seed }
+        Job { file: &self.scene.path, cast: &self.cast, seed: self.seed, limit: self.common.limit() }
     }
 }
 
@@ -167,7 +167,7 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     let atlas;
     (atlas, times.atlas) =
         watch.stage("atlas", || Atlas::new(&scene, &tracer, args.layout(), args.coordinates()))?;
-    forecast::check_map(atlas.texels() as f64)?;
+    args.common.limit().check_map(atlas.texels() as f64)?;
     let directory = Directory::new(&args.output)?;
     let files = Files::new(args, &directory, &atlas, &scene)?;
     let all: Vec<&OutputFile> = files.0.iter().map(|file| &file.output).chain(&report_file).collect();
@@ -190,7 +190,7 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
         pending.push(file.write(|out| report.write(out))?);
     }
     watch.progress().check()?;
-    pending.into_iter().try_for_each(Pending::commit)?;
+    Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
         to_stdout(&summary::bake(&report, &args.output.display().to_string()));

@@ -1,123 +1,266 @@
-//! What a computation will need, before it starts.
+//! What a computation will need, before it starts, and what it may.
 
-use radiosity::{Error, Result};
+use radiosity::{
+    Error, Result, Scene,
+    accuracy::memory::Memory,
+    form_factor::Estimator,
+    patch::{Patches, Subdivision},
+};
 
-const GIB: f64 = (1u64 << 30) as f64;
+use super::summary;
+
 /// Patches are numbered with 31 bits.
 const MOST_PATCHES: f64 = (1u64 << 31) as f64;
+/// More than this is worth a word.
+const MUCH: f64 = (1u64 << 30) as f64;
 
-/// Bytes that the rays' hits and the matrix of so many patches take.
-///
-/// Were the hits spread evenly, a row of the matrix would have n (1 - exp(-2 r / n)) entries, of its own r rays and those
-/// that other patches send it; in a real scene they crowd together and it has fewer. An upper estimate, then, but
-/// for backs, which only the rays find.
-pub fn bytes(patches: f64, rays: f64) -> f64 {
-    let entries = patches * (-(-2.0 * rays / patches).exp_m1());
-    // Values and columns, hits, and about 20 numbers a patch.
-    patches * (8.0 * entries + 4.0 * rays + 160.0)
+/// Bytes that a computation may take.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limit {
+    bytes: f64,
+    /// Whether someone said so, or it is all that there is.
+    given: bool,
 }
 
-/// Refuses what cannot be held; returns a warning when it is much.
-pub fn check(patches: f64, rays: f64) -> Result<Option<String>> {
-    let bytes = bytes(patches, rays);
-    let fewer = || Some("choose a larger --patch-size, fewer --patches or fewer --rays".into());
-    if patches >= MOST_PATCHES {
-        let message = format!("{patches:.3e} patches are more than the program can number");
-        return Err(Error::Usage { message, hint: fewer() });
-    }
-    if let Some(memory) = memory().filter(|&memory| bytes > memory) {
-        return Err(Error::Usage {
-            message: format!(
-                "{patches:.3e} patches with {rays} rays each need about {:.0} GiB of memory, this machine has {:.0}",
-                bytes / GIB,
-                memory / GIB
-            ),
-            hint: fewer(),
-        });
-    }
-    Ok((bytes > GIB).then(|| {
-        format!(
-            "the form factors of {patches:.0} patches will take about {:.1} GiB of memory, up to twice that while they \
-             are made",
-            bytes / GIB
-        )
-    }))
+/// A computation by its patches and its mean number of rays each.
+pub struct Work<'a> {
+    pub scene: &'a Scene,
+    pub patches: f64,
+    pub rays: f64,
+    /// Bytes for other numbers of these.
+    pub bytes: &'a dyn Fn(f64, f64) -> f64,
+    /// The options that say how many there are.
+    pub options: [&'static str; 2],
 }
 
-/// The most rays a patch that memory can hold for so many patches.
-pub fn most_rays(patches: f64) -> f64 {
-    let Some(memory) = memory() else { return f64::INFINITY };
-    let (mut few, mut many) = (0.0, memory);
-    for _ in 0..60 {
-        let middle = 0.5 * (few + many);
-        if bytes(patches, middle) > memory { many = middle } else { few = middle }
-    }
-    few
+/// The options that say how many patches and rays there are, for most commands.
+pub const USUAL: [&str; 2] = ["--patches", "--rays"];
+
+/// Bytes for one solution.
+pub fn bytes(scene: &Scene, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
+    move |patches, rays| Memory::of(scene, patches, rays, estimator).peak()
 }
 
-/// Refuses a picture that memory cannot hold.
-pub fn check_picture(pixels: f64, by_particles: bool) -> Result<()> {
-    // The film, what automatic exposure sorts, the encoded picture; by particles a sum for each thread and an estimate
-    // a pixel too.
-    let threads = rayon::current_num_threads() as f64;
-    let bytes = pixels * if by_particles { 200.0 + 24.0 * threads } else { 60.0 };
-    match memory().filter(|&memory| bytes > memory) {
-        None => Ok(()),
-        Some(memory) => Err(Error::Usage {
-            message: format!(
-                "a picture of {pixels:.2e} pixels needs about {:.0} GiB of memory, this machine has {:.0}",
-                bytes / GIB,
-                memory / GIB
-            ),
-            hint: Some("give a smaller --width and --height".into()),
-        }),
+impl Limit {
+    /// What was given, else what this machine has; no limit where that is not known.
+    pub fn new(given: Option<f64>) -> Limit {
+        let bytes = given.or_else(machine).unwrap_or(f64::INFINITY);
+        Limit { bytes, given: given.is_some() }
+    }
+
+    /// What stands in the way of so many bytes, if anything.
+    fn objection(self, bytes: f64) -> Option<String> {
+        let owner = if self.given { "--memory allows" } else { "this machine has" };
+        let [need, limit] = [bytes, self.bytes].map(summary::memory);
+        (!(bytes <= self.bytes)).then(|| format!("about {need} of memory, {owner} {limit}"))
+    }
+
+    /// Whether so much is allowed.
+    pub fn allows(self, bytes: f64) -> bool {
+        self.objection(bytes).is_none()
+    }
+
+    /// Refuses what may not be held, and says what could be; returns a warning when it is much.
+    pub fn check(self, work: &Work) -> Result<Option<String>> {
+        let &Work { patches, rays, bytes, options: [many_patches, many_rays], .. } = work;
+        if patches >= MOST_PATCHES {
+            let message = format!("{patches:.3e} patches are more than the program can number");
+            let hint = format!("choose a larger --patch-size or fewer {many_patches}");
+            return Err(Error::Usage { message, hint: Some(hint) });
+        }
+        let need = bytes(patches, rays);
+        if let Some(objection) = self.objection(need) {
+            let mut ways = Vec::new();
+            ways.extend(self.patches(work).map(|n| format!("{many_patches} {n}")));
+            ways.extend(self.rays(work).map(|n| format!("{many_rays} {n}")));
+            ways.push(match self.given {
+                true => format!("--memory {}", exact(need)),
+                false => "a machine with more".into(),
+            });
+            return Err(Error::Usage {
+                message: format!("{patches:.3e} patches with {rays:.0} rays each need {objection}"),
+                hint: Some(format!("it takes {}", ways.join(", or "))),
+            });
+        }
+        let warning = || format!("this may take up to {} of memory", summary::memory(need));
+        Ok((need > MUCH).then(warning))
+    }
+
+    /// A number of patches to ask for that may be held with the same rays.
+    fn patches(self, work: &Work) -> Option<u64> {
+        let least = work.scene.triangles.len() as f64;
+        let mut wanted = work.patches;
+        loop {
+            wanted = round_down(0.8 * wanted);
+            if wanted < least {
+                return None;
+            }
+            // As many as it will be, not as were asked for.
+            let made = Patches::forecast(work.scene, &Subdivision::Count(wanted as usize));
+            if self.allows((work.bytes)(made.max(wanted), work.rays)) {
+                return Some(wanted as u64);
+            }
+        }
+    }
+
+    /// A number of rays that may be held with the same patches.
+    fn rays(self, work: &Work) -> Option<u64> {
+        let rays = round_down(self.most_rays(work.patches, work.bytes));
+        (rays >= 16.0 && rays < work.rays).then_some(rays as u64)
+    }
+
+    /// The most rays a patch that may be held for so many patches.
+    pub fn most_rays(self, patches: f64, bytes: impl Fn(f64, f64) -> f64) -> f64 {
+        if self.bytes == f64::INFINITY {
+            return f64::INFINITY;
+        }
+        let (mut few, mut many) = (0.0, self.bytes);
+        for _ in 0..100 {
+            let middle = 0.5 * (few + many);
+            if self.allows(bytes(patches, middle)) { few = middle } else { many = middle }
+        }
+        few
+    }
+
+    /// Refuses a picture that may not be held.
+    pub fn check_picture(self, pixels: f64, by_particles: bool) -> Result<()> {
+        // The film, what automatic exposure sorts, the encoded picture; by particles a sum for each thread and an estimate
+        // a pixel too.
+        let threads = rayon::current_num_threads() as f64;
+        let a_pixel = if by_particles { 200.0 + 24.0 * threads } else { 60.0 };
+        self.check_image("picture", "pixels", pixels, a_pixel, "a smaller --width and --height")
+    }
+
+    /// Refuses a lightmap that may not be held.
+    pub fn check_map(self, texels: f64) -> Result<()> {
+        // Pieces of surface, two signals with their errors before and after denoising, the image and what files need.
+        self.check_image("map", "texels", texels, 300.0, "a longer --texel or a smaller --resolution")
+    }
+
+    fn check_image(self, what: &str, of: &str, count: f64, a_piece: f64, smaller: &str) -> Result<()> {
+        match self.objection(count * a_piece) {
+            None => Ok(()),
+            Some(objection) => Err(Error::Usage {
+                message: format!("a {what} of {count:.2e} {of} needs {objection}"),
+                hint: Some(format!("give {smaller}: {:.1e} {of} fit", round_down(self.bytes / a_piece))),
+            }),
+        }
     }
 }
 
-/// Refuses a lightmap that memory cannot hold.
-pub fn check_map(texels: f64) -> Result<()> {
-    // Pieces of surface, two signals with their errors before and after denoising, the image and what files need.
-    let bytes = texels * 300.0;
-    match memory().filter(|&memory| bytes > memory) {
-        None => Ok(()),
-        Some(memory) => Err(Error::Usage {
-            message: format!(
-                "a map of {texels:.2e} texels needs about {:.0} GiB of memory, this machine has {:.0}",
-                bytes / GIB,
-                memory / GIB
-            ),
-            hint: Some("give a longer --texel or a smaller --resolution".into()),
-        }),
-    }
+/// Two digits, the rest zero.
+fn round_down(x: f64) -> f64 {
+    let unit = 10f64.powf(x.max(1.0).log10().floor() - 1.0).max(1.0);
+    (x / unit).floor() * unit
 }
 
-/// Memory and swap space of this machine, as Linux tells.
-fn memory() -> Option<f64> {
+/// As `--memory` reads it, not less.
+fn exact(bytes: f64) -> String {
+    format!("{}MiB", (bytes / f64::from(1 << 20)).ceil())
+}
+
+/// Reads a number of bytes with or without a unit: B; kB, MB, GB, TB; KiB, MiB, GiB, TiB or K, M, G, T.
+pub fn size(text: &str) -> std::result::Result<f64, String> {
+    let text = text.trim();
+    let digits = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    // An exponent is no unit.
+    let (number, unit) = match text.parse::<f64>() {
+        Ok(_) => (text, ""),
+        Err(_) => text.split_at(digits),
+    };
+    let unit = unit.to_lowercase();
+    let power =
+        |base: f64, letter: u8| base.powi(1 + b"kmgt".iter().position(|&l| l == letter)? as i32).into();
+    let factor: Option<f64> = match unit.as_bytes() {
+        b"" | b"b" => Some(1.0),
+        [letter] | [letter, b'i', b'b'] => power(1024.0, *letter),
+        [letter, b'b'] => power(1000.0, *letter),
+        _ => None,
+    };
+    let bytes = factor.and_then(|factor| Some(factor * number.trim().parse::<f64>().ok()?));
+    bytes.filter(|b| b.is_finite() && *b >= 1.0).ok_or("a size like 500MB or 4GiB is wanted".into())
+}
+
+/// Memory and swap space of this machine, as Linux tells, or what its control group leaves of it.
+fn machine() -> Option<f64> {
     let info = std::fs::read_to_string("/proc/meminfo").ok()?;
     let kibibytes = |name: &str| -> Option<f64> {
         let line = info.lines().find_map(|line| line.strip_prefix(name))?;
         line.trim().strip_suffix("kB")?.trim().parse().ok()
     };
-    Some(1024.0 * (kibibytes("MemTotal:")? + kibibytes("SwapTotal:").unwrap_or(0.0)))
+    let all = 1024.0 * (kibibytes("MemTotal:")? + kibibytes("SwapTotal:").unwrap_or(0.0));
+    let group = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();
+    let group = group.and_then(|text| text.trim().parse::<f64>().ok());
+    Some(all.min(group.unwrap_or(f64::INFINITY)))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
+    use radiosity::scene::Material;
+
+    fn triangle() -> Scene {
+        let corners = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        Scene::new(&[(corners, 0)], vec![Material::new("m", [0.5; 3], [1.0; 3])])
+    }
 
     #[test]
-    fn the_forecast_grows_to_a_full_matrix_and_no_further() {
-        let full = |n: f64, rays: f64| (bytes(n, rays) - n * (4.0 * rays + 160.0)) / (8.0 * n * n);
-        assert!((full(100.0, 1e6) - 1.0).abs() < 1e-12);
-        // Few rays: two entries a ray.
-        assert!((full(1e8, 10.0) - 20.0 / 1e8).abs() < 1e-13);
+    fn sizes_are_read_with_their_units() {
+        for (text, bytes) in [
+            ("1000", 1e3),
+            ("1e9", 1e9),
+            ("500MB", 5e8),
+            ("4GiB", 4.0 * 1024f64.powi(3)),
+            ("1.5 g", 1.5 * 1024f64.powi(3)),
+            ("2k", 2048.0),
+            ("1TB", 1e12),
+            ("7b", 7.0),
+        ] {
+            assert_eq!(size(text), Ok(bytes), "{text}");
+        }
+        for wrong in ["", "GB", "-1GB", "0", "nan", "inf", "1XB", "1GiBs", "1 2", "1e400", "1é"] {
+            assert!(size(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn what_is_refused_could_be_done_as_the_hint_says() {
+        let scene = triangle();
+        let bytes = bytes(&scene, Estimator::Pooled);
+        for (memory, patches, rays) in [(1e8, 1e5, 64.0), (1e9, 4096.0, 1e6), (4e9, 1e7, 1e3)] {
+            let limit = Limit { bytes: memory, given: true };
+            let work = |patches, rays| Work { scene: &scene, patches, rays, bytes: &bytes, options: USUAL };
+            let error = limit.check(&work(patches, rays)).unwrap_err();
+            let hint = error.hint().unwrap();
+            let value = |option: &str| -> Option<&str> {
+                Some(hint.split_once(option)?.1.trim_start().split([',', ' ']).next().unwrap())
+            };
+            if let Some(n) = value("--patches") {
+                let made = Patches::forecast(&scene, &Subdivision::Count(n.parse().unwrap()));
+                assert!(limit.check(&work(made, rays)).is_ok(), "{hint}");
+            }
+            if let Some(n) = value("--rays") {
+                assert!(limit.check(&work(patches, n.parse().unwrap())).is_ok(), "{hint}");
+            }
+            assert!(value("--patches").is_some() || value("--rays").is_some(), "{hint}");
+            let more = Limit { bytes: size(value("--memory").unwrap()).unwrap(), given: true };
+            assert!(more.check(&work(patches, rays)).is_ok(), "{hint}");
+        }
     }
 
     #[test]
     fn much_memory_is_told_and_too_much_is_refused() {
-        assert!(check(8_000.0, 64.0).unwrap().is_none());
-        let message = check(1e9, 1e6).unwrap_err().to_string();
-        assert!(message.contains("GiB of memory"), "{message}");
-        assert!(check(3e9, 64.0).is_err());
+        let scene = triangle();
+        let bytes = bytes(&scene, Estimator::Pooled);
+        let work = |patches, rays| Work { scene: &scene, patches, rays, bytes: &bytes, options: USUAL };
+        let limit = Limit { bytes: 16e9, given: false };
+        assert!(limit.check(&work(8_000.0, 64.0)).unwrap().is_none());
+        assert!(limit.check(&work(100_000.0, 512.0)).unwrap().is_some());
+        let message = limit.check(&work(1e9, 1e6)).unwrap_err().to_string();
+        assert!(message.contains("GiB of memory") || message.contains("TiB of memory"), "{message}");
+        assert!(limit.check(&work(3e9, 64.0)).is_err());
+        assert!(limit.check_picture(1e9, false).is_err() && limit.check_picture(1e6, true).is_ok());
+        assert!(limit.check_map(1e9).is_err() && limit.check_map(1e6).is_ok());
     }
 }

@@ -8,7 +8,7 @@ use radiosity::{
     Progress, Quality, Result, Scene,
     accuracy::{error_bars::ErrorBars, survey::Survey},
     energy::EnergyLedger,
-    form_factor::{CastOptions, FormFactors},
+    form_factor::{CastOptions, Estimator, FormFactors},
     output::inspection_report::{InspectionReport, MaterialReport},
     patch::{Patches, Subdivision},
     scene::{Material, inspection::Inspection},
@@ -51,12 +51,12 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     let (survey, _) = watch.stage("rays", || Ok(Survey::of(&scene, &tracer, RAYS, 0)))?;
     let a_ray = survey.seconds / (survey.all.rays + survey.lamps.rays).max(1) as f64 + bookkeeping;
 
-    let file = args.scene.path.display().to_string();
+    let (bytes, file) = (forecast::bytes(&scene, Estimator::Pooled), args.scene.path.display().to_string());
     let report = InspectionReport::new(&file, &scene, &inspection, &survey, |quality: Quality| {
         let fronts = Patches::forecast(&scene, &Subdivision::Count(quality.patches));
         let patches = (fronts * (1.0 + survey.back_area)).round();
         let rays = f64::from(quality.rays);
-        (patches, patches * rays, forecast::bytes(patches, rays), patches * rays * a_ray)
+        (patches, patches * rays, bytes(patches, rays), patches * rays * a_ray)
     });
     watch.begin_writing();
     if let Some(file) = report_file {
@@ -64,7 +64,7 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     }
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&table(&report));
+        to_stdout(&table(&report, args.common.limit()));
     }
     Ok(Outcome::Done)
 }
@@ -94,7 +94,7 @@ fn bookkeeping(progress: &Progress) -> Result<f64> {
     Ok((all - tracing).max(0.0))
 }
 
-fn table(report: &InspectionReport) -> String {
+fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
     let mut text = String::new();
     let mut row = |name: &str, value: String| summary::row(&mut text, name, &value);
     let scene = &report.scene;
@@ -150,10 +150,11 @@ fn table(report: &InspectionReport) -> String {
         row(
             f.quality,
             format!(
-                "about {} patches, {:.2e} rays; form factors up to {}, about {}",
+                "about {} patches, {:.2e} rays; up to {} of memory{}, about {}",
                 f.patches,
                 f.rays,
                 summary::memory(f.bytes),
+                if limit.allows(f.bytes) { "" } else { ", which is refused" },
                 time(f.seconds)
             ),
         );

@@ -62,9 +62,16 @@ struct Common {
     /// Use so many threads; all processors unless told. The result is the same for any number
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
+    /// Refuse at once what would take more memory, as in 500MB or 4GiB [default: what this machine has]
+    #[arg(long, value_name = "SIZE", value_parser = forecast::size)]
+    memory: Option<f64>,
 }
 
 impl Common {
+    fn limit(&self) -> forecast::Limit {
+        forecast::Limit::new(self.memory)
+    }
+
     fn start_threads(&self) -> Result<()> {
         let Some(threads) = self.threads else { return Ok(()) };
         rayon::ThreadPoolBuilder::new().num_threads(threads.get()).build_global().map_err(|e| Error::Usage {

@@ -43,11 +43,20 @@ pub fn report(path: &Path, scene: &Path) -> Result<OutputFile> {
 
 /// Where text can be written to; `what` it is.
 pub fn text(path: &Path, inputs: &[&Path], what: &str) -> Result<OutputFile> {
+    no_scene(path, inputs, what, "give it a name that ends in .json or .txt")
+}
+
+/// Where a checkpoint can be kept.
+pub fn checkpoint(path: &Path, scene: &Path) -> Result<OutputFile> {
+    no_scene(path, &[scene], "a checkpoint", "give it a name that ends in .checkpoint")
+}
+
+fn no_scene(path: &Path, inputs: &[&Path], what: &str, hint: &str) -> Result<OutputFile> {
     let output = OutputFile::new(path, inputs)?;
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
     if extension.is_some_and(|e| INPUT_KINDS.contains(&e.as_str())) {
         let message = format!("{what} may not take the name of a scene, material or texture");
-        return Err(usage(path, &message, "give it a name that ends in .json or .txt"));
+        return Err(usage(path, &message, hint));
     }
     Ok(output)
 }

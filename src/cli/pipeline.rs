@@ -4,7 +4,7 @@ use std::path::Path;
 
 use radiosity::{
     Error, Result, Scene,
-    form_factor::{CastOptions, FormFactors},
+    form_factor::{CastOptions, Estimator, FormFactors},
     output::{file::OutputFile, report::Seconds},
     patch::Patches,
     solve::{self, Solution, SolveOptions},
@@ -12,7 +12,7 @@ use radiosity::{
 };
 
 use super::{
-    forecast,
+    forecast::{self, Limit, Work},
     options::{CastArgs, SceneArgs},
     watch::Watch,
 };
@@ -53,6 +53,7 @@ pub struct Job<'a> {
     pub file: &'a Path,
     pub cast: &'a CastArgs,
     pub seed: u64,
+    pub limit: Limit,
 }
 
 /// A solved scene.
@@ -66,8 +67,15 @@ impl Job<'_> {
     /// Refuses what cannot be held in memory; warns of what is much.
     pub fn check(&self, scene: &Scene, watch: &Watch) -> Result<()> {
         let (subdivision, _) = self.cast.subdivision();
-        let forecast = Patches::forecast(scene, &subdivision);
-        if let Some(warning) = forecast::check(forecast, f64::from(self.cast.rays()))? {
+        let bytes = forecast::bytes(scene, Estimator::Pooled);
+        let work = Work {
+            scene,
+            patches: Patches::forecast(scene, &subdivision),
+            rays: f64::from(self.cast.rays()),
+            bytes: &bytes,
+            options: forecast::USUAL,
+        };
+        if let Some(warning) = self.limit.check(&work)? {
             watch.warn(&warning);
         }
         Ok(())

@@ -135,7 +135,7 @@ pub fn run(args: &ProbeArgs) -> Result<Outcome> {
     };
     pending.extend(report_file.map(|file| file.write(|out| report.write(out))).transpose()?);
     watch.progress().check()?;
-    pending.into_iter().try_for_each(Pending::commit)?;
+    Pending::commit_all(pending)?;
     drop(watch);
     if args.output.is_none() {
         print(&probes, &estimates)?;
@@ -169,7 +169,8 @@ fn estimate(
             patches = None;
         }
         Method::Radiosity => {
-            let job = Job { file: &args.scene.path, cast: &args.cast, seed: args.seed };
+            let job =
+                Job { file: &args.scene.path, cast: &args.cast, seed: args.seed, limit: args.common.limit() };
             job.check(scene, watch)?;
             let Solved { patches: solved, solution, .. } =
                 job.solve(scene, tracer, watch, &mut times.stages)?;

@@ -19,7 +19,6 @@ use radiosity::{
 use super::{
     Common, Outcome,
     camera::{self, CameraArgs},
-    forecast,
     options::{CastArgs, SceneArgs, stops, white},
     outputs,
     pipeline::{self, Job, Solved},
@@ -114,13 +113,13 @@ impl RenderArgs {
     }
 
     fn job(&self) -> Job<'_> {
-        Job { file: &self.scene.path, cast: &self.cast, seed: self.seed }
+        Job { file: &self.scene.path, cast: &self.cast, seed: self.seed, limit: self.common.limit() }
     }
 
     /// Refuses pictures that neither memory nor a day's work can hold.
     fn check_size(&self, camera: &Camera) -> Result<()> {
         let pixels = (camera.width() * camera.height()) as u64;
-        forecast::check_picture(pixels as f64, self.method == Method::Light)?;
+        self.common.limit().check_picture(pixels as f64, self.method == Method::Light)?;
         if self.method == Method::Light && pixels.saturating_mul(self.spp.into()) > MOST_PARTICLES {
             return Err(Error::Usage {
                 message: format!("{} particles for each of {pixels} pixels are too many", self.spp),
@@ -178,7 +177,7 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
     };
     pending.extend(report_file.map(|file| file.write(|out| report.write(out))).transpose()?);
     watch.progress().check()?;
-    pending.into_iter().try_for_each(Pending::commit)?;
+    Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
         let names = outputs::names(&[&Some(args.output.clone()), &args.report]);

@@ -1,6 +1,6 @@
 //! How long `solve` samples, and on which patches.
 
-use std::time::Instant;
+use std::{sync::Arc, time::Instant};
 
 use radiosity::{
     Result, Scene,
@@ -9,13 +9,18 @@ use radiosity::{
         refinement::{FIRST_RAYS, Plan, Round, refine},
         solved::Solved,
     },
-    form_factor::CastOptions,
+    form_factor::{CastOptions, Checkpoint, Estimator},
     output::report::Seconds,
     patch::{Patches, Subdivision},
     trace::Tracer,
 };
 
-use super::{forecast, pipeline::blame, solve::SolveArgs, watch::Watch};
+use super::{
+    forecast::{self, Work},
+    pipeline::blame,
+    solve::SolveArgs,
+    watch::Watch,
+};
 
 /// Patches that a wanted error starts with.
 const FIRST_PATCHES: usize = 1000;
@@ -31,6 +36,8 @@ pub struct Sampling<'a> {
     pub scene: &'a Scene,
     pub tracer: &'a Tracer,
     pub watch: &'a Watch,
+    /// Where rays are kept.
+    pub checkpoint: Option<Arc<Checkpoint>>,
 }
 
 /// What came of it.
@@ -57,7 +64,8 @@ impl Sampling<'_> {
             target = Some(left.unwrap_or(wanted));
         }
         let count = Patches::forecast(self.scene, &subdivision);
-        if let Some(warning) = forecast::check(count, rays)? {
+        let bytes = forecast::bytes(self.scene, args.estimator());
+        if let Some(warning) = args.common.limit().check(&self.work(count, rays, &bytes))? {
             self.watch.warn(&warning);
         }
         let (patches, subdivide) =
@@ -67,11 +75,10 @@ impl Sampling<'_> {
         let plan = Plan {
             error: target,
             seconds: args.time.map(|seconds| seconds - before),
-            most_rays: in_rounds.then(|| forecast::most_rays(count)),
+            most_rays: in_rounds.then(|| args.common.limit().most_rays(count, &bytes)),
         };
         let cast =
             CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
-        let options = args.solve_options();
         let tell = |solved: &Solved, rounds: &[Round]| {
             if !in_rounds {
                 return Ok(());
@@ -82,25 +89,40 @@ impl Sampling<'_> {
             self.tell(&plan, rounds);
             Ok(())
         };
-        let ((solved, rounds), _) = self.watch.stage("rays", || {
-            refine(self.scene, self.tracer, patches, &cast, &options, &plan, tell, self.watch.progress())
-                .map_err(|error| blame(&args.scene.path, error))
-        })?;
+        let ((solved, rounds), _) = self.watch.stage("rays", || self.refine(patches, &cast, &plan, tell))?;
         times.form_factors = rounds.iter().map(|round| round.casting).sum();
         times.solve = rounds.last().map_or(0.0, |round| round.elapsed) - times.form_factors;
         Ok(Sampled { solved, rounds, chosen })
+    }
+
+    fn work<'a>(&'a self, patches: f64, rays: f64, bytes: &'a dyn Fn(f64, f64) -> f64) -> Work<'a> {
+        Work { scene: self.scene, patches, rays, bytes, options: forecast::USUAL }
+    }
+
+    fn refine(
+        &self,
+        patches: Patches,
+        cast: &CastOptions,
+        plan: &Plan,
+        tell: impl FnMut(&Solved, &[Round]) -> Result<()>,
+    ) -> Result<(Solved, Vec<Round>)> {
+        let (options, progress) = (self.args.solve_options(), self.watch.progress());
+        let file = self.checkpoint.clone();
+        refine(self.scene, self.tracer, patches, cast, &options, plan, tell, file, progress)
+            .map_err(|error| blame(&self.args.scene.path, error))
     }
 
     /// Patches small enough for a wanted error, and the error that they leave; none where that cannot be told.
     fn small_enough(&self, wanted: f64, start: Instant) -> Result<(Subdivision, Option<f64>)> {
         let mut subdivision = Subdivision::Count(FIRST_PATCHES);
         let mut floor = None;
+        let (limit, bytes) = (self.args.common.limit(), forecast::bytes(self.scene, Estimator::Pooled));
         for _ in 0..MOST_CUTS {
             let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
             let options = self.args.solve_options();
             let progress = self.watch.progress();
-            let solved = Solved::new(self.scene, self.tracer, &subdivision, &cast, &options, progress)
-                .map_err(|error| blame(&self.args.scene.path, error))?;
+            let patches = Patches::subdivide(self.scene, &subdivision);
+            let (solved, _) = self.refine(patches, &cast, &Plan::default(), |_, _| Ok(()))?;
             let Solved { patches, form_factors, solution, .. } = &solved;
             let found = Discretisation::of(form_factors, patches, solution, &options, progress)?;
             floor = found.map(|d| d.relative);
@@ -112,7 +134,8 @@ impl Sampling<'_> {
             }
             let next = Subdivision::Count((patches.fronts() as f64 * more.max(1.2)) as usize);
             let count = Patches::forecast(self.scene, &next);
-            if count <= patches.fronts() as f64 || forecast::check(count, FIRST_RAYS).is_err() {
+            if count <= patches.fronts() as f64 || limit.check(&self.work(count, FIRST_RAYS, &bytes)).is_err()
+            {
                 break;
             }
             subdivision = next;
@@ -156,7 +179,7 @@ impl Sampling<'_> {
             let left = round.elapsed * (rays / round.rays - 1.0);
             line += &format!("; {:.3} % needs about {rays:.0} rays, {left:.1} s more", 100.0 * target);
             if plan.most_rays.is_some_and(|most| rays > most) {
-                line += ": out of reach of this machine's memory";
+                line += ": out of reach of memory";
             }
         }
         if !self.args.common.quiet {

@@ -1,6 +1,10 @@
 //! `radiosity solve`: radiosity of every patch.
 
-use std::{path::PathBuf, time::Instant};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Instant,
+};
 
 use clap::{Args, ValueEnum};
 use radiosity::{
@@ -9,7 +13,7 @@ use radiosity::{
         bias, discretisation::Discretisation, error_bars::relative_rms, refinement::Round, solved::Solved,
     },
     energy::EnergyLedger,
-    form_factor::Estimator,
+    form_factor::{Checkpoint, Estimator},
     output::{
         exposure,
         file::{OutputFile, Pending},
@@ -25,7 +29,7 @@ use super::{
     options::{CastArgs, SceneArgs, below_one, percent, seconds_given, stops},
     outputs, pipeline,
     sampling::{Sampled, Sampling},
-    summary, to_stdout,
+    summary, to_stderr, to_stdout,
     watch::Watch,
 };
 
@@ -65,6 +69,10 @@ pub struct SolveArgs {
     /// Sample for as many seconds as this, and give the best answer by then
     #[arg(long, value_name = "SECONDS", value_parser = seconds_given, conflicts_with = "rays")]
     pub time: Option<f64>,
+    /// Keep what rays meet in this file as they are cast. After a stop or a kill the same command goes on from it, to the same
+    /// result. The file stays: more --rays or a lower --error go on from it too
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
     /// Another seed casts other rays; the same gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub seed: u64,
@@ -132,11 +140,27 @@ struct Computed {
 
 /// Runs the command.
 pub fn run(args: &SolveArgs) -> Result<Outcome> {
+    let result = solve(args);
+    match &args.checkpoint {
+        Some(path) if matches!(result, Err(Error::Stopped)) && path.exists() => {
+            to_stderr(format_args!(
+                "{} keeps what was cast: the same command goes on from there",
+                path.display()
+            ));
+        }
+        _ => {}
+    }
+    result
+}
+
+fn solve(args: &SolveArgs) -> Result<Outcome> {
     let start = Instant::now();
     args.check()?;
     let mesh = args.output.as_ref().map(|path| outputs::mesh(path, &args.scene.path)).transpose()?;
     let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
-    let files: Vec<_> = [&mesh, &report_file].into_iter().flatten().collect();
+    let checkpoint =
+        args.checkpoint.as_ref().map(|path| outputs::checkpoint(path, &args.scene.path)).transpose()?;
+    let files: Vec<_> = [&mesh, &report_file, &checkpoint].into_iter().flatten().collect();
     outputs::check_distinct(&files)?;
     args.common.start_threads()?;
 
@@ -172,7 +196,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
 
     watch.progress().check()?;
     // All is on the disk already: from here only names change.
-    pending.into_iter().try_for_each(Pending::commit)?;
+    Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
         let names = outputs::names(&[&args.output, &args.report]);
@@ -189,7 +213,8 @@ fn compute(
     times: &mut Seconds,
 ) -> Result<Computed> {
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
-    let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch };
+    let checkpoint = args.checkpoint.as_ref().map(|path| open(path, &scene, args, watch)).transpose()?;
+    let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch, checkpoint };
     let Sampled { solved, rounds, chosen } = sampling.run(start, times)?;
     let options = args.solve_options();
     let ((energy, error), seconds) = watch.stage("errors", || {
@@ -212,6 +237,22 @@ fn compute(
     })?;
     times.solve += seconds;
     Ok(Computed { scene, solved, rounds, chosen, energy, error })
+}
+
+/// Opens a checkpoint and says what is in it.
+fn open(path: &Path, scene: &Scene, args: &SolveArgs, watch: &Watch) -> Result<Arc<Checkpoint>> {
+    let checkpoint = Checkpoint::open(path, scene, args.seed)?;
+    if checkpoint.torn() > 0 {
+        watch.warn(&format!(
+            "{}: cut off the last {} bytes, which the end of an earlier run left incomplete",
+            path.display(),
+            checkpoint.torn()
+        ));
+    }
+    if checkpoint.found() > 0 && !args.common.quiet {
+        watch.say(&format!("{}: {} rays are known from earlier runs", path.display(), checkpoint.found()));
+    }
+    Ok(Arc::new(checkpoint))
 }
 
 fn round_report(round: &Round) -> RoundReport {

@@ -10,11 +10,18 @@ use clap::Args;
 use radiosity::{
     Error, Result,
     accuracy::tradeoff::{Extent, Series, Tradeoff, TradeoffOptions},
+    form_factor::Estimator,
     output::{file::OutputFile, report::Seconds, tradeoff_plot, tradeoff_report::TradeoffReport},
     patch::{Patches, Subdivision},
 };
 
-use super::{Common, Outcome, forecast, options::SceneArgs, pipeline, to_stdout, watch::Watch};
+use super::{
+    Common, Outcome,
+    forecast::{self, Work},
+    options::SceneArgs,
+    pipeline, to_stdout,
+    watch::Watch,
+};
 
 /// Measure speed against accuracy: rays, patch size, tolerance, solver, estimator, and path tracing beside them
 #[derive(Args)]
@@ -54,9 +61,21 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     let options =
         TradeoffOptions { patches: args.patches as usize, rays: args.most_rays as f64, seed: args.seed };
     // What could not be cut is told before it is.
-    forecast::check(Patches::forecast(&scene, &Subdivision::Count(options.patches)), 0.0)?;
+    let bytes = forecast::bytes(&scene, Estimator::Pooled);
+    let work = |patches: f64, rays: f64| Work {
+        scene: &scene,
+        patches,
+        rays,
+        bytes: &bytes,
+        options: ["--patches", "--most-rays"],
+    };
+    let limit = args.common.limit();
+    limit.check(&work(Patches::forecast(&scene, &Subdivision::Count(options.patches)), 0.0))?;
     let extent = Extent::of(&scene, &options);
-    if let Some(warning) = forecast::check(extent.reference_patches, extent.reference_rays)? {
+    // References have more patches than were asked for.
+    let fewer = "choose fewer --patches or fewer --most-rays, or allow more --memory";
+    let checked = limit.check(&work(extent.reference_patches, extent.reference_rays));
+    if let Some(warning) = checked.map_err(|error| error.with_hint(fewer))? {
         watch.warn(&warning);
     }
     let (tradeoff, _) = watch.stage("sweeping", || {

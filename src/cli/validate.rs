@@ -6,12 +6,14 @@ use clap::Args;
 use radiosity::{
     Result,
     accuracy::validation::{Validation, ValidationOptions},
+    form_factor::Estimator,
     output::{report::Seconds, validation_report::ValidationReport},
     patch::Patches,
 };
 
 use super::{
-    Common, Outcome, forecast,
+    Common, Outcome,
+    forecast::{self, Work},
     options::{CastArgs, SceneArgs},
     outputs, pipeline, to_stdout,
     watch::Watch,
@@ -66,9 +68,17 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         seed: args.seed,
         ..defaults
     };
-    // It solves with edges half as long, too.
-    let patches = 4.0 * Patches::forecast(&scene, &options.subdivision);
-    if let Some(warning) = forecast::check(patches, options.rays)? {
+    // It solves with edges half as long, too, and compares.
+    let one = forecast::bytes(&scene, Estimator::Pooled);
+    let bytes = |patches: f64, rays: f64| one(patches, rays) + one(4.0 * patches, rays);
+    let work = Work {
+        scene: &scene,
+        patches: Patches::forecast(&scene, &options.subdivision),
+        rays: options.rays,
+        bytes: &bytes,
+        options: forecast::USUAL,
+    };
+    if let Some(warning) = args.common.limit().check(&work)? {
         watch.warn(&warning);
     }
     let (validation, _) = watch.stage("validating", || {

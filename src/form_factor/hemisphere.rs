@@ -13,7 +13,10 @@ use std::{
 
 use rayon::prelude::*;
 
-use super::shadow::{self, Footprint, Found, Link, Sources};
+use super::{
+    checkpoint::{Known, Record, Section},
+    shadow::{self, Footprint, Found, Link, Sources},
+};
 use crate::{
     Progress, Result,
     patch::Patches,
@@ -39,7 +42,7 @@ pub const LINKED: u32 = u32::MAX - 1;
 const HIDDEN: f64 = 20.0;
 
 /// While casting: the ray met the back of this front patch, which was no unknown yet.
-const BACK: u32 = 1 << 31;
+pub(super) const BACK: u32 = 1 << 31;
 
 /// How many rays leave a patch: none, or at least [`REPLICATES`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -70,6 +73,8 @@ pub struct Hits {
     pub(super) sources: Sources,
     back_hits: u64,
     seconds: f64,
+    /// Where rays are kept, and looked for before they are cast.
+    pub(super) checkpoint: Option<Section>,
 }
 
 impl Hits {
@@ -85,6 +90,7 @@ impl Hits {
             sources,
             back_hits: 0,
             seconds: 0.0,
+            checkpoint: None,
         }
     }
 
@@ -229,7 +235,7 @@ impl Hits {
 
     /// Lets patches lose all light that are not there for others: their own rays meet patches that should have met them
     /// [many times](HIDDEN), and never did. So it is with one of two faces at the same place, and reciprocity would have to
-    /// send it what it cannot get. Sources are kept.
+    /// send it what it cannot get. Sources are kept, but for those that are known to be hidden.
     pub(super) fn withdraw_hidden(&mut self, areas: &[f64]) {
         let density = |i: usize| f64::from(self.rays_of(i)) / areas[i];
         let met: Vec<AtomicBool> = (0..self.len()).map(|_| AtomicBool::new(false)).collect();
@@ -245,8 +251,9 @@ impl Hits {
             targets.inspect(|&&j| meets(j)).map(|&j| density(j as usize) / density(i)).sum::<f64>()
         };
         let expected: Vec<f64> = (0..self.len()).into_par_iter().with_min_len(128).map(met_by).collect();
-        let hidden = |&i: &usize| !met[i].load(Relaxed) && expected[i] >= HIDDEN && !self.sources.contains(i);
-        for i in (0..self.len()).filter(hidden).collect::<Vec<_>>() {
+        let is_hidden =
+            |i: usize| !met[i].load(Relaxed) && expected[i] >= HIDDEN && !self.sources.contains(i);
+        for i in (0..self.len()).filter(|&i| self.sources.hide(i) || is_hidden(i)).collect::<Vec<_>>() {
             self.targets[self.offsets[i]..self.offsets[i + 1]].fill(ESCAPED);
             self.links[self.link_offsets[i]..self.link_offsets[i + 1]]
                 .iter_mut()
@@ -290,7 +297,7 @@ impl Hits {
         old
     }
 
-    /// Casts the rays that patches from `first` on have not cast yet.
+    /// Casts the rays that patches from `first` on have not cast yet, but for those that the checkpoint knows.
     fn cast(
         &mut self,
         tracer: &Tracer,
@@ -301,7 +308,8 @@ impl Hits {
         progress: &Progress,
     ) -> Result<()> {
         const BLOCK: usize = 32;
-        let Hits { shares, offsets, targets, sources, .. } = self;
+        let Hits { shares, offsets, targets, sources, checkpoint, .. } = self;
+        let checkpoint = checkpoint.as_ref().map(|section| section.names(patches, sources));
         let mut rest = &mut targets[offsets[first]..];
         let mut blocks = Vec::new();
         for start in (first..patches.len()).step_by(BLOCK) {
@@ -313,23 +321,39 @@ impl Hits {
         let found: Vec<Vec<Vec<Link>>> = blocks
             .into_par_iter()
             .map(|(range, mut rest)| {
-                progress.check()?;
                 let mut found = Vec::with_capacity(range.len());
+                let mut record = Record::default();
                 for i in range {
+                    if progress.is_stopped() {
+                        break;
+                    }
                     let (had, share) = (old[i], shares[i]);
                     let (own, tail) = rest.split_at_mut(share.hemisphere as usize);
                     rest = tail;
                     let from = Footprint::new(tracer, patches, i);
-                    let mut links = Vec::new();
-                    let new = had.hemisphere..share.hemisphere;
+                    let known = match &checkpoint {
+                        Some(checkpoint) => checkpoint.known(i, had, share)?,
+                        None => Known::nothing(had),
+                    };
+                    own[had.hemisphere as usize..][..known.targets.len()].copy_from_slice(&known.targets);
+                    let mut links = known.hemisphere_links;
+                    let new = known.rays.hemisphere..share.hemisphere;
                     let seed = mix(&[seed, i as u64]);
                     cast_patch(tracer, patches, sources, &from, i, (new, seed), own, &mut links);
-                    let new = had.shadow..share.shadow;
+                    links.extend(known.shadow_links);
+                    let new = known.rays.shadow..share.shadow;
                     shadow::cast_patch(tracer, sources, &from, new, mix(&[seed, 1]), &mut links);
+                    if let Some(checkpoint) = &checkpoint {
+                        checkpoint.add(&mut record, i, (known.rays, share), own, &links);
+                    }
                     found.push(links);
                     let before = had.hemisphere + had.shadow;
                     progress.advance(u64::from(share.hemisphere + share.shadow - before));
                 }
+                if let Some(checkpoint) = &checkpoint {
+                    checkpoint.write(record)?;
+                }
+                progress.check()?;
                 Ok(found)
             })
             .collect::<Result<_>>()?;

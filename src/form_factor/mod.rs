@@ -6,6 +6,7 @@
 
 mod allocation;
 mod calibration;
+mod checkpoint;
 pub mod closure;
 mod escape;
 pub mod exact;
@@ -17,17 +18,21 @@ mod shadow;
 pub mod sweep;
 mod symmetric;
 
+use std::{borrow::Cow, ops::Range, sync::Arc};
+
 use rayon::prelude::*;
 use sprs::CsMatI;
 
 use crate::{Progress, Result, patch::Patches, scene::Scene, trace::Tracer};
 use calibration::Measured;
+use checkpoint::Section;
 use hemisphere::{ESCAPED, Hits, REPLICATES};
 use reciprocity::{Buckets, Densities};
 use replicates::{Deviation, Samples};
 use shadow::Sources;
-use std::{borrow::Cow, ops::Range};
 use symmetric::Symmetric;
+
+pub use checkpoint::Checkpoint;
 
 /// Sparse matrix row by row, with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns. To
 /// hand form factors over with, and for solvers that need whole rows.
@@ -136,12 +141,33 @@ impl FormFactors {
         options: &CastOptions,
         progress: &Progress,
     ) -> Result<FormFactors> {
+        Self::cast_checkpointed(scene, tracer, patches, options, None, progress)
+    }
+
+    /// As [`FormFactors::cast`], with a file that takes up what rays meet as they are cast, and from which those are taken that
+    /// it holds already. [`FormFactors::cast_more`] goes on with it. The result is the same with a file and without.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so, [`Error::Io`](crate::Error::Io) and
+    /// [`Error::Input`](crate::Error::Input) when the file cannot be read or written; what it holds stays good.
+    ///
+    /// # Panics
+    /// When the checkpoint is of another seed.
+    pub fn cast_checkpointed(
+        scene: &Scene,
+        tracer: &Tracer,
+        patches: &mut Patches,
+        options: &CastOptions,
+        checkpoint: Option<Arc<Checkpoint>>,
+        progress: &Progress,
+    ) -> Result<FormFactors> {
         let sources = match options.estimator {
             // What no shadow ray looks at must be found by hemisphere rays.
             Estimator::Pooled if options.shadow_share > 0.0 => Sources::emitters(tracer, patches),
             _ => Sources::default(),
         };
         let mut hits = Hits::none(sources);
+        hits.checkpoint = checkpoint.map(|file| Section::new(file, patches, &hits.sources, options.seed));
         let rays = if options.looks_first() { allocation::PILOT * options.rays } else { options.rays };
         let share = allocation::even(options, rays, !hits.sources.is_empty());
         hits.extend(scene, tracer, patches, share, options.seed, progress)?;

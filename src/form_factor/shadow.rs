@@ -18,6 +18,7 @@
 //! lamps close to walls need no special case.
 
 use glam::Vec3A;
+use rayon::prelude::*;
 
 use super::lamp::{self, Lamp};
 use crate::{
@@ -60,17 +61,28 @@ pub(super) struct Sources {
     cumulative: Vec<f64>,
     probability: Vec<f32>,
     lamps: Option<Vec<Lamp>>,
+    /// Patches that emit behind another face at the same place, in order: nobody sees their light.
+    hidden: Vec<u32>,
 }
 
+/// A face no farther before a patch than this, in unit space, is at the same place: rays begin beyond it.
+const SAME_PLACE: f32 = 4e-6;
+
 impl Sources {
-    /// All front patches that emit, by power.
+    /// All front patches that emit and are not hidden, by power.
     pub(super) fn emitters(tracer: &Tracer, patches: &Patches) -> Sources {
         let channels = patches.channels();
-        let power: Vec<f64> = (0..patches.fronts())
+        let mut power: Vec<f64> = (0..patches.fronts())
             .map(|i| patches.area(i) * patches.emission()[i * channels..][..channels].iter().sum::<f64>())
             .collect();
+        let emits = |&i: &u32| power[i as usize] > 0.0;
+        let is_hidden =
+            |&i: &u32| Footprint::new(tracer, patches, i as usize).is_hidden(tracer, patches, i as usize);
+        let hidden: Vec<u32> =
+            (0..power.len() as u32).into_par_iter().filter(emits).filter(is_hidden).collect();
+        hidden.iter().for_each(|&i| power[i as usize] = 0.0);
         let total: f64 = power.iter().sum();
-        let mut sources = Sources::default();
+        let mut sources = Sources { hidden, ..Sources::default() };
         let mut sum = 0.0;
         for (i, &power) in power.iter().enumerate() {
             sources.probability.push(if total > 0.0 { (power / total) as f32 } else { 0.0 });
@@ -105,6 +117,11 @@ impl Sources {
             lamp::mean_kernel(lamps, from.corners.map(|c| c.as_dvec3()), from.normal.as_dvec3())
         };
         self.lamps.as_ref().map_or(1.0, mean)
+    }
+
+    /// Whether patch `i` emits behind another face at the same place.
+    pub(super) fn hide(&self, i: usize) -> bool {
+        self.hidden.binary_search(&(i as u32)).is_ok()
     }
 
     /// Whether patch `i` is a source.
@@ -149,6 +166,14 @@ impl Footprint {
             corners: patches.corners(i).map(|b| triangle.point(b.map(|x| x as f32))),
             normal: triangle.side_normal(patches.is_front(i)),
         }
+    }
+
+    /// Whether a ray that comes to the middle of the front patch `i` meets another face there.
+    fn is_hidden(&self, tracer: &Tracer, patches: &Patches, i: usize) -> bool {
+        let middle = (self.corners[0] + self.corners[1] + self.corners[2]) / 3.0;
+        tracer.closest(Tracer::leave(middle, self.normal), -self.normal).is_some_and(|hit| {
+            hit.front && hit.t <= SAME_PLACE && hit.triangle as usize != patches.triangle(i)
+        })
     }
 
     /// The point of the patch for a point of the unit square.

@@ -2,6 +2,7 @@
 //!
 //! What is written goes to a temporary file in the same directory, which then takes the name of the real one: rename
 //! within a file system is atomic. Whoever reads the output, and whoever pulls the plug, finds the old file or the new.
+//! What a killed process leaves is removed by the next that writes there.
 
 use std::{
     ffi::OsString,
@@ -13,6 +14,9 @@ use std::{
 use tempfile::NamedTempFile;
 
 use crate::{Error, Result};
+
+/// Characters that tell temporary files for one target apart.
+const RANDOM: usize = 6;
 
 /// A place that can be written to; made by [`OutputFile::new`], before the work whose result it shall hold.
 #[derive(Debug)]
@@ -56,7 +60,8 @@ impl OutputFile {
         };
         let output = OutputFile { path: path.to_owned(), target };
         output.check_inputs(inputs)?;
-        if output.target.is_some() {
+        if let Some(target) = &output.target {
+            remove_abandoned(target);
             output.temporary()?;
         }
         Ok(output)
@@ -125,13 +130,20 @@ impl OutputFile {
         let mut prefix = OsString::from(".");
         prefix.push(name);
         let mut builder = tempfile::Builder::new();
-        builder.prefix(&prefix).suffix(".part");
+        builder.prefix(&prefix).rand_bytes(RANDOM).suffix(".part");
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        // The operating system's own error: tempfile's would name the temporary file.
-        let bare =
-            |e: io::Error| e.raw_os_error().map_or_else(|| e.kind().into(), io::Error::from_raw_os_error);
-        let file = builder.tempfile_in(directory(target)).map_err(|e| failed(bare(e)))?;
+        // tempfile's own error would name the temporary file, and hides the operating system's.
+        let bare = |e: io::Error| io::Error::from(e.kind());
+        fs::metadata(directory(target)).map_err(failed)?;
+        let file = loop {
+            let file = builder.tempfile_in(directory(target)).map_err(|e| failed(bare(e)))?;
+            // Locked until it has its name, so that nobody takes it for abandoned; who did so before is noticed.
+            let _ = file.as_file().lock();
+            if file.path().exists() {
+                break file;
+            }
+        };
         if let Ok(there) = fs::metadata(target) {
             file.as_file().set_permissions(there.permissions()).map_err(failed)?;
         }
@@ -140,6 +152,16 @@ impl OutputFile {
 }
 
 impl Pending {
+    /// Gives all files their names. Devices and pipes come first: they may refuse what they are sent, and then nothing is
+    /// there yet.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn commit_all(mut all: Vec<Pending>) -> Result<()> {
+        all.sort_by_key(|pending| matches!(pending.contents, Contents::File(_)));
+        all.into_iter().try_for_each(Pending::commit)
+    }
+
     /// Gives the file its name, replacing what was there.
     ///
     /// # Errors
@@ -157,6 +179,22 @@ impl Pending {
                 .open(&output.path)
                 .and_then(|mut out| out.write_all(&bytes))
                 .map_err(failed),
+        }
+    }
+}
+
+/// Removes temporary files for `target` that a process left which was killed: nobody holds their lock. What cannot be
+/// looked at stays.
+fn remove_abandoned(target: &Path) {
+    let Some(name) = target.file_name() else { return };
+    let prefix = [b".", name.as_encoded_bytes()].concat();
+    for entry in fs::read_dir(directory(target)).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let random = name.as_encoded_bytes().strip_prefix(&prefix[..]).and_then(|n| n.strip_suffix(b".part"));
+        if random.is_some_and(|r| r.len() == RANDOM && r.iter().all(u8::is_ascii_alphanumeric))
+            && fs::File::open(entry.path()).is_ok_and(|file| file.try_lock().is_ok())
+        {
+            let _ = fs::remove_file(entry.path());
         }
     }
 }
@@ -200,6 +238,23 @@ mod tests {
         assert_eq!(error.to_string(), format!("{}: the disk is full", path.display()));
         drop(OutputFile::new(&path, &[]).unwrap().write(|out| out.write_all(b"x")).unwrap());
         assert!(names(dir.path()).is_empty());
+    }
+
+    #[test]
+    fn what_a_killed_process_left_goes_and_what_another_writes_stays() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("out.ply");
+        for name in [".out.plyAbC123.part", ".out.ply.part", ".out.plyAbC1234.part", "out.plyAbC123.part"] {
+            fs::write(dir.path().join(name), "half").unwrap();
+        }
+        let pending = OutputFile::new(&path, &[]).unwrap().write(|out| out.write_all(b"first")).unwrap();
+        assert_eq!(names(dir.path()).len(), 4);
+        assert!(!dir.path().join(".out.plyAbC123.part").exists());
+        let second = OutputFile::new(&path, &[]).unwrap().write(|out| out.write_all(b"second")).unwrap();
+        assert_eq!(names(dir.path()).len(), 5);
+        pending.commit().unwrap();
+        second.commit().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"second");
     }
 
     #[test]

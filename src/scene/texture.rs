@@ -90,6 +90,11 @@ impl Texture {
         (self.width, self.height)
     }
 
+    /// R G B of all texels, a byte each, sRGB-encoded, rows from the top.
+    pub fn texels(&self) -> &[u8] {
+        &self.texels
+    }
+
     /// Whether every texel has three equal channels.
     pub fn is_grey(&self) -> bool {
         self.is_grey

@@ -1,0 +1,87 @@
+//! How much memory a solution will take, before it is begun.
+
+use crate::{
+    form_factor::{Estimator, hemisphere::REPLICATES},
+    scene::Scene,
+};
+
+/// The program, its threads, and what files are written through.
+const BASE: f64 = 16.0 * 1024.0 * 1024.0;
+/// A triangle, its normals and its share of the hierarchy while that is built: 498 bytes measured on 10⁶ triangles.
+const TRIANGLE: f64 = 500.0;
+/// Entries of a matrix: value and column.
+const ENTRY: f64 = 8.0;
+/// A link: patch, kernel, index, kind.
+const LINK: f64 = 16.0;
+/// More lamps than this are sampled by hemisphere rays too, which then leave links.
+const FEW_LAMPS: usize = 16;
+
+/// Bytes that a solution with all its errors takes, by what takes them. The upper end of what is likely: were hits spread
+/// evenly, a row would have n (1 - exp(-r / n)) entries of r rays; in a real scene they crowd together and it has fewer.
+/// Backs, which only the rays find, are patches like others and have to be counted in.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Memory {
+    /// The program, the scene and the hierarchy of its triangles.
+    pub scene: f64,
+    /// Numbers kept for every patch.
+    pub patches: f64,
+    /// What every ray met.
+    pub hits: f64,
+    /// The form factors.
+    pub matrix: f64,
+    /// For a time: a factor for every entry, collected in growing pieces; the matrix of the first half of the rays.
+    pub calibration: f64,
+    /// For a time: sums of every replicate, and deviations.
+    pub error_bars: f64,
+    /// For a time: rows of patches put together.
+    pub merging: f64,
+    /// For a time: half of the hits, and the form factors that they give.
+    pub halves: f64,
+}
+
+impl Memory {
+    /// Of a scene cut into so many patches, backs included, with so many rays each in the mean.
+    pub fn of(scene: &Scene, patches: f64, rays: f64, estimator: Estimator) -> Memory {
+        let n = patches.max(1.0);
+        let channels = scene.channels() as f64;
+        let lamps: Vec<usize> = (0..scene.triangles.len()).filter(|&t| scene.emits(t)).collect();
+        let area = |t: usize| scene.area(t);
+        let total: f64 = (0..scene.triangles.len()).map(area).sum();
+        let bright = lamps.iter().map(|&t| area(t)).sum::<f64>() / total;
+        let pooled = estimator == Estimator::Pooled;
+        let (hemisphere, links) = match lamps.len() {
+            _ if !pooled => (rays, 0.0),
+            0..=FEW_LAMPS => (0.75 * rays, 0.25 * rays),
+            // At either end a source.
+            _ => (0.75 * rays, 0.25 * rays + 0.75 * rays * (1.0 - (1.0 - bright).powi(2))),
+        };
+        // Entries of a row that has so many samples among so many patches.
+        let row = |samples: f64, patches: f64| -patches * (-samples / patches).exp_m1();
+        let both = if pooled { 2.0 } else { 1.0 };
+        let hits = 4.0 * hemisphere + LINK * links + 100.0;
+        let matrix = ENTRY * row(both * rays, n);
+        // Of a family of four put together: as they are found, 16 bytes and room to spare, then as a matrix.
+        let merging = 3.5 * ENTRY * row(4.0 * both * rays, 0.25 * n) * 0.25;
+        let factors = if pooled { 1.5 * matrix + ENTRY * row(rays, n) } else { 2.0 * ENTRY * row(rays, n) };
+        let half = ENTRY * row(0.5 * both * rays, n);
+        let (sums, deviations) = (16.0 + 8.0 * channels, 4.0 * (7.0 * channels + 3.0));
+        Memory {
+            scene: BASE + TRIANGLE * scene.triangles.len() as f64,
+            patches: n * 1200.0,
+            hits: n * hits,
+            matrix: n * matrix,
+            calibration: n * factors,
+            error_bars: n * REPLICATES as f64 * (sums + deviations),
+            merging: n * merging,
+            // Copied into vectors that grow as they are filled.
+            halves: n * (hits + half + if pooled { 1.5 * half } else { half }),
+        }
+    }
+
+    /// The most at any time.
+    pub fn peak(&self) -> f64 {
+        let for_a_time = [self.calibration, self.error_bars, self.merging, self.halves];
+        let kept = self.scene + self.patches + self.hits + self.matrix;
+        kept + for_a_time.into_iter().fold(0.0, f64::max)
+    }
+}

@@ -1,0 +1,323 @@
+//! Checkpoints: what was cast is taken from the file, and the result is the same to the bit; what is damaged or of something
+//! else is refused and left as it is.
+
+mod common;
+
+use std::{fs, path::Path, sync::Arc};
+
+use common::*;
+use glam::DVec3;
+use radiosity::{
+    Error, Progress, Scene,
+    form_factor::{CastOptions, Checkpoint, Estimator, FormFactors},
+    patch::{Patches, Subdivision},
+    trace::Tracer,
+};
+
+/// A lamp and a plate in a room, whose backs are seen: they become patches while rays are cast.
+fn furnished() -> Scene {
+    let cell = part(room(DVec3::splat(-0.5), DVec3::splat(0.5)), 0.6, 0.0);
+    let plate = part(level_square(0.6, 0.1, true), 0.3, 0.0);
+    let lamp = part(level_square(0.2, 0.4, false), 0.0, 1.0);
+    scene(&[cell, plate, lamp])
+}
+
+fn options(rays: f64) -> CastOptions {
+    CastOptions { rays, seed: 5, ..CastOptions::default() }
+}
+
+/// All that rays told, bit by bit.
+fn bits(f: &FormFactors) -> (Vec<u32>, Vec<(usize, u64)>, Vec<u64>) {
+    let hits = f.hits().unwrap();
+    let rows = (0..f.len()).flat_map(|i| f.row(i)).map(|(j, x)| (j, x.to_bits()));
+    let escaped = f.escaped().iter().map(|x| x.to_bits());
+    ((0..f.len()).flat_map(|i| hits.of(i)).copied().collect(), rows.collect(), escaped.collect())
+}
+
+/// Casts with a checkpoint or without, in as many threads as said.
+fn cast_with(
+    scene: &Scene,
+    patches: usize,
+    options: &CastOptions,
+    file: Option<&Arc<Checkpoint>>,
+    threads: usize,
+) -> FormFactors {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| {
+        let (tracer, progress) = (Tracer::new(scene), Progress::new());
+        let mut patches = Patches::subdivide(scene, &Subdivision::Count(patches));
+        let file = file.cloned();
+        FormFactors::cast_checkpointed(scene, &tracer, &mut patches, options, file, &progress).unwrap()
+    })
+}
+
+fn open(path: &Path, scene: &Scene) -> Arc<Checkpoint> {
+    Arc::new(Checkpoint::open(path, scene, 5).unwrap())
+}
+
+/// A finished checkpoint of 64 patches in a directory of its own.
+fn finished(scene: &Scene) -> (tempfile::TempDir, std::path::PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("rays.checkpoint");
+    cast_with(scene, 64, &options(32.0), Some(&open(&path, scene)), 2);
+    (dir, path)
+}
+
+/// Where the records begin, and the end of the last.
+fn records(bytes: &[u8]) -> Vec<usize> {
+    let mut at = vec![48];
+    while at[at.len() - 1] < bytes.len() {
+        let start = at[at.len() - 1];
+        let length = u64::from_le_bytes(bytes[start..start + 8].try_into().unwrap());
+        at.push(start + 16 + length as usize);
+    }
+    assert_eq!(at.last(), Some(&bytes.len()));
+    at
+}
+
+/// With a file and without, from an empty file, from one cut anywhere between records, and from a whole one; for any number
+/// of threads before and after.
+#[test]
+fn the_result_is_the_same_wherever_rays_come_from() {
+    let scene = furnished();
+    let dir = tempfile::tempdir().unwrap();
+    for (k, estimator) in BOTH.into_iter().enumerate() {
+        let options = CastOptions { estimator, ..options(64.0) };
+        let path = dir.path().join(format!("{k}.checkpoint"));
+        let truth = bits(&cast_with(&scene, 300, &options, None, 1));
+        let fresh = open(&path, &scene);
+        assert!(bits(&cast_with(&scene, 300, &options, Some(&fresh), 7)) == truth);
+        let all = fresh.rays();
+        drop(fresh);
+        let bytes = fs::read(&path).unwrap();
+        let starts = records(&bytes);
+        assert!(starts.len() > 8, "{} records", starts.len());
+        for (cut, threads) in [(0, 2), (1, 64), (starts.len() / 2, 1), (starts.len() - 2, 7)] {
+            fs::write(&path, &bytes[..starts[cut]]).unwrap();
+            let resumed = open(&path, &scene);
+            assert_eq!((resumed.found() == 0, resumed.torn()), (cut == 0, 0));
+            assert!(bits(&cast_with(&scene, 300, &options, Some(&resumed), threads)) == truth, "{cut}");
+            assert_eq!(resumed.rays(), all);
+        }
+        let whole = open(&path, &scene);
+        assert_eq!(whole.found(), all);
+        assert!(bits(&cast_with(&scene, 300, &options, Some(&whole), 2)) == truth);
+        assert_eq!(whole.rays(), all);
+    }
+}
+
+/// Fewer rays than there are, more, and other patches: nothing is cast twice, nothing is refused. Numbers of backs depend
+/// on the rays that found them.
+#[test]
+fn other_runs_go_on_from_the_same_file() {
+    let scene = furnished();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("rays.checkpoint");
+    let mut kept = 0;
+    for (patches, rays, more) in
+        [(200, 64.0, true), (200, 16.0, false), (200, 256.0, true), (100, 64.0, true), (200, 256.0, false)]
+    {
+        let file = open(&path, &scene);
+        let with = cast_with(&scene, patches, &options(rays), Some(&file), 2);
+        assert!(bits(&with) == bits(&cast_with(&scene, patches, &options(rays), None, 2)), "{rays}");
+        let added = file.rays() - kept;
+        let all = with.hits().unwrap().rays();
+        assert_eq!(added > 0, more, "{patches} patches, {rays} rays: {added} of {all}");
+        assert!(kept == 0 || patches != 200 || added < all, "nothing of what was known was used");
+        kept = file.rays();
+    }
+}
+
+/// Casting on after a solution takes from the file too, and adds to it.
+#[test]
+fn later_rounds_are_kept() {
+    let scene = furnished();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("rays.checkpoint");
+    let run = |file: Option<Arc<Checkpoint>>| {
+        let (tracer, progress) = (Tracer::new(&scene), Progress::new());
+        let mut patches = Patches::subdivide(&scene, &Subdivision::Count(100));
+        let first =
+            FormFactors::cast_checkpointed(&scene, &tracer, &mut patches, &options(64.0), file, &progress);
+        first.unwrap().cast_more(&scene, &tracer, &mut patches, 200.0, &progress).unwrap()
+    };
+    let truth = bits(&run(None));
+    let file = open(&path, &scene);
+    let found = run(Some(file.clone()));
+    assert!(bits(&found) == truth);
+    assert_eq!(file.rays(), found.hits().unwrap().rays());
+    drop((file, found));
+    let file = open(&path, &scene);
+    let kept = file.found();
+    assert!(bits(&run(Some(file.clone()))) == truth);
+    assert_eq!(file.rays(), kept);
+}
+
+/// A record cut short at any byte, which is what a kill leaves, is cut off; a header cut short is written anew.
+#[test]
+fn a_torn_tail_is_cut_off_at_whatever_byte() {
+    let scene = furnished();
+    let (_dir, path) = finished(&scene);
+    let bytes = fs::read(&path).unwrap();
+    let starts = records(&bytes);
+    let (last, end) = (starts[starts.len() - 2], bytes.len());
+    fs::write(&path, &bytes[..last]).unwrap();
+    let before = open(&path, &scene).found();
+    for cut in last + 1..end {
+        fs::write(&path, &bytes[..cut]).unwrap();
+        let file = open(&path, &scene);
+        assert_eq!((file.torn(), file.found()), ((cut - last) as u64, before), "{cut}");
+        assert_eq!(fs::metadata(&path).unwrap().len(), last as u64);
+    }
+    for cut in 0..48 {
+        fs::write(&path, &bytes[..cut]).unwrap();
+        assert_eq!((open(&path, &scene).found(), fs::read(&path).unwrap()), (0, bytes[..48].to_vec()));
+    }
+    let truth = bits(&cast_with(&scene, 64, &options(32.0), None, 2));
+    for cut in [last + 1, last + 13, (last + end) / 2, end - 1] {
+        fs::write(&path, &bytes[..cut]).unwrap();
+        assert!(bits(&cast_with(&scene, 64, &options(32.0), Some(&open(&path, &scene)), 2)) == truth);
+    }
+}
+
+/// One bit turned over anywhere, and the file is refused and left as it is.
+#[test]
+fn damage_is_recognised_wherever_it_is() {
+    let scene = furnished();
+    let (_dir, path) = finished(&scene);
+    let bytes = fs::read(&path).unwrap();
+    let mut random = Random::new(3);
+    let anywhere = (0..400).map(|_| (random.next() * bytes.len() as f64) as usize);
+    let lengths = records(&bytes).into_iter().take(3).flat_map(|start| start..(start + 12).min(bytes.len()));
+    for at in (0..48).chain(lengths.collect::<Vec<_>>()).chain(anywhere) {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 1 << (at % 8);
+        fs::write(&path, &damaged).unwrap();
+        let error = Checkpoint::open(&path, &scene, 5).unwrap_err();
+        assert!(matches!(error, Error::Input { .. }) && error.hint().is_some(), "{at}: {error}");
+        assert!(fs::read(&path).unwrap() == damaged, "{at}");
+    }
+}
+
+/// Checksums may be right where what they guard is not: what cannot be is refused when it is used.
+#[test]
+fn what_cannot_be_is_refused_even_with_right_checksums() {
+    let scene = furnished();
+    let (_dir, path) = finished(&scene);
+    let bytes = fs::read(&path).unwrap();
+    let (start, end) = (48 + 12, records(&bytes)[1] - 4);
+    let target = start + 8 + 28;
+    let links = target + 4 * u32::from_le_bytes(std::array::from_fn(|k| bytes[start + 20 + k])) as usize;
+    let lamp = Patches::subdivide(&scene, &Subdivision::Count(64));
+    let lamp = (0..lamp.len()).find(|&i| lamp.emission()[i] > 0.0).unwrap() as u32;
+    // A lamp, with which pairs have links; patches that there are not; a link to what is no lamp, and of no kind.
+    for (at, value) in [
+        (target, &lamp.to_le_bytes()[..]),
+        (target, &[0xff, 0xff, 0xff, 0x7f]),
+        (target, &[0xf0, 0xff, 0xff, 0xff]),
+        (links, &[0; 4]),
+        (links + 4, &f32::NAN.to_le_bytes()),
+        (links + 12, &[9]),
+    ] {
+        let mut crafted = bytes.clone();
+        crafted[at..at + value.len()].copy_from_slice(value);
+        let check = crc32fast::hash(&crafted[start..end]);
+        crafted[end..end + 4].copy_from_slice(&check.to_le_bytes());
+        fs::write(&path, &crafted).unwrap();
+        let (tracer, progress) = (Tracer::new(&scene), Progress::new());
+        let mut patches = Patches::subdivide(&scene, &Subdivision::Count(64));
+        let file = Some(open(&path, &scene));
+        let cast =
+            FormFactors::cast_checkpointed(&scene, &tracer, &mut patches, &options(32.0), file, &progress);
+        let error = cast.map(|_| ()).unwrap_err();
+        assert!(matches!(error, Error::Input { .. }), "{value:?} at {at}: {error}");
+        assert!(error.to_string().contains("damaged"), "{error}");
+    }
+}
+
+/// What is of something else is named, and left as it is.
+#[test]
+fn what_is_foreign_is_refused() {
+    let scene = furnished();
+    let (dir, path) = finished(&scene);
+    let bytes = fs::read(&path).unwrap();
+    let refused = |path: &Path, scene: &Scene, seed: u64, why: &str| {
+        let before = fs::read(path).unwrap();
+        let error = Checkpoint::open(path, scene, seed).unwrap_err();
+        assert!(error.to_string().contains(why), "{error} instead of {why}");
+        assert!(error.to_string().starts_with(&path.display().to_string()) && error.hint().is_some());
+        assert!(fs::read(path).unwrap() == before);
+    };
+    refused(&path, &scene, 6, "of seed 5");
+    let mut moved = scene.clone();
+    moved.vertices[0].x -= 1e-9;
+    refused(&path, &moved, 5, "of another scene");
+    let mut painted = scene.clone();
+    painted.materials[0].reflectance[1] += 1e-9;
+    refused(&path, &painted, 5, "of another scene");
+    let mut lit = scene.clone();
+    lit.materials[2].emission[0] *= 2.0;
+    refused(&path, &lit, 5, "of another scene");
+
+    let other = dir.path().join("notes.txt");
+    for text in
+        ["x", "Notes on many things, longer than the header of a checkpoint is.", "radiosity rays\r\n?"]
+    {
+        fs::write(&other, text).unwrap();
+        refused(&other, &scene, 5, "not a checkpoint");
+    }
+    // A header whose checksum is right, of an other version.
+    let mut newer = bytes.clone();
+    newer[20] ^= 1;
+    let check = crc32fast::hash(&newer[..44]);
+    newer[44..48].copy_from_slice(&check.to_le_bytes());
+    fs::write(&path, &newer).unwrap();
+    refused(&path, &scene, 5, "another version");
+    // Rays that follow none, and rays that are there twice.
+    let second = records(&bytes)[1];
+    for mixed in
+        [[&bytes[..48], &bytes[second..], &bytes[48..second]].concat(), [&bytes, &bytes[48..]].concat()]
+    {
+        fs::write(&path, mixed).unwrap();
+        refused(&path, &scene, 5, "damaged");
+    }
+
+    let textured = load("textured");
+    let of_texture = dir.path().join("textured.checkpoint");
+    cast_with(&textured, 64, &options(16.0), Some(&open(&of_texture, &textured)), 2);
+    let mut repainted = textured.clone();
+    let texture = &mut repainted.textures[0];
+    let (width, height) = texture.size();
+    let mut texels = texture.texels().to_vec();
+    texels[0] ^= 1;
+    *texture = radiosity::scene::Texture::new(width, height, texels);
+    refused(&of_texture, &repainted, 5, "of another scene");
+}
+
+/// Two runs never write into one file; one in which nothing was kept goes again; a folder or a device is none.
+#[test]
+fn a_checkpoint_is_one_runs_own() {
+    let scene = furnished();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("rays.checkpoint");
+    let first = Checkpoint::open(&path, &scene, 5).unwrap();
+    let second = Checkpoint::open(&path, &scene, 5).unwrap_err();
+    assert!(second.to_string().ends_with("another run is using this checkpoint"), "{second}");
+    drop(first);
+    assert!(!path.exists());
+    assert!(matches!(Checkpoint::open(dir.path(), &scene, 5), Err(Error::Input { .. })));
+    assert!(matches!(Checkpoint::open(&dir.path().join("no/file"), &scene, 5), Err(Error::Io { .. })));
+}
+
+/// One-way form factors take from hemisphere rays what pooled ones take from shadow rays.
+#[test]
+fn estimators_do_not_take_each_others_rays() {
+    let scene = furnished();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("rays.checkpoint");
+    for estimator in [Estimator::Pooled, Estimator::OneWay, Estimator::Pooled] {
+        let options = CastOptions { estimator, ..options(32.0) };
+        let with = cast_with(&scene, 64, &options, Some(&open(&path, &scene)), 2);
+        assert!(bits(&with) == bits(&cast_with(&scene, 64, &options, None, 2)));
+    }
+}

@@ -1,0 +1,120 @@
+//! Memory: forecast before it is taken, and refused where it is too much.
+
+#![cfg(target_os = "linux")]
+
+mod cli_common;
+
+use cli_common::{Here, stderr};
+use radiosity::{Scene, accuracy::memory::Memory, form_factor::Estimator};
+
+fn mesh(name: &str) -> String {
+    format!("{}/meshes/{name}.obj", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// What a solution of a mesh was told to take, and what it took.
+fn forecast_and_peak(here: &Here, name: &str, patches: u32, rays: u32, estimator: Estimator) -> (f64, f64) {
+    let way = if estimator == Estimator::Pooled { "pooled" } else { "one-way" };
+    let file = mesh(name);
+    let output = here.run(&format!(
+        "solve {file} --patches {patches} --rays {rays} --estimator {way} -o out.ply --report r.json --quiet"
+    ));
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let report = here.json("r.json");
+    let scene = Scene::load(file).unwrap();
+    let made = report["scene"]["patches"].as_f64().unwrap();
+    let peak = report["peak_bytes"].as_f64().unwrap();
+    let forecast = Memory::of(&scene, made, rays.into(), estimator).peak();
+    println!(
+        "| {name} | {made} | {rays} | {way} | {:.0} MB | {:.0} MB | {:.2} |",
+        forecast / 1e6,
+        peak / 1e6,
+        forecast / peak
+    );
+    (forecast, peak)
+}
+
+/// Never more than was told, and not less than a third of it: rays that crowd together share entries of the matrix.
+fn check(cases: &[(u32, u32)], names: &[&str]) {
+    let here = Here::new("", "");
+    for name in names {
+        for &(patches, rays) in cases {
+            for estimator in [Estimator::Pooled, Estimator::OneWay] {
+                let (forecast, peak) = forecast_and_peak(&here, name, patches, rays, estimator);
+                assert!(peak <= forecast && forecast <= 3.0 * peak, "{name}, {patches} patches, {rays} rays");
+            }
+        }
+    }
+}
+
+#[test]
+fn no_more_is_taken_than_was_forecast() {
+    check(&[(8000, 64)], &["cornell-box", "furnace"]);
+}
+
+/// The table in docs/extremes.md: `cargo test --test memory -- --ignored --nocapture`.
+#[test]
+#[ignore = "a minute, and more than a gigabyte"]
+fn no_more_is_taken_than_was_forecast_on_many_scenes() {
+    let cases = [(1000, 64), (8000, 64), (8000, 256), (2000, 1024), (32000, 128), (100_000, 64)];
+    check(&cases, &["cornell-box", "door-ajar", "furnace", "textured"]);
+}
+
+/// Every command that solves refuses at once, and does its work when it is asked as the hint says.
+#[test]
+fn what_memory_does_not_allow_is_refused_with_a_way_out() {
+    let here = Here::new("", "");
+    let file = mesh("cornell-box");
+    for (command, size) in [
+        ("solve SCENE -o out.ply --patches 30000 --rays 256", "100MB"),
+        ("solve SCENE --patches 2000 --rays 2000 --estimator one-way", "40MB"),
+        ("solve SCENE --error 5 --patches 30000", "100MB"),
+        ("bake SCENE -o lit --quality high", "0.1GiB"),
+        ("render SCENE -o out.png --method radiosity --quality high", "100M"),
+        ("probe SCENE --points points --method radiosity --quality high", "100M"),
+        ("validate SCENE --patches 30000", "200M"),
+        ("tradeoff SCENE -o dir --patches 20000", "300M"),
+    ] {
+        std::fs::write(here.path("points"), "0 0 0 0 0 1\n").unwrap();
+        let command = command.replace("SCENE", &file);
+        let errors = here.fails(&format!("{command} --memory {size}"), 2);
+        assert!(errors.contains("of memory, --memory allows") && errors.contains("\nhint: "), "{errors}");
+        assert_eq!(errors.lines().count(), 2, "{errors}");
+    }
+    let command = format!("solve {file} -o out.ply --quiet --memory 100MB");
+    let errors = here.fails(&format!("{command} --patches 8000 --rays 256"), 2);
+    let hint = errors.split_once("hint: it takes ").unwrap().1.trim();
+    let ways: Vec<&str> = hint.split(", or ").collect();
+    assert_eq!(ways.len(), 3, "{hint}");
+    let fewer = here.run(&format!("{command} --rays 256 {}", ways[0]));
+    assert_eq!(fewer.status.code(), Some(0), "{}", stderr(&fewer));
+    let thinner = here.run(&format!("{command} --patches 8000 {}", ways[1]));
+    assert_eq!(thinner.status.code(), Some(0), "{}", stderr(&thinner));
+    let more = command.replace("--memory 100MB", ways[2]) + " --patches 8000 --rays 256";
+    assert_eq!(here.run(&more).status.code(), Some(0));
+
+    // Pictures and maps have sizes of their own.
+    for (command, said) in [
+        ("render SCENE -o out.png --width 3000 --height 3000 --memory 100MB", "hint: give a smaller --width"),
+        ("bake SCENE -o lit --quality draft --resolution 2048 --memory 200MB", "hint: give a longer --texel"),
+    ] {
+        let errors = here.fails(&command.replace("SCENE", &file), 2);
+        assert!(errors.contains(said), "{errors}");
+    }
+    let inspected = here.run(&format!("inspect {file} --memory 200MB"));
+    let table = String::from_utf8(inspected.stdout).unwrap();
+    assert_eq!(table.matches("which is refused").count(), 2, "{table}");
+    assert!(here.fails(&format!("solve {file} --memory lots"), 2).contains("a size like 500MB or 4GiB"));
+}
+
+/// A limit is one on sampling too: it ends where memory does, and says so.
+#[test]
+fn sampling_in_rounds_ends_where_memory_does() {
+    let here = Here::new("", "");
+    let file = mesh("cornell-box");
+    let command = format!("solve {file} --patches 1000 --error 0.1 --report r.json --memory 40MB");
+    let output = here.run(&command);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    assert!(stderr(&output).contains("out of reach of memory"), "{}", stderr(&output));
+    let peak = here.json("r.json")["peak_bytes"].as_f64().unwrap();
+    assert!(peak <= 40e6, "{peak}");
+}
