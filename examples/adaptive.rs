@@ -175,6 +175,18 @@ impl X<'_> {
                             v += (0..4).map(|q| (means[q] / areas[q] - m).powi(2)).sum::<f64>() / 4.0;
                         }
                     }
+                    if std::env::var("NOISE").is_ok() {
+                        let f: f64 = std::env::var("NOISE").unwrap().parse().unwrap();
+                        let noise: f64 = (a..b)
+                            .map(|j| {
+                                patches.area(j) / total
+                                    * (0..c)
+                                        .map(|k| error_bars.standard_error[j * c + k].powi(2))
+                                        .sum::<f64>()
+                            })
+                            .sum();
+                        v = (v - f * noise).max(0.0);
+                    }
                     let p: f64 = std::env::var("POWER").ok().map_or(1.0, |x| x.parse().unwrap());
                     out[i] = patches.area(i).powf(p) * v;
                 }

@@ -5,6 +5,7 @@ use std::time::Instant;
 use radiosity::{
     Result, Scene,
     accuracy::{
+        adaptive,
         discretisation::Discretisation,
         refinement::{FIRST_RAYS, Plan, Round, refine},
         solved::Solved,
@@ -18,12 +19,13 @@ use radiosity::{
 use super::{forecast, pipeline::blame, solve::SolveArgs, watch::Watch};
 
 /// Patches that a wanted error starts with.
-const FIRST_PATCHES: usize = 1000;
+const FIRST_PATCHES: usize = 500;
 /// Share of a wanted error that the patches' size may take; as errors add up by squares, the rays may take 0.87 of it.
 const OF_PATCHES: f64 = 0.5;
-/// Patches are made smaller so often at most, and no more at a time than this: the estimate is rough while they are large.
-const MOST_CUTS: usize = 6;
-const MOST_MORE: f64 = 16.0;
+/// Patches are made smaller so often at most: some are doubled each time.
+const MOST_CUTS: usize = 16;
+/// What they cost falls about with this power of their number where they are small where light varies.
+const RATE: f64 = 0.75;
 
 /// A scene about to be sampled.
 pub struct Sampling<'a> {
@@ -48,20 +50,24 @@ impl Sampling<'_> {
         let wanted = args.error.map(|percent| percent / 100.0);
         let in_rounds = wanted.is_some() || args.time.is_some();
         let rays = if in_rounds { FIRST_RAYS } else { f64::from(args.cast.rays()) };
-        let (mut subdivision, mut chosen) = args.cast.subdivision();
+        let (subdivision, mut chosen) = args.cast.subdivision();
         let (mut target, mut floor) = (wanted, None);
+        let mut adapted = None;
         if let (Some(wanted), None) = (wanted, args.cast.given_subdivision()) {
-            (subdivision, floor) = self.small_enough(wanted, start)?;
+            let small;
+            (small, floor) = self.small_enough(wanted, start)?;
+            adapted = Some(small);
             chosen = format!("for --error {}", 100.0 * wanted);
             let left = floor.filter(|&f| f < wanted).map(|f| (wanted * wanted - f * f).sqrt());
             target = Some(left.unwrap_or(wanted));
         }
-        let count = Patches::forecast(self.scene, &subdivision);
+        let forecast = || Patches::forecast(self.scene, &subdivision);
+        let count = adapted.as_ref().map_or_else(forecast, |patches: &Patches| patches.fronts() as f64);
         if let Some(warning) = forecast::check(count, rays)? {
             self.watch.warn(&warning);
         }
-        let (patches, subdivide) =
-            self.watch.stage("patches", || Ok(Patches::subdivide(self.scene, &subdivision)))?;
+        let cut = || adapted.unwrap_or_else(|| Patches::subdivide(self.scene, &subdivision));
+        let (patches, subdivide) = self.watch.stage("patches", || Ok(cut()))?;
         times.subdivide = subdivide;
         let before = start.elapsed().as_secs_f64();
         let plan = Plan {
@@ -91,31 +97,38 @@ impl Sampling<'_> {
         Ok(Sampled { solved, rounds, chosen })
     }
 
-    /// Patches small enough for a wanted error, and the error that they leave; none where that cannot be told.
-    fn small_enough(&self, wanted: f64, start: Instant) -> Result<(Subdivision, Option<f64>)> {
-        let mut subdivision = Subdivision::Count(FIRST_PATCHES);
+    /// Patches small enough for a wanted error, smaller where light varies, and the error that they leave; none where that
+    /// cannot be told.
+    fn small_enough(&self, wanted: f64, start: Instant) -> Result<(Patches, Option<f64>)> {
+        let (cast, options) = (
+            CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() },
+            self.args.solve_options(),
+        );
+        let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
         let mut floor = None;
         for _ in 0..MOST_CUTS {
-            let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
-            let options = self.args.solve_options();
             let progress = self.watch.progress();
-            let solved = Solved::new(self.scene, self.tracer, &subdivision, &cast, &options, progress)
-                .map_err(|error| blame(&self.args.scene.path, error))?;
-            let Solved { patches, form_factors, solution, .. } = &solved;
-            let found = Discretisation::of(form_factors, patches, solution, &options, progress)?;
-            floor = found.map(|d| d.relative);
-            // It falls with the edge, and edges with the root of the number of patches.
-            let more = floor.map_or(4.0, |f| (f / (OF_PATCHES * wanted)).powi(2).min(MOST_MORE));
+            let solved =
+                Solved::of_patches(self.scene, self.tracer, patches.clone(), &cast, &options, progress)
+                    .map_err(|error| blame(&self.args.scene.path, error))?;
+            let Solved { patches: cast, form_factors, solution, .. } = &solved;
+            floor = Discretisation::of(form_factors, cast, solution, &options, progress)?.map(|d| d.relative);
             let late = self.args.time.is_some_and(|seconds| start.elapsed().as_secs_f64() > 0.1 * seconds);
-            if (more <= 1.0 && floor.is_some()) || late {
+            if late || floor.is_some_and(|f| f <= OF_PATCHES * wanted) {
                 break;
             }
-            let next = Subdivision::Count((patches.fronts() as f64 * more.max(1.2)) as usize);
-            let count = Patches::forecast(self.scene, &next);
-            if count <= patches.fronts() as f64 || forecast::check(count, FIRST_RAYS).is_err() {
+            let finer = match floor {
+                Some(f) => {
+                    let growth = (f / (OF_PATCHES * wanted)).powf(1.0 / RATE);
+                    adaptive::finer(self.scene, cast, solution, growth.max(1.2))
+                }
+                None => Patches::subdivide(self.scene, &Subdivision::Count(4 * patches.fronts())),
+            };
+            let grown = finer.fronts() > patches.fronts();
+            if !grown || forecast::check(finer.fronts() as f64, FIRST_RAYS).is_err() {
                 break;
             }
-            subdivision = next;
+            patches = finer;
         }
         if let Some(f) = floor.filter(|&f| f > wanted) {
             self.watch.warn(&format!(
@@ -124,7 +137,7 @@ impl Sampling<'_> {
                 100.0 * f
             ));
         }
-        Ok((subdivision, floor))
+        Ok((patches, floor))
     }
 
     /// Says that the patches someone chose are too large for the error that he wants.

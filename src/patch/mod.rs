@@ -219,14 +219,19 @@ impl Patches {
         self.trees.cell(self.triangle(i), self.leaf(i))
     }
 
+    /// The front patches that share some of their area with a cell: one that holds it, or all that it holds.
+    pub fn fronts_in(&self, cell: &Cell) -> Range<usize> {
+        let (leaves, first) = (self.trees.overlapping(cell), self.trees.offset(cell.triangle as usize));
+        (first + leaves.start) as usize..(first + leaves.end) as usize
+    }
+
     /// The front patches of `other`, another subdivision of the same scene, that front patch `i` shares some of its area
     /// with: one that holds it, or all that it holds. And the share of the area of each that it covers, 1 in the second case.
     pub fn overlap(&self, other: &Patches, i: usize) -> (Range<usize>, f64) {
         let cell = self.cell(i);
-        let (leaves, first) = (other.trees.overlapping(&cell), other.trees.offset(self.triangle(i)));
-        let held = other.cell((first + leaves.start) as usize);
-        let share = 0.25f64.powi(cell.level.saturating_sub(held.level).into());
-        ((first + leaves.start) as usize..(first + leaves.end) as usize, share)
+        let fronts = other.fronts_in(&cell);
+        let deeper = cell.level.saturating_sub(other.cell(fronts.start).level);
+        (fronts, 0.25f64.powi(deeper.into()))
     }
 
     /// Runs of neighbouring patches, in the order of the patches: all those of an ancestor in the quadtree of their triangle's
