@@ -1,9 +1,12 @@
 //! Patches that are small where light varies.
 //!
 //! What patches of finite size cost comes from few of them, those that straddle the edge of a shadow or the contact of two
-//! surfaces. A solution from few rays tells which: a patch counts by its area times the variance of irradiance over its
+//! surfaces. A solution from few rays tells which: a patch counts by its area times the variance of radiosity over its
 //! parent in the quadtree. Those that count most are cut in four, and the scene is solved anew; each such step follows the
 //! lines along which light changes one level further down.
+//!
+//! It is radiosity whose variation is neglected, so that lamps and walls with textures count too: by irradiance, a lamp with
+//! a picture on it stays coarse, and the error of a room that it lights falls no further.
 
 use crate::{
     patch::{Cell, Patches},
@@ -31,16 +34,16 @@ pub fn finer(scene: &Scene, patches: &Patches, solution: &Solution, growth: f64)
     patches.refined(scene, &marked)
 }
 
-/// The area of every front patch times the variance of irradiance over its parent, all channels together. Whole triangles
+/// The area of every front patch times the variance of radiosity over its parent, all channels together. Whole triangles
 /// have no parents, and are given the mean variance of the other patches.
 fn variation(patches: &Patches, solution: &Solution) -> Vec<f64> {
     let channels = solution.channels;
-    assert_eq!(solution.irradiance.len(), patches.len() * channels, "sizes disagree");
+    assert_eq!(solution.radiosity.len(), patches.len() * channels, "sizes disagree");
     let variances: Vec<Option<f64>> = (0..patches.fronts())
         .map(|i| {
             let Cell { triangle, child, level } = patches.cell(i);
             let parent = Cell { triangle, child: child >> 2, level: level.checked_sub(1)? };
-            Some(variance(patches, patches.fronts_in(&parent), &solution.irradiance, channels))
+            Some(variance(patches, patches.fronts_in(&parent), &solution.radiosity, channels))
         })
         .collect();
     let known = || (0..variances.len()).filter_map(|i| Some((patches.area(i), variances[i]?)));

@@ -18,14 +18,21 @@ use radiosity::{
 
 use super::{forecast, pipeline::blame, solve::SolveArgs, watch::Watch};
 
-/// Patches that a wanted error starts with.
+/// Patches to start with, where nobody chose any.
 const FIRST_PATCHES: usize = 500;
+/// Patches that suffice where a time is given: more rays do more then. Half as many as preset, since they are small where light
+/// varies.
+const ENOUGH_PATCHES: usize = 4000;
+/// Share of the time that may go by until they are known.
+const LATE: f64 = 0.1;
 /// Share of a wanted error that the patches' size may take; as errors add up by squares, the rays may take 0.87 of it.
 const OF_PATCHES: f64 = 0.5;
 /// Patches are made smaller so often at most: some are doubled each time.
 const MOST_CUTS: usize = 16;
 /// What they cost falls about with this power of their number where they are small where light varies.
 const RATE: f64 = 0.75;
+/// They grow in number at least so much each time.
+const LEAST_GROWTH: f64 = 1.2;
 
 /// A scene about to be sampled.
 pub struct Sampling<'a> {
@@ -53,11 +60,13 @@ impl Sampling<'_> {
         let (subdivision, mut chosen) = args.cast.subdivision();
         let (mut target, mut floor) = (wanted, None);
         let mut adapted = None;
-        if let (Some(wanted), None) = (wanted, args.cast.given_subdivision()) {
+        if in_rounds && args.cast.given_subdivision().is_none() {
             let small;
             (small, floor) = self.small_enough(wanted, start)?;
             adapted = Some(small);
-            chosen = format!("for --error {}", 100.0 * wanted);
+            chosen = "smaller where light varies".into();
+        }
+        if let (Some(wanted), true) = (wanted, adapted.is_some()) {
             let left = floor.filter(|&f| f < wanted).map(|f| (wanted * wanted - f * f).sqrt());
             target = Some(left.unwrap_or(wanted));
         }
@@ -97,31 +106,32 @@ impl Sampling<'_> {
         Ok(Sampled { solved, rounds, chosen })
     }
 
-    /// Patches small enough for a wanted error, smaller where light varies, and the error that they leave; none where that
-    /// cannot be told.
-    fn small_enough(&self, wanted: f64, start: Instant) -> Result<(Patches, Option<f64>)> {
-        let (cast, options) = (
-            CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() },
-            self.args.solve_options(),
-        );
+    /// Patches small enough for a wanted error, or for the time there is, smaller where light varies; and the error that they
+    /// leave, where that can be told.
+    fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<(Patches, Option<f64>)> {
+        let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
+        let (options, progress) = (self.args.solve_options(), self.watch.progress());
         let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
         let mut floor = None;
         for _ in 0..MOST_CUTS {
-            let progress = self.watch.progress();
             let solved =
                 Solved::of_patches(self.scene, self.tracer, patches.clone(), &cast, &options, progress)
                     .map_err(|error| blame(&self.args.scene.path, error))?;
-            let Solved { patches: cast, form_factors, solution, .. } = &solved;
-            floor = Discretisation::of(form_factors, cast, solution, &options, progress)?.map(|d| d.relative);
-            let late = self.args.time.is_some_and(|seconds| start.elapsed().as_secs_f64() > 0.1 * seconds);
-            if late || floor.is_some_and(|f| f <= OF_PATCHES * wanted) {
+            let Solved { patches: solved, form_factors, solution, .. } = &solved;
+            floor =
+                Discretisation::of(form_factors, solved, solution, &options, progress)?.map(|d| d.relative);
+            let growth = match (wanted, floor) {
+                (Some(wanted), Some(floor)) => (floor / (OF_PATCHES * wanted)).powf(1.0 / RATE),
+                (None, _) => ENOUGH_PATCHES as f64 / patches.fronts() as f64,
+                (Some(_), None) => f64::INFINITY,
+            };
+            let late = self.args.time.is_some_and(|time| start.elapsed().as_secs_f64() > LATE * time);
+            if late || growth <= 1.0 {
                 break;
             }
             let finer = match floor {
-                Some(f) => {
-                    let growth = (f / (OF_PATCHES * wanted)).powf(1.0 / RATE);
-                    adaptive::finer(self.scene, cast, solution, growth.max(1.2))
-                }
+                Some(_) => adaptive::finer(self.scene, solved, solution, growth.max(LEAST_GROWTH)),
+                // Whole triangles do not tell where light varies.
                 None => Patches::subdivide(self.scene, &Subdivision::Count(4 * patches.fronts())),
             };
             let grown = finer.fronts() > patches.fronts();
@@ -130,11 +140,13 @@ impl Sampling<'_> {
             }
             patches = finer;
         }
-        if let Some(f) = floor.filter(|&f| f > wanted) {
+        if let (Some(wanted), Some(floor)) = (wanted, floor)
+            && floor > wanted
+        {
             self.watch.warn(&format!(
                 "{:.2} % is out of reach: the smallest patches that can be held leave about {:.2} % themselves",
                 100.0 * wanted,
-                100.0 * f
+                100.0 * floor
             ));
         }
         Ok((patches, floor))
