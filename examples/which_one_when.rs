@@ -224,9 +224,11 @@ impl<'a> Contest<'a> {
         let channels = solution.channels;
         let mut mean = vec![0.0; self.areas.len() * channels];
         for j in 0..patches.fronts() {
-            let (i, share) = patches.within(&self.asked, j);
-            for c in 0..channels {
-                mean[i * channels + c] += share * solution.irradiance[j * channels + c];
+            let (overlapped, share) = patches.overlap(&self.asked, j);
+            for i in overlapped {
+                for c in 0..channels {
+                    mean[i * channels + c] += share * solution.irradiance[j * channels + c];
+                }
             }
         }
         mean

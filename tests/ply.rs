@@ -70,9 +70,9 @@ fn edge_uses<K: std::hash::Hash + Eq + Copy>(
 ) -> HashMap<(K, K), usize> {
     let mut uses = HashMap::new();
     for i in 0..patches {
-        let face = mesh.face(i).map(&name);
-        for k in 0..3 {
-            *uses.entry((face[k], face[(k + 1) % 3])).or_insert(0) += 1;
+        let face: Vec<K> = mesh.face(i).map(&name).collect();
+        for k in 0..face.len() {
+            *uses.entry((face[k], face[(k + 1) % face.len()])).or_insert(0) += 1;
         }
     }
     uses
@@ -215,7 +215,7 @@ fn a_back_is_another_surface_and_faces_the_other_way() {
     patches.add_backs(&scene, &[0, 1]);
     let mesh = PatchMesh::new(&scene, &patches, CREASE);
     let normal = |i: usize| {
-        let [a, b, c] = mesh.face(i).map(|v| mesh.positions()[v as usize]);
+        let [a, b, c] = std::array::from_fn(|k| mesh.positions()[mesh.face(i).nth(k).unwrap() as usize]);
         (b - a).cross(c - a)
     };
     for i in 0..patches.len() {
@@ -312,7 +312,7 @@ fn what_is_written_is_what_another_reader_reads() {
     let faces = &ply.payload["face"];
     assert_eq!(faces.len(), patches.len());
     for (i, face) in faces.iter().enumerate() {
-        assert_eq!(face["vertex_indices"], Property::ListInt(mesh.face(i).map(|v| v as i32).to_vec()));
+        assert_eq!(face["vertex_indices"], Property::ListInt(mesh.face(i).map(|v| v as i32).collect()));
         // Triangle 1 of the scene is triangle 2 of the file.
         assert_eq!(face["triangle"], Property::Int(2 * patches.triangle(i) as i32));
         assert_eq!(face["side"], Property::UChar(u8::from(i >= patches.fronts())));

@@ -42,7 +42,7 @@ impl Discretisation {
     ) -> Result<Option<Discretisation>> {
         let areas = form_factors.areas();
         assert_eq!(areas.len(), patches.len(), "sizes disagree");
-        let whole = |i: &usize| patches.level(patches.triangle(*i)) == 0;
+        let whole = |i: &usize| patches.cell(*i).level == 0;
         let area = |i: usize| areas[i];
         let all: f64 = areas.iter().sum();
         if (0..patches.len()).filter(whole).map(area).sum::<f64>() > 0.5 * all {

@@ -1,5 +1,6 @@
 //! How right the answer is: error bars, and the comparison with the referee.
 
+pub mod adaptive;
 pub mod bias;
 pub mod comparison;
 pub mod discretisation;

@@ -36,7 +36,21 @@ impl Solved {
         options: &SolveOptions,
         progress: &Progress,
     ) -> Result<Solved> {
-        let mut patches = Patches::subdivide(scene, subdivision);
+        Self::of_patches(scene, tracer, Patches::subdivide(scene, subdivision), cast, options, progress)
+    }
+
+    /// As [`Solved::new`], for patches at hand.
+    ///
+    /// # Errors
+    /// As [`FormFactors::cast`] and [`solve()`].
+    pub fn of_patches(
+        scene: &Scene,
+        tracer: &Tracer,
+        mut patches: Patches,
+        cast: &CastOptions,
+        options: &SolveOptions,
+        progress: &Progress,
+    ) -> Result<Solved> {
         let form_factors = FormFactors::cast(scene, tracer, &mut patches, cast, progress)?;
         let solution = solve(&form_factors, &patches, options, progress)?;
         let error_bars =

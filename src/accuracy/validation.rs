@@ -107,9 +107,11 @@ fn weighted(coarse: &Patches, fine: &Patches, values: &[f64], weight: impl Fn(f6
     let channels = fine.channels();
     let mut sums = vec![0.0; coarse.fronts() * channels];
     for j in 0..fine.fronts() {
-        let (i, share) = fine.within(coarse, j);
-        for c in 0..channels {
-            sums[i * channels + c] += weight(share) * values[j * channels + c];
+        let (overlapped, share) = fine.overlap(coarse, j);
+        for i in overlapped {
+            for c in 0..channels {
+                sums[i * channels + c] += weight(share) * values[j * channels + c];
+            }
         }
     }
     sums

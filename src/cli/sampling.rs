@@ -5,6 +5,7 @@ use std::{sync::Arc, time::Instant};
 use radiosity::{
     Result, Scene,
     accuracy::{
+        adaptive,
         discretisation::Discretisation,
         refinement::{FIRST_RAYS, Plan, Round, refine},
         solved::Solved,
@@ -22,13 +23,21 @@ use super::{
     watch::Watch,
 };
 
-/// Patches that a wanted error starts with.
-const FIRST_PATCHES: usize = 1000;
+/// Patches to start with, where nobody chose any.
+const FIRST_PATCHES: usize = 500;
+/// Patches that suffice where a time is given: more rays do more then. Half as many as preset, since they are small where light
+/// varies.
+const ENOUGH_PATCHES: usize = 4000;
+/// Share of the time that may go by until they are known.
+const LATE: f64 = 0.1;
 /// Share of a wanted error that the patches' size may take; as errors add up by squares, the rays may take 0.87 of it.
 const OF_PATCHES: f64 = 0.5;
-/// Patches are made smaller so often at most, and no more at a time than this: the estimate is rough while they are large.
-const MOST_CUTS: usize = 6;
-const MOST_MORE: f64 = 16.0;
+/// Patches are made smaller so often at most: some are doubled each time.
+const MOST_CUTS: usize = 16;
+/// What they cost falls about with this power of their number where they are small where light varies.
+const RATE: f64 = 0.75;
+/// They grow in number at least so much each time.
+const LEAST_GROWTH: f64 = 1.2;
 
 /// A scene about to be sampled.
 pub struct Sampling<'a> {
@@ -55,21 +64,27 @@ impl Sampling<'_> {
         let wanted = args.error.map(|percent| percent / 100.0);
         let in_rounds = wanted.is_some() || args.time.is_some();
         let rays = if in_rounds { FIRST_RAYS } else { f64::from(args.cast.rays()) };
-        let (mut subdivision, mut chosen) = args.cast.subdivision();
+        let (subdivision, mut chosen) = args.cast.subdivision();
         let (mut target, mut floor) = (wanted, None);
-        if let (Some(wanted), None) = (wanted, args.cast.given_subdivision()) {
-            (subdivision, floor) = self.small_enough(wanted, start)?;
-            chosen = format!("for --error {}", 100.0 * wanted);
+        let mut adapted = None;
+        if in_rounds && args.cast.given_subdivision().is_none() {
+            let small;
+            (small, floor) = self.small_enough(wanted, start)?;
+            adapted = Some(small);
+            chosen = "smaller where light varies".into();
+        }
+        if let (Some(wanted), true) = (wanted, adapted.is_some()) {
             let left = floor.filter(|&f| f < wanted).map(|f| (wanted * wanted - f * f).sqrt());
             target = Some(left.unwrap_or(wanted));
         }
-        let count = Patches::forecast(self.scene, &subdivision);
+        let forecast = || Patches::forecast(self.scene, &subdivision);
+        let count = adapted.as_ref().map_or_else(forecast, |patches: &Patches| patches.fronts() as f64);
         let bytes = forecast::bytes(self.scene, args.estimator());
         if let Some(warning) = args.common.limit().check(&self.work(count, rays, &bytes))? {
             self.watch.warn(&warning);
         }
-        let (patches, subdivide) =
-            self.watch.stage("patches", || Ok(Patches::subdivide(self.scene, &subdivision)))?;
+        let cut = || adapted.unwrap_or_else(|| Patches::subdivide(self.scene, &subdivision));
+        let (patches, subdivide) = self.watch.stage("patches", || Ok(cut()))?;
         times.subdivide = subdivide;
         let before = start.elapsed().as_secs_f64();
         let plan = Plan {
@@ -112,42 +127,50 @@ impl Sampling<'_> {
             .map_err(|error| blame(&self.args.scene.path, error))
     }
 
-    /// Patches small enough for a wanted error, and the error that they leave; none where that cannot be told.
-    fn small_enough(&self, wanted: f64, start: Instant) -> Result<(Subdivision, Option<f64>)> {
-        let mut subdivision = Subdivision::Count(FIRST_PATCHES);
-        let mut floor = None;
+    /// Patches small enough for a wanted error, or for the time there is, smaller where light varies; and the error that they
+    /// leave, where that can be told.
+    fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<(Patches, Option<f64>)> {
+        let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
+        let (options, progress) = (self.args.solve_options(), self.watch.progress());
         let (limit, bytes) = (self.args.common.limit(), forecast::bytes(self.scene, Estimator::Pooled));
+        let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
+        let mut floor = None;
         for _ in 0..MOST_CUTS {
-            let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
-            let options = self.args.solve_options();
-            let progress = self.watch.progress();
-            let patches = Patches::subdivide(self.scene, &subdivision);
-            let (solved, _) = self.refine(patches, &cast, &Plan::default(), |_, _| Ok(()))?;
-            let Solved { patches, form_factors, solution, .. } = &solved;
-            let found = Discretisation::of(form_factors, patches, solution, &options, progress)?;
-            floor = found.map(|d| d.relative);
-            // It falls with the edge, and edges with the root of the number of patches.
-            let more = floor.map_or(4.0, |f| (f / (OF_PATCHES * wanted)).powi(2).min(MOST_MORE));
-            let late = self.args.time.is_some_and(|seconds| start.elapsed().as_secs_f64() > 0.1 * seconds);
-            if (more <= 1.0 && floor.is_some()) || late {
+            let (solved, _) = self.refine(patches.clone(), &cast, &Plan::default(), |_, _| Ok(()))?;
+            let Solved { patches: solved, form_factors, solution, .. } = &solved;
+            floor =
+                Discretisation::of(form_factors, solved, solution, &options, progress)?.map(|d| d.relative);
+            let growth = match (wanted, floor) {
+                (Some(wanted), Some(floor)) => (floor / (OF_PATCHES * wanted)).powf(1.0 / RATE),
+                (None, _) => ENOUGH_PATCHES as f64 / patches.fronts() as f64,
+                (Some(_), None) => f64::INFINITY,
+            };
+            let late = self.args.time.is_some_and(|time| start.elapsed().as_secs_f64() > LATE * time);
+            if late || growth <= 1.0 {
                 break;
             }
-            let next = Subdivision::Count((patches.fronts() as f64 * more.max(1.2)) as usize);
-            let count = Patches::forecast(self.scene, &next);
-            if count <= patches.fronts() as f64 || limit.check(&self.work(count, FIRST_RAYS, &bytes)).is_err()
-            {
+            let finer = match floor {
+                Some(_) => adaptive::finer(self.scene, solved, solution, growth.max(LEAST_GROWTH)),
+                // Whole triangles do not tell where light varies.
+                None => Patches::subdivide(self.scene, &Subdivision::Count(4 * patches.fronts())),
+            };
+            let grown = finer.fronts() > patches.fronts();
+            let work = self.work(finer.fronts() as f64, FIRST_RAYS, &bytes);
+            if !grown || limit.check(&work).is_err() {
                 break;
             }
-            subdivision = next;
+            patches = finer;
         }
-        if let Some(f) = floor.filter(|&f| f > wanted) {
+        if let (Some(wanted), Some(floor)) = (wanted, floor)
+            && floor > wanted
+        {
             self.watch.warn(&format!(
                 "{:.2} % is out of reach: the smallest patches that can be held leave about {:.2} % themselves",
                 100.0 * wanted,
-                100.0 * f
+                100.0 * floor
             ));
         }
-        Ok((subdivision, floor))
+        Ok((patches, floor))
     }
 
     /// Says that the patches someone chose are too large for the error that he wants.

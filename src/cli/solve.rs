@@ -136,6 +136,7 @@ struct Computed {
     chosen: String,
     energy: EnergyLedger,
     error: ErrorReport,
+    discretisation: Option<Discretisation>,
 }
 
 /// Runs the command.
@@ -217,7 +218,7 @@ fn compute(
     let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch, checkpoint };
     let Sampled { solved, rounds, chosen } = sampling.run(start, times)?;
     let options = args.solve_options();
-    let ((energy, error), seconds) = watch.stage("errors", || {
+    let ((energy, error, discretisation), seconds) = watch.stage("errors", || {
         let Solved { patches, form_factors, solution, .. } = &solved;
         let energy = EnergyLedger::of(form_factors, patches, solution);
         let progress = watch.progress();
@@ -228,15 +229,15 @@ fn compute(
         let error = ErrorReport {
             rms_relative: rounds.last().map(|round| round.error),
             bias_relative: bias::relative(form_factors, &tracer, patches, solution, &options, progress)?,
-            discretisation_relative: change.map(|d| d.relative),
+            discretisation_relative: change.as_ref().map(|d| d.relative),
             solver_relative: Some(solution.error_bound * unit).filter(|x| x.is_finite() && unit > 0.0),
             target: args.error.map(|percent| percent / 100.0),
             ..ErrorReport::default()
         };
-        Ok((energy, error))
+        Ok((energy, error, change))
     })?;
     times.solve += seconds;
-    Ok(Computed { scene, solved, rounds, chosen, energy, error })
+    Ok(Computed { scene, solved, rounds, chosen, energy, error, discretisation })
 }
 
 /// Opens a checkpoint and says what is in it.
@@ -260,9 +261,14 @@ fn round_report(round: &Round) -> RoundReport {
 }
 
 fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Result<Pending> {
-    let Computed { scene, solved: Solved { patches, solution, error_bars, .. }, .. } = computed;
-    let standard_errors = Some(&error_bars.standard_error[..]);
-    let options = PlyOptions { exposure: Some(exposure), standard_errors, ..PlyOptions::default() };
+    let Computed { scene, solved: Solved { patches, solution, error_bars, .. }, discretisation, .. } =
+        computed;
+    let options = PlyOptions {
+        standard_errors: Some(&error_bars.standard_error),
+        discretisation: discretisation.as_ref().map(|d| &d.change[..]),
+        exposure: Some(exposure),
+        ..PlyOptions::default()
+    };
     file.write(|out| ply::encode(out, scene, patches, solution, &options))
 }
 

@@ -53,16 +53,16 @@ pub(super) fn few(tracer: &Tracer, patches: &Patches, sources: &Sources) -> Opti
         if area < LEAST_AREA {
             return None;
         }
-        let level = patches.level(patches.triangle(part[0] as usize));
-        let children = f64::from(crate::patch::quadtree::children(level));
-        let density = |i: u32| sources.probability(i as usize) * children / f64::from(area);
+        let whole = patches.triangle_areas()[patches.triangle(part[0] as usize)];
+        let density =
+            |i: u32| sources.probability(i as usize) * (whole / patches.area(i as usize)) / f64::from(area);
         let mut add = |corners: [[f64; 3]; 3], density: f64| {
             let corners =
                 corners.map(|b| (0..3).map(|k| triangle.corners[k].as_dvec3() * b[k]).sum::<DVec3>());
             lamps.push(Lamp { corners, normal: triangle.normal.as_dvec3(), density });
         };
-        let even = part.len() as f64 == children
-            && part.iter().all(|&i| sources.probability(i as usize) == sources.probability(part[0] as usize));
+        let even = part.len() == patches.leaves(patches.triangle(part[0] as usize))
+            && part.iter().all(|&i| (density(i) / density(part[0]) - 1.0).abs() <= f64::from(f32::EPSILON));
         if even {
             add([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], density(part[0]));
         } else {

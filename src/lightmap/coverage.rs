@@ -7,7 +7,7 @@ use super::{
     atlas::Atlas,
     raster::{self, Polygon},
 };
-use crate::{patch::Patches, patch::quadtree, scene::Scene};
+use crate::{patch::Patches, scene::Scene};
 
 /// The part of a triangle in a texel.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -128,9 +128,15 @@ impl Barycentric {
         })
     }
 
-    /// Calls `visit` with every cell of the quadtree of triangle `t` that it meets, and the share of the triangle that the
-    /// cell's part of it is.
-    pub fn for_each_patch(&self, patches: &Patches, t: usize, mut visit: impl FnMut(u32, f64)) {
+    /// Calls `visit` with parts of the patches that it meets on a side of triangle `t`, where these are unknowns, and the share
+    /// of the triangle that each part is.
+    pub fn for_each_patch(
+        &self,
+        patches: &Patches,
+        t: usize,
+        front: bool,
+        mut visit: impl FnMut(Option<usize>, f64),
+    ) {
         let level = patches.level(t);
         let n = f64::from(1u32 << level);
         // Lines of the quadtree come in three families; strips between two lines of each are its cells.
@@ -149,7 +155,7 @@ impl Barycentric {
                     let area = cell.area();
                     if area > 0.0 {
                         let middle = barycentric(cell.middle()).map(|b| b as f32);
-                        visit(quadtree::child_at(middle, level), 2.0 * area);
+                        visit(patches.at(t as u32, middle, front).map(|i| i as usize), 2.0 * area);
                     }
                 }
             }
@@ -183,8 +189,8 @@ mod tests {
             for piece in coverage.pieces(i) {
                 let t = piece.triangle as usize;
                 let part = coverage.barycentric_part(&atlas, i, t);
-                part.for_each_patch(&patches, t, |child, share| {
-                    covered[patches.front(t, child)] += share * patches.triangle_areas()[t];
+                part.for_each_patch(&patches, t, true, |patch, share| {
+                    covered[patch.unwrap()] += share * patches.triangle_areas()[t];
                 });
             }
         }

@@ -14,20 +14,10 @@ pub fn lit_sides(patches: &Patches, solution: &Solution) -> Vec<bool> {
     let lit = |i: usize| solution.irradiance[i * channels..][..channels].iter().any(|&e| e > 0.0);
     (0..patches.triangle_areas().len())
         .map(|t| {
-            let fronts = (0..quadtree_len(patches, t)).map(|child| patches.front(t, child));
+            let fronts = patches.fronts_of(t);
             fronts.clone().any(lit) || !fronts.filter_map(|i| patches.back_of(i)).any(|i| lit(i as usize))
         })
         .collect()
-}
-
-fn quadtree_len(patches: &Patches, t: usize) -> u32 {
-    crate::patch::quadtree::children(patches.level(t))
-}
-
-/// The patch of one side of a triangle that is this child of its quadtree, where it is an unknown.
-pub fn patch(patches: &Patches, t: usize, child: u32, front: bool) -> Option<usize> {
-    let i = patches.front(t, child);
-    if front { Some(i) } else { patches.back_of(i).map(|i| i as usize) }
 }
 
 /// Mean irradiance of each covered texel, W/m²: Σ area · E over the patches in it, over Σ area.
@@ -48,11 +38,16 @@ pub fn means(
             for piece in coverage.pieces(i) {
                 let t = piece.triangle as usize;
                 let (mut sum, mut weight) = ([0.0; 3], 0.0);
-                coverage.barycentric_part(atlas, i, t).for_each_patch(patches, t, |child, share| {
-                    let e = patch(patches, t, child, sides[t]).map_or([0.0; 3], irradiance);
-                    (0..3).for_each(|c| sum[c] += share * e[c]);
-                    weight += share;
-                });
+                coverage.barycentric_part(atlas, i, t).for_each_patch(
+                    patches,
+                    t,
+                    sides[t],
+                    |patch, share| {
+                        let e = patch.map_or([0.0; 3], irradiance);
+                        (0..3).for_each(|c| sum[c] += share * e[c]);
+                        weight += share;
+                    },
+                );
                 if weight > 0.0 {
                     (0..3).for_each(|c| flux[c] += piece.area * sum[c] / weight);
                     total += piece.area;

@@ -2,9 +2,10 @@
 //!
 //! - `vertex`: `x y z` float in the scene's unit; `red green blue` uchar, exposed and sRGB-encoded; `radiosity_r
 //!   radiosity_g radiosity_b` float, linear, W/m².
-//! - `face`, one a patch side: `vertex_indices`; `triangle` int, the triangle of the file; `side` uchar, 0 front and 1
+//! - `face`, one a patch side: `vertex_indices`, three, or four where two smaller patches share an edge; `triangle` int, the triangle of the file; `side` uchar, 0 front and 1
 //!   back; `area` double; `irradiance_*`, `radiosity_*` and `error_*` float, the last the standard error of the
-//!   irradiance, NaN where it is not known.
+//!   irradiance, NaN where it is not known; where that was estimated also `discretisation_*` float, by how much irradiance
+//!   would change were patches twice as large.
 
 use std::{
     io::{self, Write},
@@ -35,6 +36,9 @@ use crate::{
 pub struct PlyOptions<'a> {
     /// Standard error of each patch's irradiance, `channels` interleaved values; written as NaN where `None`.
     pub standard_errors: Option<&'a [f64]>,
+    /// By how much each patch's irradiance would change were patches twice as large, `channels` interleaved values; not
+    /// written where `None`.
+    pub discretisation: Option<&'a [f64]>,
     /// Surfaces that bend by so many degrees at an edge are not shaded as one.
     pub crease: f64,
     /// How bright the vertex colours are; by [`exposure::of_radiosity`] where `None`.
@@ -42,9 +46,9 @@ pub struct PlyOptions<'a> {
 }
 
 impl Default for PlyOptions<'_> {
-    /// No standard errors, a crease angle of [`CREASE`] degrees, automatic exposure.
+    /// No errors, a crease angle of [`CREASE`] degrees, automatic exposure.
     fn default() -> Self {
-        PlyOptions { standard_errors: None, crease: CREASE, exposure: None }
+        PlyOptions { standard_errors: None, discretisation: None, crease: CREASE, exposure: None }
     }
 }
 
@@ -81,12 +85,13 @@ pub fn encode(
 ) -> io::Result<()> {
     let values = patches.channels() * patches.len();
     assert_eq!((solution.radiosity.len(), solution.irradiance.len()), (values, values), "sizes disagree");
-    assert!(options.standard_errors.is_none_or(|e| e.len() == values), "sizes disagree");
+    let errors = [options.standard_errors, options.discretisation];
+    assert!(errors.iter().flatten().all(|e| e.len() == values), "sizes disagree");
 
     let mesh = PatchMesh::new(scene, patches, options.crease);
     let exposure = options.exposure.unwrap_or_else(|| exposure::of_radiosity(patches, &solution.radiosity));
     let radiosity = vertex_colors::at_vertices(scene, patches, &mesh, &solution.radiosity);
-    let header = header(exposure, mesh.positions().len(), patches.len());
+    let header = header(exposure, mesh.positions().len(), patches.len(), options.discretisation.is_some());
 
     Writer::<Vertex>::new().write_header(&mut out, &header)?;
     let channels = patches.channels();
@@ -101,13 +106,15 @@ pub fn encode(
     write_elements(&mut out, &header, "face", patches.len(), |i| {
         let of = |values: &[f64]| rgb(&values[i * channels..][..channels]);
         Face {
-            vertices: mesh.face(i).map(|v| v as i32),
+            vertices: std::array::from_fn(|k| mesh.face(i).nth(k).map_or(0, |v| v as i32)),
+            corners: mesh.face(i).len(),
             triangle: scene.triangles[patches.triangle(i)].source as i32,
             back: u8::from(!patches.is_front(i)),
             area: patches.area(i),
             irradiance: single(positive(of(&solution.irradiance))),
             radiosity: single(positive(of(&solution.radiosity))),
             error: options.standard_errors.map_or([f32::NAN; 3], |e| single(of(e))),
+            discretisation: options.discretisation.map_or([0.0; 3], |e| single(of(e))),
         }
     })
 }
@@ -148,12 +155,13 @@ fn write_elements<E: PropertyAccess + Checked>(
 
 const RGB: [&str; 3] = ["r", "g", "b"];
 
-fn header(exposure: Exposure, vertices: usize, faces: usize) -> Header {
+fn header(exposure: Exposure, vertices: usize, faces: usize, discretisation: bool) -> Header {
     let mut header = Header::new();
     header.encoding = Encoding::BinaryLittleEndian;
     header.comments = vec![
         format!("radiosity {}", env!("CARGO_PKG_VERSION")),
-        "units: lengths as in the scene; radiosity, irradiance and its standard error in W/m2, linear Rec. 709".into(),
+        "units: lengths as in the scene; radiosity, irradiance and its errors in W/m2, linear Rec. 709"
+            .into(),
         format!("exposure: colours are sRGB, white is a radiosity of {:.6e} W/m2", exposure.white()),
     ];
     let named = |quantity: &'static str| RGB.map(|c| (format!("{quantity}_{c}"), ScalarType::Float));
@@ -175,7 +183,8 @@ fn header(exposure: Exposure, vertices: usize, faces: usize) -> Header {
     face.properties.add(scalar("triangle", ScalarType::Int));
     face.properties.add(scalar("side", ScalarType::UChar));
     face.properties.add(scalar("area", ScalarType::Double));
-    for (name, kind) in ["irradiance", "radiosity", "error"].into_iter().flat_map(named) {
+    let quantities = ["irradiance", "radiosity", "error"].into_iter();
+    for (name, kind) in quantities.chain(discretisation.then_some("discretisation")).flat_map(named) {
         face.properties.add(scalar(&name, kind));
     }
     header.elements.add(face);
@@ -231,19 +240,21 @@ impl PropertyAccess for Vertex {
 
 #[derive(Default)]
 struct Face {
-    vertices: [i32; 3],
+    vertices: [i32; 4],
+    corners: usize,
     triangle: i32,
     back: u8,
     area: f64,
     irradiance: [f32; 3],
     radiosity: [f32; 3],
     error: [f32; 3],
+    discretisation: [f32; 3],
 }
 
 impl Checked for Face {
     fn fits(&self) -> bool {
-        self.irradiance.iter().chain(&self.radiosity).all(|x| x.is_finite())
-            && !self.error.iter().any(|x| x.is_infinite())
+        let finite = self.irradiance.iter().chain(&self.radiosity).chain(&self.discretisation);
+        finite.into_iter().all(|x| x.is_finite()) && !self.error.iter().any(|x| x.is_infinite())
     }
 }
 
@@ -253,7 +264,7 @@ impl PropertyAccess for Face {
     }
 
     fn get_list_int(&self, name: &str) -> Option<&[i32]> {
-        (name == "vertex_indices").then_some(&self.vertices)
+        (name == "vertex_indices").then(|| &self.vertices[..self.corners])
     }
 
     fn get_int(&self, name: &str) -> Option<i32> {
@@ -272,6 +283,7 @@ impl PropertyAccess for Face {
         channel(name, "irradiance_", self.irradiance)
             .or_else(|| channel(name, "radiosity_", self.radiosity))
             .or_else(|| channel(name, "error_", self.error))
+            .or_else(|| channel(name, "discretisation_", self.discretisation))
     }
 }
 

@@ -3,15 +3,23 @@
 //! A vertex is known by where it is: a vertex of the scene; a dyadic fraction of the way along an edge, counted from
 //! the end with the lower index; or a point inside one triangle. Its position comes from one expression of those, so
 //! patches that meet there agree to the last bit, also where one triangle is cut more finely than its neighbour.
+//! There the larger patch has a vertex that is no corner of it: its face is a quadrilateral ([`meeting`](super::meeting)).
 //!
 //! Where surfaces meet at a crease, one place has a vertex for each surface, because each has its own radiosity there.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::surfaces::{NONE, Surfaces, has_side};
+use super::{
+    meeting::{Meeting, common_edge, middle},
+    surfaces::{NONE, Surfaces, has_side},
+};
 use crate::{
-    patch::{Patches, quadtree},
+    patch::{
+        Cell, Patches,
+        edges::{FINEST, edge_of, from_lower_end},
+        restricted::points,
+    },
     scene::Scene,
 };
 
@@ -19,12 +27,12 @@ use crate::{
 /// looks round, one of 8 sides keeps its edges.
 pub const CREASE: f64 = 30.0;
 
-/// A vertex in the middle of an edge of a coarser patch.
+/// A vertex within an edge of a patch, where smaller ones meet it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hanging {
     /// The vertex.
     pub vertex: u32,
-    /// The ends of the coarser patch's edge.
+    /// The ends of the larger patch's edge.
     pub ends: [u32; 2],
     /// How far the vertex is from the first end to the second, between 0 and 1.
     pub fraction: f64,
@@ -35,6 +43,8 @@ pub struct Hanging {
 pub struct PatchMesh {
     positions: Vec<DVec3>,
     corners: Vec<[u32; 3]>,
+    /// Patches with a fourth vertex, in order: on which edge it is, and which it is.
+    fourth: Vec<(u32, usize, u32)>,
     hanging: Vec<Hanging>,
     fronts: usize,
 }
@@ -43,7 +53,8 @@ impl PatchMesh {
     /// Numbers the vertices; surfaces that bend by `crease` degrees or more at an edge share none there.
     pub fn new(scene: &Scene, patches: &Patches, crease: f64) -> PatchMesh {
         let surfaces = Surfaces::new(scene, patches, crease);
-        let mut numbering = Numbering::new(scene, patches, &surfaces);
+        let meeting = Meeting::new(scene, patches);
+        let mut numbering = Numbering::new(scene, patches, &surfaces, &meeting);
         for front in [true, false] {
             for t in (0..scene.triangles.len()).filter(|&t| has_side(patches, t, front)) {
                 numbering.add(t, front);
@@ -51,7 +62,8 @@ impl PatchMesh {
         }
         let corners = (0..patches.len()).into_par_iter().map(|i| numbering.corners_of(i)).collect();
         PatchMesh {
-            hanging: numbering.hanging(),
+            fourth: numbering.fourth(&meeting),
+            hanging: numbering.hanging(&meeting),
             positions: numbering.positions,
             corners,
             fronts: patches.fronts(),
@@ -68,23 +80,34 @@ impl PatchMesh {
         self.corners[i]
     }
 
-    /// The vertices of patch `i`, counter-clockwise seen from the side that it is on.
-    pub fn face(&self, i: usize) -> [u32; 3] {
-        let [a, b, c] = self.corners[i];
-        if i < self.fronts { [a, b, c] } else { [a, c, b] }
+    /// The three or four vertices of patch `i`, counter-clockwise seen from the side that it is on. Of four, the first is
+    /// within an edge: most viewers cut quadrilaterals there.
+    pub fn face(&self, i: usize) -> impl ExactSizeIterator<Item = u32> + Clone + use<> {
+        let corners = self.corners[i];
+        let fourth = self.fourth.binary_search_by_key(&(i as u32), |&(patch, ..)| patch);
+        let (mut face, count) = match fourth.map(|at| self.fourth[at]) {
+            Err(_) => ([corners[0], corners[1], corners[2], NONE], 3),
+            Ok((_, k, vertex)) => ([vertex, corners[(k + 1) % 3], corners[(k + 2) % 3], corners[k]], 4),
+        };
+        if i >= self.fronts {
+            face[1..count].reverse();
+        }
+        face.into_iter().take(count)
     }
 
-    /// The vertices in the middle of edges of coarser patches of the same surface.
+    /// The vertices within edges of larger patches, the largest first.
     pub fn hanging(&self) -> &[Hanging] {
         &self.hanging
     }
 }
 
-/// Numbers of the vertices while they are given out.
+/// Numbers of the vertices while they are given out. Points have whole barycentric coordinates that sum to 2^[`FINEST`],
+/// and those on edges are known by their distance from the end with the lower index.
 struct Numbering<'a> {
     scene: &'a Scene,
     patches: &'a Patches,
     surfaces: &'a Surfaces,
+    meeting: &'a Meeting,
     positions: Vec<DVec3>,
     /// The vertex at the corner of each slot that is the lowest of its cluster.
     corner: Vec<u32>,
@@ -92,20 +115,69 @@ struct Numbering<'a> {
     edge: Vec<u32>,
     /// The first vertex inside each side of a triangle, fronts first.
     inner: Vec<u32>,
+    /// Those slots, and the points inside their edges, where mixed triangles have them; in order.
+    on_edges: Vec<(u32, u32)>,
+    /// Triangles that are not uniform, and the points inside them, by two coordinates; in order.
+    inside: Vec<(u32, [u32; 2])>,
 }
 
 impl<'a> Numbering<'a> {
-    fn new(scene: &'a Scene, patches: &'a Patches, surfaces: &'a Surfaces) -> Self {
+    fn new(scene: &'a Scene, patches: &'a Patches, surfaces: &'a Surfaces, meeting: &'a Meeting) -> Self {
         let slots = surfaces.slots();
-        Numbering {
+        let mut numbering = Numbering {
             scene,
             patches,
             surfaces,
+            meeting,
             positions: Vec::with_capacity(patches.len() / 2 + scene.vertices.len()),
             corner: vec![NONE; slots],
             edge: vec![NONE; slots],
             inner: vec![NONE; slots / 3],
+            on_edges: Vec::new(),
+            inside: Vec::new(),
+        };
+        numbering.list_points();
+        numbering
+    }
+
+    /// Fills the lists of points.
+    fn list_points(&mut self) {
+        let (mut on_edges, mut inside) = (Vec::new(), Vec::new());
+        for (_, cell) in &self.meeting.cells {
+            let t = cell.triangle as usize;
+            for p in points(cell).into_iter().filter(|p| !p.contains(&(1 << FINEST))) {
+                match edge_of(p) {
+                    Some(k) => {
+                        on_edges.extend(self.owners(t, k).map(|owner| (owner, self.distance(t, k, p))))
+                    }
+                    None if !self.patches.is_uniform(t) => inside.push((cell.triangle, [p[1], p[2]])),
+                    None => {}
+                }
+            }
         }
+        for &(i, k) in &self.meeting.cut {
+            let p = points(&self.patches.cell(i));
+            let (t, p) = (self.patches.triangle(i), middle(p[k], p[(k + 1) % 3]));
+            if let Some(k) = edge_of(p) {
+                on_edges.extend(self.owners(t, k).map(|owner| (owner, self.distance(t, k, p))));
+            }
+        }
+        on_edges.par_sort_unstable();
+        on_edges.dedup();
+        inside.par_sort_unstable();
+        inside.dedup();
+        (self.on_edges, self.inside) = (on_edges, inside);
+    }
+
+    /// The owners of edge `k` on those sides of triangle `t` that have patches.
+    fn owners(&self, t: usize, k: usize) -> impl Iterator<Item = u32> + use<'a> {
+        let (patches, surfaces) = (self.patches, self.surfaces);
+        let sides = [true, false].into_iter().filter(move |&front| has_side(patches, t, front));
+        sides.map(move |front| owner(surfaces, surfaces.slot(t, k, front)) as u32)
+    }
+
+    fn distance(&self, t: usize, k: usize, p: [u32; 3]) -> u32 {
+        from_lower_end(self.scene.triangles[t].vertices, k, p)
     }
 
     /// Gives numbers to the vertices of a side of triangle `t` that have none yet.
@@ -117,7 +189,7 @@ impl<'a> Numbering<'a> {
                 self.corner[cluster] = self.positions.len() as u32;
                 self.positions.push(self.scene.corners(t)[k]);
             }
-            let owner = self.owner(slot);
+            let owner = owner(self.surfaces, slot);
             if self.edge[owner] == NONE {
                 self.edge[owner] = self.positions.len() as u32;
                 self.push_edge(owner);
@@ -125,100 +197,151 @@ impl<'a> Numbering<'a> {
         }
         self.inner[self.surfaces.slot(t, 0, front) / 3] = self.positions.len() as u32;
         let [a, b, c] = self.scene.corners(t);
-        let n = 1u32 << self.patches.level(t);
-        for i in 1..n {
-            for j in 1..n - i {
-                let along = |k: u32| f64::from(k) / f64::from(n);
-                self.positions.push(a + (b - a) * along(i) + (c - a) * along(j));
+        let along = |k: u32, n: u32| f64::from(k) / f64::from(n);
+        if self.patches.is_uniform(t) {
+            let n = 1u32 << self.patches.level(t);
+            for i in 1..n {
+                for j in 1..n - i {
+                    self.positions.push(a + (b - a) * along(i, n) + (c - a) * along(j, n));
+                }
+            }
+        } else {
+            for &(_, [i, j]) in run(&self.inside, t as u32).1 {
+                let n = 1 << FINEST;
+                self.positions.push(a + (b - a) * along(i, n) + (c - a) * along(j, n));
             }
         }
     }
 
     /// The vertices inside an edge, from the end with the lower index to the other.
     fn push_edge(&mut self, slot: usize) {
-        let (low, high) = self.ends(slot);
-        let (low, high) = (self.scene.vertices[low as usize], self.scene.vertices[high as usize]);
-        let n = 1u32 << self.finest(slot);
-        for k in 1..n {
-            self.positions.push(low + (high - low) * (f64::from(k) / f64::from(n)));
-        }
-    }
-
-    /// The lower of the slots that share an edge's vertices.
-    fn owner(&self, slot: usize) -> usize {
-        self.surfaces.across(slot).map_or(slot, |other| slot.min(other))
-    }
-
-    /// The vertices of the scene at the ends of an edge, lower index first.
-    fn ends(&self, slot: usize) -> (u32, u32) {
         let v = self.scene.triangles[self.surfaces.triangle(slot)].vertices;
         let (a, b) = (v[slot % 3], v[(slot + 1) % 3]);
-        (a.min(b), a.max(b))
-    }
-
-    /// The finest level of the triangles that share an edge's vertices.
-    fn finest(&self, slot: usize) -> u8 {
-        let level = |slot: usize| self.patches.level(self.surfaces.triangle(slot));
-        self.surfaces.across(slot).map_or(level(slot), |other| level(slot).max(level(other)))
-    }
-
-    /// The vertex `k` / 2^`level` of the way along an edge from its lower end.
-    fn on_edge(&self, slot: usize, k: u32, level: u8) -> u32 {
-        let lower_first = {
-            let v = self.scene.triangles[self.surfaces.triangle(slot)].vertices;
-            v[slot % 3] < v[(slot + 1) % 3]
-        };
-        let n = 1 << level;
-        if k == 0 || k == n {
-            let at_start = lower_first == (k == 0);
-            let corner = if at_start { slot } else { slot - slot % 3 + (slot + 1) % 3 };
-            return self.corner[self.surfaces.cluster(corner)];
+        let [low, high] = [a.min(b), a.max(b)].map(|v| self.scene.vertices[v as usize]);
+        let at = |k: u32, n: u32| low + (high - low) * (f64::from(k) / f64::from(n));
+        if self.is_listed(slot) {
+            let (_, listed) = run(&self.on_edges, slot as u32);
+            self.positions.extend(listed.iter().map(|&(_, distance)| at(distance, 1 << FINEST)));
+        } else {
+            let n = 1 << self.patches.level(self.surfaces.triangle(slot));
+            self.positions.extend((1..n).map(|k| at(k, n)));
         }
-        self.edge[self.owner(slot)] + (k << (self.finest(slot) - level)) - 1
+    }
+
+    /// Whether the points inside the edge of a slot are listed; else its triangles cut it evenly.
+    fn is_listed(&self, slot: usize) -> bool {
+        let is_mixed = |slot: usize| self.meeting.is_mixed(self.surfaces.triangle(slot));
+        is_mixed(slot) || self.surfaces.across(slot).is_some_and(is_mixed)
+    }
+
+    /// The vertex inside an edge at a point, if there is one.
+    fn on_edge(&self, slot: usize, distance: u32) -> Option<u32> {
+        let owner = owner(self.surfaces, slot);
+        let index = if self.is_listed(owner) {
+            let (start, _) = run(&self.on_edges, owner as u32);
+            self.on_edges.binary_search(&(owner as u32, distance)).ok()? - start
+        } else {
+            (distance >> (FINEST - u32::from(self.patches.level(self.surfaces.triangle(owner))))) as usize - 1
+        };
+        Some(self.edge[owner] + index as u32)
     }
 
     /// The vertices of patch `i` in the order of its triangle's corners.
     fn corners_of(&self, i: usize) -> [u32; 3] {
-        let t = self.patches.triangle(i);
-        let level = self.patches.level(t);
-        let front = self.patches.is_front(i);
-        quadtree::lattice(self.patches.child(i), level).map(|p| self.lattice_vertex(t, front, level, p))
+        let (t, front) = (self.patches.triangle(i), self.patches.is_front(i));
+        let vertex = |p| self.vertex(t, front, p).expect("corners of patches have vertices");
+        points(&self.patches.cell(i)).map(vertex)
     }
 
-    /// The vertex at whole barycentric coordinates that sum to 2^`level`.
-    fn lattice_vertex(&self, t: usize, front: bool, level: u8, p: [u32; 3]) -> u32 {
-        let n = 1u32 << level;
-        // Edge k runs from corner k to corner k + 1; there the third coordinate is zero.
-        if let Some(k) = (0..3).find(|&k| p[(k + 2) % 3] == 0) {
-            let slot = self.surfaces.slot(t, k, front);
-            let v = self.scene.triangles[t].vertices;
-            let from_lower = if v[k] < v[(k + 1) % 3] { p[(k + 1) % 3] } else { p[k] };
-            return self.on_edge(slot, from_lower, level);
+    /// The vertex of a side of a triangle at a point, if there is one.
+    fn vertex(&self, t: usize, front: bool, p: [u32; 3]) -> Option<u32> {
+        if let Some(k) = (0..3).find(|&k| p[k] == 1 << FINEST) {
+            return Some(self.corner[self.surfaces.cluster(self.surfaces.slot(t, k, front))]);
         }
-        let [_, row, column] = p;
-        let before = (row - 1) * (n - 1) - row * (row - 1) / 2;
-        self.inner[self.surfaces.slot(t, 0, front) / 3] + before + column - 1
+        if let Some(k) = edge_of(p) {
+            return self.on_edge(self.surfaces.slot(t, k, front), self.distance(t, k, p));
+        }
+        let index = if self.patches.is_uniform(t) {
+            let level = u32::from(self.patches.level(t));
+            let (n, [_, row, column]) = (1u32 << level, p.map(|x| x >> (FINEST - level)));
+            (row - 1) * (n - 1) - row * (row - 1) / 2 + column - 1
+        } else {
+            let (start, _) = run(&self.inside, t as u32);
+            (self.inside.binary_search(&(t as u32, [p[1], p[2]])).ok()? - start) as u32
+        };
+        Some(self.inner[self.surfaces.slot(t, 0, front) / 3] + index)
     }
 
-    /// The vertices of finer triangles in the middle of edges of coarser ones.
-    fn hanging(&self) -> Vec<Hanging> {
-        let mut hanging = Vec::new();
-        for slot in 0..self.surfaces.slots() {
-            let coarse = self.patches.level(self.surfaces.triangle(slot));
-            let fine = self.finest(slot);
-            if self.surfaces.across(slot).is_none() || coarse == fine {
-                continue;
-            }
-            let step = 1u32 << (fine - coarse);
-            for k in (1..1u32 << fine).filter(|k| k % step != 0) {
-                let end = k / step;
-                hanging.push(Hanging {
-                    vertex: self.on_edge(slot, k, fine),
-                    ends: [self.on_edge(slot, end, coarse), self.on_edge(slot, end + 1, coarse)],
-                    fraction: f64::from(k % step) / f64::from(step),
-                });
+    /// The patches that have a fourth vertex.
+    fn fourth(&self, meeting: &Meeting) -> Vec<(u32, usize, u32)> {
+        let sides = |&(i, k): &(usize, usize)| {
+            let p = points(&self.patches.cell(i));
+            let middle = middle(p[k], p[(k + 1) % 3]);
+            let vertex = |front| self.vertex(self.patches.triangle(i), front, middle).expect("it was listed");
+            let back = self.patches.back_of(i).map(|back| (back, k, vertex(false)));
+            std::iter::once((i as u32, k, vertex(true))).chain(back)
+        };
+        let mut fourth: Vec<(u32, usize, u32)> = meeting.cut.par_iter().flat_map_iter(sides).collect();
+        fourth.par_sort_unstable();
+        fourth
+    }
+
+    /// The vertices within edges of patches.
+    fn hanging(&self, meeting: &Meeting) -> Vec<Hanging> {
+        let of_cell = |(i, cell): &(usize, Cell)| {
+            let sides =
+                [true, false].into_iter().filter(|&front| front || self.patches.back_of(*i).is_some());
+            let found = sides.flat_map(|front| self.hanging_of(cell, front));
+            found.map(|hanging| (cell.level, hanging)).collect::<Vec<_>>()
+        };
+        let mut hanging: Vec<(u8, Hanging)> = meeting.cells.par_iter().flat_map_iter(of_cell).collect();
+        hanging.par_sort_by_key(|&(level, _)| level);
+        hanging.into_iter().map(|(_, hanging)| hanging).collect()
+    }
+
+    /// The vertices within the edges of one patch.
+    fn hanging_of(&self, cell: &Cell, front: bool) -> Vec<Hanging> {
+        let (t, p) = (cell.triangle as usize, points(cell));
+        let mut found = Vec::new();
+        for k in 0..3 {
+            let (a, b) = (p[k], p[(k + 1) % 3]);
+            let end = |p| self.vertex(t, front, p).expect("corners of patches have vertices");
+            let mut add =
+                |vertex: u32, ends: [u32; 2], fraction: f64| found.push(Hanging { vertex, ends, fraction });
+            match common_edge(a, b) {
+                Some(side) => {
+                    let owner = owner(self.surfaces, self.surfaces.slot(t, side, front));
+                    let [from, to] = [a, b].map(|p| self.distance(t, side, p));
+                    let (_, listed) = run(&self.on_edges, owner as u32);
+                    let between = |x: u32| from.min(to) < x && x < from.max(to);
+                    let first = listed.partition_point(|&(_, x)| x <= from.min(to));
+                    for (n, &(_, x)) in
+                        listed.iter().enumerate().skip(first).take_while(|(_, (_, x))| between(*x))
+                    {
+                        let fraction = (f64::from(x) - f64::from(from)) / (f64::from(to) - f64::from(from));
+                        add(self.edge[owner] + n as u32, [end(a), end(b)], fraction);
+                    }
+                }
+                None if !self.patches.is_uniform(t) && u32::from(cell.level) < FINEST => {
+                    if let Some(vertex) = self.vertex(t, front, middle(a, b)) {
+                        add(vertex, [end(a), end(b)], 0.5);
+                    }
+                }
+                None => {}
             }
         }
-        hanging
+        found
     }
+}
+
+/// The lower of the slots that share an edge's vertices.
+fn owner(surfaces: &Surfaces, slot: usize) -> usize {
+    surfaces.across(slot).map_or(slot, |other| slot.min(other))
+}
+
+/// The part of a sorted list that belongs to `key`, and where it begins.
+fn run<T>(list: &[(u32, T)], key: u32) -> (usize, &[(u32, T)]) {
+    let start = list.partition_point(|&(k, _)| k < key);
+    let length = list[start..].partition_point(|&(k, _)| k == key);
+    (start, &list[start..start + length])
 }

@@ -1,14 +1,21 @@
 //! Patches: the triangles of the scene, cut into pieces of constant radiosity, and their two sides.
 //!
-//! A triangle is cut by a uniform quadtree: level `l` gives 4^l congruent children. Only the input triangles are in
-//! the ray tracer; the barycentric coordinates of a hit tell the patch in `l` steps ([`quadtree`]).
+//! A triangle is cut by a quadtree: level `l` gives 4^l congruent children. Only the input triangles are in the ray
+//! tracer; the barycentric coordinates of a hit tell the child in `l` steps ([`quadtree`]). Where patches of one triangle
+//! differ in size ([`Patches::refined`]), a search among them follows.
 //!
 //! Every triangle has a front, whose patches are always unknowns of the system, and a back, whose patches become
 //! unknowns only when rays hit them: closed solids never show their inside.
 
+pub(crate) mod edges;
+mod forest;
 pub mod quadtree;
+pub(crate) mod restricted;
+
+use std::ops::Range;
 
 use crate::scene::Scene;
+use forest::Forest;
 
 /// How finely to cut.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,6 +30,17 @@ pub enum Subdivision {
 const MAX_LEVEL: u8 = 15;
 const NONE: u32 = u32::MAX;
 
+/// A triangle, or the part of it that quadtree steps lead to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Cell {
+    /// The triangle.
+    pub triangle: u32,
+    /// The steps: base-4 digits, the first most significant.
+    pub child: u32,
+    /// How many they are.
+    pub level: u8,
+}
+
 /// The unknowns: every patch of the fronts, in file order, then the patches of the backs that rays have hit.
 ///
 /// Radiometric values come `channels` at a time: element `i * channels + c` is channel `c` of patch `i`.
@@ -30,9 +48,8 @@ const NONE: u32 = u32::MAX;
 pub struct Patches {
     channels: usize,
     fronts: usize,
-    levels: Vec<u8>,
+    trees: Forest,
     triangle_areas: Vec<f64>,
-    front_offsets: Vec<u32>,
     back_offsets: Vec<u32>,
     triangle: Vec<u32>,
     reflectance: Vec<f64>,
@@ -56,24 +73,39 @@ impl Patches {
         let total = count(&levels);
         assert!(total < f64::from(1u32 << 31), "{total:.2e} patches are more than the program can number");
 
+        Self::of_trees(scene, Forest::uniform(levels), edge)
+    }
+
+    fn of_trees(scene: &Scene, trees: Forest, edge: f64) -> Patches {
+        let triangles = trees.trees();
+        let fronts = trees.offset(triangles) as usize;
         let mut patches = Patches {
             channels: scene.channels(),
-            fronts: 0,
-            triangle_areas: (0..levels.len()).map(|t| scene.area(t)).collect(),
-            front_offsets: Vec::with_capacity(levels.len()),
-            back_offsets: vec![NONE; levels.len()],
-            triangle: Vec::with_capacity(total as usize),
+            fronts,
+            triangle_areas: (0..triangles).map(|t| scene.area(t)).collect(),
+            back_offsets: vec![NONE; triangles],
+            triangle: Vec::with_capacity(fronts),
             reflectance: Vec::new(),
             emission: Vec::new(),
-            levels,
+            trees,
             edge,
         };
-        for t in 0..patches.levels.len() {
-            patches.front_offsets.push(patches.triangle.len() as u32);
-            patches.append(scene, t as u32, true);
-        }
-        patches.fronts = patches.triangle.len();
+        (0..triangles).for_each(|t| patches.append(scene, t as u32, true));
         patches
+    }
+
+    /// Cuts the marked front patches in four, and of the others as many as it takes for neighbours to differ by one level
+    /// at most, and for each patch to have smaller neighbours on one edge at most: within triangles, and where triangles
+    /// share an edge. Backs are no unknowns yet.
+    ///
+    /// # Panics
+    /// When there is not a mark for each front patch, or when the patches would outnumber 2³¹.
+    pub fn refined(&self, scene: &Scene, marked: &[bool]) -> Patches {
+        assert_eq!(marked.len(), self.fronts, "one mark a front patch is wanted");
+        let cells: Vec<Cell> = (0..self.fronts).map(|i| self.cell(i)).collect();
+        let cells = restricted::restrict(scene, restricted::split(cells, marked));
+        assert!(cells.len() < 1 << 31, "{} patches are more than the program can number", cells.len());
+        Self::of_trees(scene, Forest::of_leaves(&cells), self.edge)
     }
 
     /// How many patches a subdivision gives, without making them.
@@ -98,12 +130,12 @@ impl Patches {
 
     fn append(&mut self, scene: &Scene, t: u32, front: bool) {
         let ti = t as usize;
-        let level = self.levels[ti];
         let material = scene.material(ti);
         let textured = material.reflectance_map.is_some() || material.emission_map.is_some();
-        for child in 0..quadtree::children(level) {
+        for leaf in 0..self.trees.leaves(ti) {
             let (mut reflectance, mut emission) = (material.reflectance, material.emission);
             if textured {
+                let Cell { child, level, .. } = self.trees.cell(ti, leaf);
                 let part = quadtree::corners(child, level);
                 reflectance = scene.mean_reflectance(ti, &part);
                 emission = scene.mean_emission(ti, &part);
@@ -155,58 +187,80 @@ impl Patches {
         i < self.fronts
     }
 
-    /// Quadtree level of a triangle.
+    /// Quadtree level of the smallest patches of a triangle.
     pub fn level(&self, triangle: usize) -> u8 {
-        self.levels[triangle]
+        self.trees.level(triangle)
     }
 
-    /// Which child of its triangle's quadtree patch `i` is.
-    pub fn child(&self, i: usize) -> u32 {
+    /// Whether all patches of a triangle are of one level.
+    pub fn is_uniform(&self, triangle: usize) -> bool {
+        self.trees.is_uniform(triangle)
+    }
+
+    /// Number of patches on each side of a triangle.
+    pub fn leaves(&self, triangle: usize) -> usize {
+        self.trees.leaves(triangle) as usize
+    }
+
+    /// The front patches of a triangle.
+    pub fn fronts_of(&self, triangle: usize) -> Range<usize> {
+        let start = self.trees.offset(triangle) as usize;
+        start..start + self.leaves(triangle)
+    }
+
+    /// Which of the patches on its side of its triangle patch `i` is, in the order of the quadtree.
+    fn leaf(&self, i: usize) -> u32 {
         let t = self.triangle(i);
-        let offset = if self.is_front(i) { self.front_offsets[t] } else { self.back_offsets[t] };
-        i as u32 - offset
+        i as u32 - if self.is_front(i) { self.trees.offset(t) } else { self.back_offsets[t] }
     }
 
-    /// The front patch that is this child of a triangle's quadtree.
-    pub fn front(&self, triangle: usize, child: u32) -> usize {
-        (self.front_offsets[triangle] + child) as usize
+    /// Where patch `i` is in the quadtree of its triangle.
+    pub fn cell(&self, i: usize) -> Cell {
+        self.trees.cell(self.triangle(i), self.leaf(i))
     }
 
-    /// The front patch of `coarser`, a coarser subdivision of the same scene, in which front patch `i` lies, and the share
-    /// of its area that it covers. The patches of a quadtree that lie in the same coarser one follow each other.
-    pub fn within(&self, coarser: &Patches, i: usize) -> (usize, f64) {
-        let t = self.triangle(i);
-        let deeper = self.level(t) - coarser.level(t);
-        (coarser.front(t, self.child(i) >> (2 * deeper)), 0.25f64.powi(deeper.into()))
+    /// The front patches that share some of their area with a cell: one that holds it, or all that it holds.
+    pub fn fronts_in(&self, cell: &Cell) -> Range<usize> {
+        let (leaves, first) = (self.trees.overlapping(cell), self.trees.offset(cell.triangle as usize));
+        (first + leaves.start) as usize..(first + leaves.end) as usize
     }
 
-    /// Runs of patches that share the ancestor so many levels up the quadtree of their triangle's side, or that side where
-    /// it has not as many, in the order of the patches.
-    pub fn families(&self, levels: u8) -> impl Iterator<Item = std::ops::Range<usize>> + '_ {
-        let ancestor = move |i: usize| (self.triangle(i), self.is_front(i), self.child(i) >> (2 * levels));
+    /// The front patches of `other`, another subdivision of the same scene, that front patch `i` shares some of its area
+    /// with: one that holds it, or all that it holds. And the share of the area of each that it covers, 1 in the second case.
+    pub fn overlap(&self, other: &Patches, i: usize) -> (Range<usize>, f64) {
+        let cell = self.cell(i);
+        let fronts = other.fronts_in(&cell);
+        let deeper = cell.level.saturating_sub(other.cell(fronts.start).level);
+        (fronts, 0.25f64.powi(deeper.into()))
+    }
+
+    /// Runs of neighbouring patches, in the order of the patches: all those of an ancestor in the quadtree of their triangle's
+    /// side, the highest that has none more than so many levels below itself.
+    pub fn families(&self, levels: u8) -> impl Iterator<Item = Range<usize>> + '_ {
         let mut start = 0;
-        (1..=self.len()).filter(move |&i| i == self.len() || ancestor(i) != ancestor(i - 1)).map(move |end| {
-            let family = start..end;
-            start = end;
-            family
+        std::iter::from_fn(move || {
+            let t = *self.triangle.get(start)? as usize;
+            let family = start..start + self.trees.family(t, self.leaf(start), levels) as usize;
+            start = family.end;
+            Some(family)
         })
     }
 
     /// The patch on the back of front patch `i`, where that is an unknown.
     pub fn back_of(&self, i: usize) -> Option<u32> {
         let offset = self.back_offsets[self.triangle(i)];
-        (offset != NONE).then(|| offset + self.child(i))
+        (offset != NONE).then(|| offset + self.leaf(i))
     }
 
     /// Area of patch `i` in the file's unit squared.
     pub fn area(&self, i: usize) -> f64 {
-        let t = self.triangle(i);
-        self.triangle_areas[t] / quadtree::children(self.levels[t]) as f64
+        self.triangle_areas[self.triangle(i)] / f64::from(quadtree::children(self.cell(i).level))
     }
 
     /// Barycentric coordinates, in its triangle, of the corners of patch `i`.
     pub fn corners(&self, i: usize) -> [[f64; 3]; 3] {
-        quadtree::corners(self.child(i), self.levels[self.triangle(i)])
+        let Cell { child, level, .. } = self.cell(i);
+        quadtree::corners(child, level)
     }
 
     /// Barycentric coordinates in patch `i` of a point of its triangle; a point outside by a rounding is moved in.
@@ -234,8 +288,8 @@ impl Patches {
     #[inline]
     pub fn at(&self, triangle: u32, barycentric: [f32; 3], front: bool) -> Option<u32> {
         let t = triangle as usize;
-        let offset = if front { self.front_offsets[t] } else { self.back_offsets[t] };
-        (offset != NONE).then(|| offset + quadtree::child_at(barycentric, self.levels[t]))
+        let offset = if front { self.trees.offset(t) } else { self.back_offsets[t] };
+        (offset != NONE).then(|| offset + self.trees.leaf_at(t, barycentric))
     }
 }
 

@@ -1,0 +1,63 @@
+//! Edges that triangles have in common, and names for the points that the corners of patches lie on.
+
+use rayon::prelude::*;
+
+use super::MAX_LEVEL;
+use crate::scene::Scene;
+
+/// Points are told apart in units of 1/2^this of an edge.
+pub(crate) const FINEST: u32 = MAX_LEVEL as u32;
+
+/// The edges of a scene. Triangles whose edges have the same two vertices share them, whatever their number, winding or
+/// material.
+#[derive(Debug)]
+pub(crate) struct Edges {
+    /// For edge `k` of triangle `t`, which runs from its corner `k` to the next, at `3 t + k`: its lowest such number.
+    first: Vec<u32>,
+}
+
+impl Edges {
+    pub(crate) fn new(scene: &Scene) -> Edges {
+        let mut slots: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * scene.triangles.len());
+        for (t, triangle) in scene.triangles.iter().enumerate() {
+            for k in 0..3 {
+                let (a, b) = (triangle.vertices[k], triangle.vertices[(k + 1) % 3]);
+                slots.push((a.min(b), a.max(b), (3 * t + k) as u32));
+            }
+        }
+        slots.par_sort_unstable();
+        let mut first = vec![0; slots.len()];
+        for edge in slots.chunk_by(|e, f| (e.0, e.1) == (f.0, f.1)) {
+            edge.iter().for_each(|&(.., slot)| first[slot as usize] = edge[0].2);
+        }
+        Edges { first }
+    }
+
+    /// The edge that is edge `k` of triangle `t`: a number that all who share it agree on.
+    pub(crate) fn of(&self, t: usize, k: usize) -> u32 {
+        self.first[3 * t + k]
+    }
+
+    /// A number for a point of triangle `t` given by whole barycentric coordinates that sum to 2^[`FINEST`]. Whoever shares
+    /// its vertex or edge has the same number for it.
+    pub(crate) fn point(&self, scene: &Scene, t: usize, p: [u32; 3]) -> u64 {
+        let v = scene.triangles[t].vertices;
+        if let Some(k) = (0..3).find(|&k| p[k] == 1 << FINEST) {
+            return u64::from(v[k]);
+        }
+        match edge_of(p) {
+            Some(k) => 1 << 62 | u64::from(self.of(t, k)) << FINEST | u64::from(from_lower_end(v, k, p)),
+            None => 2 << 62 | (t as u64) << (2 * FINEST) | u64::from(p[0]) << FINEST | u64::from(p[1]),
+        }
+    }
+}
+
+/// Which edge of its triangle a point that is no corner lies on, if any: `k` runs from corner `k` to the next.
+pub(crate) fn edge_of(p: [u32; 3]) -> Option<usize> {
+    (0..3).find(|&k| p[(k + 2) % 3] == 0)
+}
+
+/// How far a point on edge `k` is from the end with the lower index.
+pub(crate) fn from_lower_end(vertices: [u32; 3], k: usize, p: [u32; 3]) -> u32 {
+    if vertices[k] < vertices[(k + 1) % 3] { p[(k + 1) % 3] } else { p[k] }
+}
