@@ -15,6 +15,7 @@ mod lamp;
 pub mod reciprocity;
 pub(crate) mod replicates;
 mod shadow;
+mod siblings;
 pub mod sweep;
 mod symmetric;
 
@@ -630,7 +631,7 @@ impl Assembled {
                 escapes,
                 areas: relative,
                 radiosity: Vec::new(),
-                siblings: patches.families(2).collect(),
+                siblings: siblings::siblings(tracer, patches),
                 options: *options,
             },
             areas,

@@ -1,0 +1,33 @@
+//! Patches that are close to each other and look the same way, and whose sampling errors are therefore of one size.
+//!
+//! One patch knows its own variance badly, and nothing of rare paths that all its rays have missed; its neighbours know more.
+
+use std::ops::Range;
+
+use crate::{patch::Patches, trace::Tracer};
+
+/// Patches of a run at most.
+const MOST: usize = 16;
+/// The cosine between neighbours in a plane.
+const FLAT: f32 = 0.999;
+
+/// Runs of up to 16 patches, in the order of the patches: of one triangle's side, or of triangles that follow each other in
+/// the file, in one plane, and share a corner.
+pub(super) fn siblings(tracer: &Tracer, patches: &Patches) -> Vec<Range<usize>> {
+    let adjoin = |i: usize, j: usize| {
+        let [p, q] = [i, j].map(|i| &tracer.triangles()[patches.triangle(i)]);
+        patches.is_front(i) == patches.is_front(j)
+            && p.normal.dot(q.normal) > FLAT
+            && p.corners.iter().any(|corner| q.corners.contains(corner))
+    };
+    let mut runs: Vec<Range<usize>> = Vec::new();
+    for family in patches.families(2) {
+        match runs.last_mut() {
+            Some(run) if run.len() + family.len() <= MOST && adjoin(run.end - 1, family.start) => {
+                run.end = family.end;
+            }
+            _ => runs.push(family),
+        }
+    }
+    runs
+}
