@@ -53,7 +53,7 @@ fn no_more_is_taken_than_was_forecast() {
 
 /// The table in docs/extremes.md: `cargo test --test memory -- --ignored --nocapture`.
 #[test]
-#[ignore = "a minute, and more than a gigabyte"]
+#[ignore = "minutes, and a gigabyte"]
 fn no_more_is_taken_than_was_forecast_on_many_scenes() {
     let cases = [(1000, 64), (8000, 64), (8000, 256), (2000, 1024), (32000, 128), (100_000, 64)];
     check(&cases, &["cornell-box", "door-ajar", "furnace", "textured"]);

@@ -78,7 +78,7 @@ impl Limit {
                 false => "a machine with more".into(),
             });
             return Err(Error::Usage {
-                message: format!("{patches:.3e} patches with {rays:.0} rays each need {objection}"),
+                message: format!("{} patches with {rays:.0} rays each need {objection}", count(patches)),
                 hint: Some(format!("it takes {}", ways.join(", or "))),
             });
         }
@@ -141,11 +141,16 @@ impl Limit {
         match self.objection(count * a_piece) {
             None => Ok(()),
             Some(objection) => Err(Error::Usage {
-                message: format!("a {what} of {count:.2e} {of} needs {objection}"),
+                message: format!("a {what} of {} {of} needs {objection}", self::count(count)),
                 hint: Some(format!("give {smaller}: {:.1e} {of} fit", round_down(self.bytes / a_piece))),
             }),
         }
     }
+}
+
+/// A number that can be read.
+fn count(x: f64) -> String {
+    if x < 1e7 { format!("{x:.0}") } else { format!("{x:.2e}") }
 }
 
 /// Two digits, the rest zero.

@@ -20,6 +20,7 @@ use std::{
     io::{self, BufReader, Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
     sync::{Arc, Mutex, MutexGuard},
+    time::Duration,
 };
 
 use rayon::prelude::*;
@@ -35,6 +36,8 @@ const MAGIC: &[u8; 16] = b"radiosity rays\r\n";
 /// Counts changes of the file's format, and of which rays a seed stands for.
 const FORMAT: u32 = 1;
 const HEADER: usize = 48;
+/// Looks, a twentieth of a second apart, for a lock to be free.
+const PATIENCE: usize = 60;
 /// Bytes of a record before its body and after it.
 const BEFORE: usize = 12;
 const AFTER: usize = 4;
@@ -108,8 +111,7 @@ impl Checkpoint {
             .truncate(false)
             .open(path)
             .map_err(failed)?;
-        // Some file systems know no locks: there nobody is kept from using it twice.
-        if let Err(TryLockError::WouldBlock) = file.try_lock() {
+        if !lock(&file) {
             return Err(Error::Usage {
                 message: format!("{}: another run is using this checkpoint", path.display()),
                 hint: Some("wait for its end, or give --checkpoint another name".into()),
@@ -244,6 +246,19 @@ impl Store {
         self.end += record.len() as u64;
         Ok(())
     }
+}
+
+/// Waits a little for whoever holds the file: a process that was killed lets go only when its memory is free. Some file
+/// systems know no locks; there nobody is kept from using a file twice.
+fn lock(file: &File) -> bool {
+    let is_held = || matches!(file.try_lock(), Err(TryLockError::WouldBlock));
+    for _ in 0..PATIENCE {
+        if !is_held() {
+            return true;
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    !is_held()
 }
 
 fn damage(path: &Path, place: &str) -> Error {
