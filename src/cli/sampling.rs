@@ -24,7 +24,7 @@ const FIRST_PATCHES: usize = 500;
 /// varies.
 const ENOUGH_PATCHES: usize = 4000;
 /// Share of the time that may go by until they are known.
-const LATE: f64 = 0.1;
+const LATE: f64 = 0.2;
 /// Share of a wanted error that the patches' size may take; as errors add up by squares, the rays may take 0.87 of it.
 const OF_PATCHES: f64 = 0.5;
 /// Patches are made smaller so often at most: some are doubled each time.
