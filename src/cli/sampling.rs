@@ -63,8 +63,10 @@ impl Sampling<'_> {
         if in_rounds && args.cast.given_subdivision().is_none() {
             let small;
             (small, floor) = self.small_enough(wanted, start)?;
+            let adaptive = small.is_restricted();
+            chosen =
+                if adaptive { "smaller where light varies" } else { "as small as they should be" }.into();
             adapted = Some(small);
-            chosen = "smaller where light varies".into();
         }
         if let (Some(wanted), true) = (wanted, adapted.is_some()) {
             let left = floor.filter(|&f| f < wanted).map(|f| (wanted * wanted - f * f).sqrt());
