@@ -70,9 +70,9 @@ fn edge_uses<K: std::hash::Hash + Eq + Copy>(
 ) -> HashMap<(K, K), usize> {
     let mut uses = HashMap::new();
     for i in 0..patches {
-        let face: Vec<K> = mesh.face(i).map(&name).collect();
-        for k in 0..face.len() {
-            *uses.entry((face[k], face[(k + 1) % face.len()])).or_insert(0) += 1;
+        let face = mesh.face(i).map(&name);
+        for k in 0..3 {
+            *uses.entry((face[k], face[(k + 1) % 3])).or_insert(0) += 1;
         }
     }
     uses
@@ -215,7 +215,7 @@ fn a_back_is_another_surface_and_faces_the_other_way() {
     patches.add_backs(&scene, &[0, 1]);
     let mesh = PatchMesh::new(&scene, &patches, CREASE);
     let normal = |i: usize| {
-        let [a, b, c] = std::array::from_fn(|k| mesh.positions()[mesh.face(i).nth(k).unwrap() as usize]);
+        let [a, b, c] = mesh.face(i).map(|v| mesh.positions()[v as usize]);
         (b - a).cross(c - a)
     };
     for i in 0..patches.len() {
@@ -312,7 +312,7 @@ fn what_is_written_is_what_another_reader_reads() {
     let faces = &ply.payload["face"];
     assert_eq!(faces.len(), patches.len());
     for (i, face) in faces.iter().enumerate() {
-        assert_eq!(face["vertex_indices"], Property::ListInt(mesh.face(i).map(|v| v as i32).collect()));
+        assert_eq!(face["vertex_indices"], Property::ListInt(mesh.face(i).map(|v| v as i32).to_vec()));
         // Triangle 1 of the scene is triangle 2 of the file.
         assert_eq!(face["triangle"], Property::Int(2 * patches.triangle(i) as i32));
         assert_eq!(face["side"], Property::UChar(u8::from(i >= patches.fronts())));
@@ -324,6 +324,34 @@ fn what_is_written_is_what_another_reader_reads() {
             assert_eq!(float(face, &format!("error_{channel}")), (0.1 * k) as f32);
         }
     }
+}
+
+/// Halves carry the values of their patch and areas of their own, and whoever sums over faces finds what patches sum to.
+#[test]
+fn patches_of_several_sizes_are_one_face_or_two() {
+    let scene = cube();
+    let coarse = subdivide(&scene, 0.8);
+    let mut patches = coarse.refined(&scene, &(0..coarse.len()).map(|i| i == 5).collect::<Vec<_>>());
+    patches.add_backs(&scene, &[patches.triangle(5) as u32]);
+    let values = |factor: f64| (0..patches.len()).map(|i| factor * (i + 1) as f64).collect::<Vec<f64>>();
+    let solution = solution(&patches, values(1.0), values(10.0));
+    let discretisation = values(-0.5);
+    let options = PlyOptions { discretisation: Some(&discretisation), ..PlyOptions::default() };
+    let mut bytes = Vec::new();
+    encode(&mut bytes, &scene, &patches, &solution, &options).unwrap();
+    let ply = read(&bytes);
+    let faces = &ply.payload["face"];
+    // Three neighbours of the four small patches, and those on the back where it is the same triangle.
+    assert!(faces.len() >= patches.len() + 3);
+    let mut areas = vec![0.0; patches.len()];
+    for (f, face) in faces.iter().enumerate() {
+        let (Property::Int(i), Property::Double(area)) = (&face["patch"], &face["area"]) else { panic!() };
+        assert!(f >= patches.len() || *i == f as i32);
+        areas[*i as usize] += area;
+        assert_eq!(float(face, "radiosity_g"), (i + 1) as f32);
+        assert_eq!(float(face, "discretisation_b"), -0.5 * (i + 1) as f32);
+    }
+    assert!(areas.iter().enumerate().all(|(i, area)| *area == patches.area(i)));
 }
 
 #[test]

@@ -29,7 +29,7 @@ const FIRST_PATCHES: usize = 500;
 /// varies.
 const ENOUGH_PATCHES: usize = 4000;
 /// Share of the time that may go by until they are known.
-const LATE: f64 = 0.1;
+const LATE: f64 = 0.2;
 /// Share of a wanted error that the patches' size may take; as errors add up by squares, the rays may take 0.87 of it.
 const OF_PATCHES: f64 = 0.5;
 /// Patches are made smaller so often at most: some are doubled each time.
@@ -70,8 +70,10 @@ impl Sampling<'_> {
         if in_rounds && args.cast.given_subdivision().is_none() {
             let small;
             (small, floor) = self.small_enough(wanted, start)?;
+            let adaptive = small.is_restricted();
+            chosen =
+                if adaptive { "smaller where light varies" } else { "as small as they should be" }.into();
             adapted = Some(small);
-            chosen = "smaller where light varies".into();
         }
         if let (Some(wanted), true) = (wanted, adapted.is_some()) {
             let left = floor.filter(|&f| f < wanted).map(|f| (wanted * wanted - f * f).sqrt());

@@ -1,8 +1,9 @@
-//! Where patches of different size meet: vertices in the middle of edges, and the faces that take them in.
+//! Where patches of different size meet: vertices in the middle of edges, and the patches that are drawn as two halves.
 //!
-//! Viewers such as CloudCompare and three.js leave out faces of more than four corners. A face therefore takes in one vertex
-//! on its edges, as [restricted quadtrees](crate::patch::restricted) ask for, and no more: whole triangles of very
-//! different size may meet otherwise, and then vertices touch the edges of faces that do not have them.
+//! A face could take in the vertices on its edges, but trimesh reads no binary PLY whose faces differ in their number of
+//! corners, and CloudCompare and three.js leave out those of more than four. In [restricted
+//! quadtrees](crate::patch::restricted) a patch has one such vertex at most, and its two halves are triangles. Elsewhere whole
+//! triangles of very different size may meet; each patch is one face then, and vertices of others touch its edges.
 
 use rayon::prelude::*;
 
@@ -21,7 +22,7 @@ pub(super) struct Meeting {
     mixed: Vec<bool>,
     /// Those of mixed triangles, but for the inner ones of uniform triangles: by patch, with their place.
     pub(super) cells: Vec<(usize, Cell)>,
-    /// Of these, those with one vertex of others on their edges, in order, and on which edge it is.
+    /// Of these, in restricted quadtrees, those with a vertex of others on an edge, in order, and on which edge it is.
     pub(super) cut: Vec<(usize, usize)>,
 }
 
@@ -39,12 +40,14 @@ impl Meeting {
         };
         let cells: Vec<(usize, Cell)> =
             (0..triangles).into_par_iter().filter(|&t| mixed[t]).flat_map_iter(of_triangle).collect();
+        if !patches.is_restricted() {
+            return Meeting { mixed, cells, cut: Vec::new() };
+        }
         let places: Vec<Cell> = cells.iter().map(|&(_, cell)| cell).collect();
         let corners = Corners::new(scene, &edges, &places);
         let cut = cells.par_iter().filter_map(|(i, cell)| {
             let cuts = corners.cuts(scene, &edges, cell);
-            let only = (0..3).find(|&k| cuts[k] == 1)?;
-            (cuts.iter().sum::<u8>() == 1).then_some((*i, only))
+            Some((*i, cuts.iter().position(|&cut| cut > 0)?))
         });
         Meeting { cut: cut.collect(), mixed, cells }
     }

@@ -2,10 +2,13 @@
 //!
 //! - `vertex`: `x y z` float in the scene's unit; `red green blue` uchar, exposed and sRGB-encoded; `radiosity_r
 //!   radiosity_g radiosity_b` float, linear, W/m².
-//! - `face`, one a patch side: `vertex_indices`, three, or four where two smaller patches share an edge; `triangle` int, the triangle of the file; `side` uchar, 0 front and 1
+//! - `face`, one a patch side: `vertex_indices`; `triangle` int, the triangle of the file; `side` uchar, 0 front and 1
 //!   back; `area` double; `irradiance_*`, `radiosity_*` and `error_*` float, the last the standard error of the
 //!   irradiance, NaN where it is not known; where that was estimated also `discretisation_*` float, by how much irradiance
 //!   would change were patches twice as large.
+//!
+//! Where patches differ in size ([`Patches::refined`]), some sides are two faces, halves: the second ones come after all others,
+//! and `patch` int says which belong together. Values are those of the whole patch, areas those of the face.
 
 use std::{
     io::{self, Write},
@@ -91,7 +94,13 @@ pub fn encode(
     let mesh = PatchMesh::new(scene, patches, options.crease);
     let exposure = options.exposure.unwrap_or_else(|| exposure::of_radiosity(patches, &solution.radiosity));
     let radiosity = vertex_colors::at_vertices(scene, patches, &mesh, &solution.radiosity);
-    let header = header(exposure, mesh.positions().len(), patches.len(), options.discretisation.is_some());
+    let header = header(
+        exposure,
+        mesh.positions().len(),
+        mesh.faces(),
+        options.discretisation.is_some(),
+        patches.is_restricted(),
+    );
 
     Writer::<Vertex>::new().write_header(&mut out, &header)?;
     let channels = patches.channels();
@@ -103,14 +112,15 @@ pub fn encode(
             radiosity: single(positive(radiosity)),
         }
     })?;
-    write_elements(&mut out, &header, "face", patches.len(), |i| {
+    write_elements(&mut out, &header, "face", mesh.faces(), |f| {
+        let (i, share) = mesh.patch(f);
         let of = |values: &[f64]| rgb(&values[i * channels..][..channels]);
         Face {
-            vertices: std::array::from_fn(|k| mesh.face(i).nth(k).map_or(0, |v| v as i32)),
-            corners: mesh.face(i).len(),
+            vertices: mesh.face(f).map(|v| v as i32),
+            patch: i as i32,
             triangle: scene.triangles[patches.triangle(i)].source as i32,
             back: u8::from(!patches.is_front(i)),
-            area: patches.area(i),
+            area: share * patches.area(i),
             irradiance: single(positive(of(&solution.irradiance))),
             radiosity: single(positive(of(&solution.radiosity))),
             error: options.standard_errors.map_or([f32::NAN; 3], |e| single(of(e))),
@@ -155,7 +165,7 @@ fn write_elements<E: PropertyAccess + Checked>(
 
 const RGB: [&str; 3] = ["r", "g", "b"];
 
-fn header(exposure: Exposure, vertices: usize, faces: usize, discretisation: bool) -> Header {
+fn header(exposure: Exposure, vertices: usize, faces: usize, discretisation: bool, patch: bool) -> Header {
     let mut header = Header::new();
     header.encoding = Encoding::BinaryLittleEndian;
     header.comments = vec![
@@ -181,6 +191,9 @@ fn header(exposure: Exposure, vertices: usize, faces: usize, discretisation: boo
     let indices = PropertyType::List(ScalarType::UChar, ScalarType::Int);
     face.properties.add(PropertyDef::new("vertex_indices".into(), indices));
     face.properties.add(scalar("triangle", ScalarType::Int));
+    if patch {
+        face.properties.add(scalar("patch", ScalarType::Int));
+    }
     face.properties.add(scalar("side", ScalarType::UChar));
     face.properties.add(scalar("area", ScalarType::Double));
     let quantities = ["irradiance", "radiosity", "error"].into_iter();
@@ -240,8 +253,8 @@ impl PropertyAccess for Vertex {
 
 #[derive(Default)]
 struct Face {
-    vertices: [i32; 4],
-    corners: usize,
+    vertices: [i32; 3],
+    patch: i32,
     triangle: i32,
     back: u8,
     area: f64,
@@ -264,11 +277,15 @@ impl PropertyAccess for Face {
     }
 
     fn get_list_int(&self, name: &str) -> Option<&[i32]> {
-        (name == "vertex_indices").then(|| &self.vertices[..self.corners])
+        (name == "vertex_indices").then_some(&self.vertices)
     }
 
     fn get_int(&self, name: &str) -> Option<i32> {
-        (name == "triangle").then_some(self.triangle)
+        match name {
+            "triangle" => Some(self.triangle),
+            "patch" => Some(self.patch),
+            _ => None,
+        }
     }
 
     fn get_uchar(&self, name: &str) -> Option<u8> {

@@ -3,7 +3,8 @@
 //! A vertex is known by where it is: a vertex of the scene; a dyadic fraction of the way along an edge, counted from
 //! the end with the lower index; or a point inside one triangle. Its position comes from one expression of those, so
 //! patches that meet there agree to the last bit, also where one triangle is cut more finely than its neighbour.
-//! There the larger patch has a vertex that is no corner of it: its face is a quadrilateral ([`meeting`](super::meeting)).
+//! There the larger patch may be drawn as two halves, which meet at the vertex that is no corner of it
+//! ([`meeting`](super::meeting)).
 //!
 //! Where surfaces meet at a crease, one place has a vertex for each surface, because each has its own radiosity there.
 
@@ -43,8 +44,8 @@ pub struct Hanging {
 pub struct PatchMesh {
     positions: Vec<DVec3>,
     corners: Vec<[u32; 3]>,
-    /// Patches with a fourth vertex, in order: on which edge it is, and which it is.
-    fourth: Vec<(u32, usize, u32)>,
+    /// Patches drawn as two halves, in order: which edge has a vertex in the middle, and which it is.
+    halved: Vec<(u32, usize, u32)>,
     hanging: Vec<Hanging>,
     fronts: usize,
 }
@@ -62,7 +63,7 @@ impl PatchMesh {
         }
         let corners = (0..patches.len()).into_par_iter().map(|i| numbering.corners_of(i)).collect();
         PatchMesh {
-            fourth: numbering.fourth(&meeting),
+            halved: numbering.halved(&meeting),
             hanging: numbering.hanging(&meeting),
             positions: numbering.positions,
             corners,
@@ -80,19 +81,34 @@ impl PatchMesh {
         self.corners[i]
     }
 
-    /// The three or four vertices of patch `i`, counter-clockwise seen from the side that it is on. Of four, the first is
-    /// within an edge: most viewers cut quadrilaterals there.
-    pub fn face(&self, i: usize) -> impl ExactSizeIterator<Item = u32> + Clone + use<> {
-        let corners = self.corners[i];
-        let fourth = self.fourth.binary_search_by_key(&(i as u32), |&(patch, ..)| patch);
-        let (mut face, count) = match fourth.map(|at| self.fourth[at]) {
-            Err(_) => ([corners[0], corners[1], corners[2], NONE], 3),
-            Ok((_, k, vertex)) => ([vertex, corners[(k + 1) % 3], corners[(k + 2) % 3], corners[k]], 4),
-        };
-        if i >= self.fronts {
-            face[1..count].reverse();
+    /// Number of faces: one a patch in their order, which may be a half, and the other halves.
+    pub fn faces(&self) -> usize {
+        self.corners.len() + self.halved.len()
+    }
+
+    /// The patch that a face is of, and the share of it that the face is.
+    pub fn patch(&self, face: usize) -> (usize, f64) {
+        match face.checked_sub(self.corners.len()) {
+            Some(other) => (self.halved[other].0 as usize, 0.5),
+            None if self.halved_at(face).is_some() => (face, 0.5),
+            None => (face, 1.0),
         }
-        face.into_iter().take(count)
+    }
+
+    /// The vertices of a face, counter-clockwise seen from the side that it is on.
+    pub fn face(&self, face: usize) -> [u32; 3] {
+        let (patch, _) = self.patch(face);
+        let mut corners = self.corners[patch];
+        if let Some((_, k, middle)) = self.halved_at(patch) {
+            // Each half has one end of the edge, and the middle in the place of the other.
+            corners[if face == patch { (k + 1) % 3 } else { k }] = middle;
+        }
+        let [a, b, c] = corners;
+        if patch < self.fronts { [a, b, c] } else { [a, c, b] }
+    }
+
+    fn halved_at(&self, patch: usize) -> Option<(u32, usize, u32)> {
+        self.halved.binary_search_by_key(&(patch as u32), |&(patch, ..)| patch).ok().map(|at| self.halved[at])
     }
 
     /// The vertices within edges of larger patches, the largest first.
@@ -272,8 +288,8 @@ impl<'a> Numbering<'a> {
         Some(self.inner[self.surfaces.slot(t, 0, front) / 3] + index)
     }
 
-    /// The patches that have a fourth vertex.
-    fn fourth(&self, meeting: &Meeting) -> Vec<(u32, usize, u32)> {
+    /// The patches that are drawn as two halves.
+    fn halved(&self, meeting: &Meeting) -> Vec<(u32, usize, u32)> {
         let sides = |&(i, k): &(usize, usize)| {
             let p = points(&self.patches.cell(i));
             let middle = middle(p[k], p[(k + 1) % 3]);
@@ -281,9 +297,9 @@ impl<'a> Numbering<'a> {
             let back = self.patches.back_of(i).map(|back| (back, k, vertex(false)));
             std::iter::once((i as u32, k, vertex(true))).chain(back)
         };
-        let mut fourth: Vec<(u32, usize, u32)> = meeting.cut.par_iter().flat_map_iter(sides).collect();
-        fourth.par_sort_unstable();
-        fourth
+        let mut halved: Vec<(u32, usize, u32)> = meeting.cut.par_iter().flat_map_iter(sides).collect();
+        halved.par_sort_unstable();
+        halved
     }
 
     /// The vertices within edges of patches.

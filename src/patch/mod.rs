@@ -49,6 +49,7 @@ pub struct Patches {
     channels: usize,
     fronts: usize,
     trees: Forest,
+    restricted: bool,
     triangle_areas: Vec<f64>,
     back_offsets: Vec<u32>,
     triangle: Vec<u32>,
@@ -88,6 +89,7 @@ impl Patches {
             reflectance: Vec::new(),
             emission: Vec::new(),
             trees,
+            restricted: false,
             edge,
         };
         (0..triangles).for_each(|t| patches.append(scene, t as u32, true));
@@ -105,7 +107,7 @@ impl Patches {
         let cells: Vec<Cell> = (0..self.fronts).map(|i| self.cell(i)).collect();
         let cells = restricted::restrict(scene, restricted::split(cells, marked));
         assert!(cells.len() < 1 << 31, "{} patches are more than the program can number", cells.len());
-        Self::of_trees(scene, Forest::of_leaves(&cells), self.edge)
+        Patches { restricted: true, ..Self::of_trees(scene, Forest::of_leaves(&cells), self.edge) }
     }
 
     /// How many patches a subdivision gives, without making them.
@@ -185,6 +187,12 @@ impl Patches {
     /// Whether patch `i` is on the front of its triangle.
     pub fn is_front(&self, i: usize) -> bool {
         i < self.fronts
+    }
+
+    /// Whether no edge of a patch is cut more than once by neighbours, and of each patch one at most: so it is after
+    /// [`Patches::refined`].
+    pub fn is_restricted(&self) -> bool {
+        self.restricted
     }
 
     /// Quadtree level of the smallest patches of a triangle.

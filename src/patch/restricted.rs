@@ -2,8 +2,8 @@
 //! level at most, and of a patch's three edges at most one is cut by smaller neighbours.
 //!
 //! The first rule is von Herzen and Barr's ("Accurate Triangulations of Deformed, Intersecting Surfaces", SIGGRAPH 87),
-//! the second Bank's ("The Efficient Implementation of Local Mesh Refinement Algorithms", 1983). Together they make every
-//! patch, with the vertices on its edges, a triangle or a quadrilateral: what any viewer draws.
+//! the second Bank's ("The Efficient Implementation of Local Mesh Refinement Algorithms", 1983). Together they let every
+//! patch be drawn as a triangle, or as two halves of one.
 
 use rayon::prelude::*;
 
