@@ -27,12 +27,11 @@ const TASK: &str = "RADIOSITY_GROWTH_PATCHES";
 const STAGES: [&str; 7] =
     ["casting", "form factors", "solving", "error bars", "patch size", "bias", "writing"];
 
-/// One size: patches, seconds of each stage, peak in bytes, bytes of the matrix a pair of directions.
+/// One size: patches, seconds of each stage, peak in bytes.
 struct Run {
     patches: f64,
     seconds: Vec<f64>,
     peak: f64,
-    pair: f64,
 }
 
 impl Run {
@@ -62,7 +61,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let [patches, seconds @ .., peak, pair] = &numbers[..] else {
             return Err(format!("{count} patches: {}", String::from_utf8_lossy(&out.stderr)).into());
         };
-        let run = Run { patches: *patches, seconds: seconds.to_vec(), peak: *peak, pair: *pair };
+        let run = Run { patches: *patches, seconds: seconds.to_vec(), peak: *peak };
         let stages: Vec<String> = run.seconds.iter().map(|s| format!("{s:.3}")).collect();
         let ratio = run.total() / run.seconds[0];
         println!(

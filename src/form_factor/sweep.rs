@@ -139,7 +139,7 @@ impl<'a> Sweeper<'a> {
         let emission = self.patches.emission().as_chunks::<C>().0;
         let (lamps, scale) = (self.has_lamps(), self.tracer.scale());
         let cast = |i: usize| {
-            if i % 1024 == 0 {
+            if i.is_multiple_of(1024) {
                 progress.check()?;
             }
             let (from, seed) = (Footprint::new(self.tracer, self.patches, i), mix(&[self.seed, i as u64]));

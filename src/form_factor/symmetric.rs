@@ -1,10 +1,10 @@
 //! Symmetric sparse matrices: each pair of patches is stored once, and serves both.
 //!
 //! The patches are divided into blocks, and the pairs into tiles, one for every two blocks. A product walks through the
-//! tiles: what a tile reads and writes is near in memory, and places within a block take 14 bits. No two tiles that are
-//! worked on at a time share a block: the rounds are those of a tournament in which everyone meets everyone (the circle
-//! method; Kirkman, 1847). So no two threads write to the same place, and every sum has one order, whatever the number of
-//! threads.
+//! tiles: what a tile reads and writes is near in memory, and places within a block take 14 bits. Each block works through
+//! its tiles in the order of a tournament in which everyone meets everyone (the circle method; Kirkman, 1847), so that many
+//! tiles that share no block can be worked on at a time: no two threads write to the same place, and every sum has one order,
+//! whatever the number of threads.
 //!
 //! An entry takes 4 bytes for its value and 2 for its column, and every run of entries of a row in a tile 4 bytes more: 6 to
 //! 10 bytes a pair.
@@ -69,7 +69,7 @@ impl Blocks {
         a * (2 * self.count() - a + 1) / 2 + b - a
     }
 
-    /// All tiles in rounds; no two tiles of a round share a block.
+    /// All tiles in rounds: no two tiles of a round share a block.
     fn rounds(self) -> impl Iterator<Item = Vec<(usize, usize)>> {
         let count = self.count();
         // With an odd number of blocks one rests in every round.
@@ -97,16 +97,88 @@ impl Blocks {
         assert_eq!(values.len(), self.len, "sizes disagree");
         let parts: Vec<Mutex<&mut [Y]>> = values.chunks_mut(self.rows()).map(Mutex::new).collect();
         // Nobody else holds these locks: they only tell the compiler so.
-        let part = |k: usize| parts[k].try_lock().expect("no two tiles of a round share a block");
-        for round in self.rounds() {
-            round.into_par_iter().with_max_len(1).for_each(|(a, b)| {
-                if a == b {
-                    work((a, b), &mut part(a), None);
-                } else {
-                    work((a, b), &mut part(a), Some(&mut part(b)));
+        let part = |k: usize| parts[k].try_lock().expect("a block is in one tile at a time");
+        let tournament = Mutex::new(Tournament::new(self));
+        let next = || tournament.lock().expect("nobody panics while choosing").next();
+        let play = || {
+            loop {
+                match next() {
+                    Next::Over => return,
+                    // Whoever has what is missing may have lost its processor for a while.
+                    Next::Wait => std::thread::yield_now(),
+                    Next::Tile((a, b)) => {
+                        if a == b {
+                            work((a, b), &mut part(a), None);
+                        } else {
+                            work((a, b), &mut part(a), Some(&mut part(b)));
+                        }
+                        tournament.lock().expect("nobody panics while choosing").end((a, b));
+                    }
                 }
-            });
+            }
+        };
+        rayon::scope(|scope| {
+            for _ in 1..rayon::current_num_threads().min(self.count().div_ceil(2)) {
+                scope.spawn(|_| play());
+            }
+            play();
+        });
+    }
+}
+
+/// Which tiles were worked on. A tile is next when both of its blocks have done all that comes before: there is no need to
+/// wait for whole rounds.
+struct Tournament {
+    /// The tiles round by round, each with its number in the order of its first and of its second block.
+    tiles: Vec<((usize, usize), [usize; 2])>,
+    begun: Vec<bool>,
+    /// All tiles before this one were begun.
+    first: usize,
+    /// How many tiles each block has done.
+    done: Vec<usize>,
+}
+
+enum Next {
+    Tile((usize, usize)),
+    Wait,
+    Over,
+}
+
+impl Tournament {
+    fn new(blocks: Blocks) -> Tournament {
+        let mut played = vec![0; blocks.count()];
+        let mut tiles = Vec::with_capacity(blocks.count() * (blocks.count() + 1) / 2);
+        for (a, b) in blocks.rounds().flatten() {
+            tiles.push(((a, b), [played[a], played[b]]));
+            played[a] += 1;
+            played[b] += usize::from(a != b);
         }
+        Tournament { begun: vec![false; tiles.len()], tiles, first: 0, done: vec![0; blocks.count()] }
+    }
+
+    /// Begins a tile.
+    fn next(&mut self) -> Next {
+        while self.begun.get(self.first) == Some(&true) {
+            self.first += 1;
+        }
+        let is_next = |k: &usize| {
+            let ((a, b), numbers) = self.tiles[*k];
+            !self.begun[*k] && numbers == [self.done[a], self.done[b]]
+        };
+        match (self.first..self.tiles.len()).find(is_next) {
+            Some(k) => {
+                self.begun[k] = true;
+                Next::Tile(self.tiles[k].0)
+            }
+            None if self.first == self.tiles.len() => Next::Over,
+            None => Next::Wait,
+        }
+    }
+
+    /// Ends a tile.
+    fn end(&mut self, (a, b): (usize, usize)) {
+        self.done[a] += 1;
+        self.done[b] += usize::from(a != b);
     }
 }
 

@@ -133,7 +133,8 @@ impl<'a, const C: usize> Iteration<'a, C> {
             self.sweep(FAR + sweep, FIRST_RAYS, 1.0 / (1.0 + f64::from(sweep)).min(1.0 / NEWEST), progress)?;
             self.balance(FIRST_RAYS[0])?;
         }
-        self.whole.fill(Arrived::NOTHING);
+        // Shadow rays know nothing of other patches' light: all of them count.
+        self.whole.iter_mut().for_each(|whole| (whole.met, whole.escaped) = ([0.0; C], 0.0));
         let mut batches: Vec<Batches<C>> = vec![[[0.0; BATCHES]; C]; n];
         let mut escaped = [[0.0; BATCHES]; C];
         for batch in 0..BATCHES {
@@ -151,7 +152,10 @@ impl<'a, const C: usize> Iteration<'a, C> {
             }
             let many = f64::from(rays[0] * sweeps);
             batches.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, batches)| {
-                let [direct, indirect] = self.sweeper.irradiance(i, &self.batch[i], many);
+                let [mut direct, indirect] = self.sweeper.irradiance(i, &self.batch[i], many);
+                if self.batch[i].kernel == 0.0 {
+                    [direct, _] = self.sweeper.irradiance(i, &self.whole[i], many);
+                }
                 for c in 0..C {
                     batches[c][batch] = (direct[c] + indirect[c]) as f32;
                 }
