@@ -84,7 +84,10 @@ fn errors_are_as_estimated_and_fall() {
             let (actual, estimated) = (actual.sqrt(), estimated.sqrt());
             println!("{name} {rays}: {actual:.5}, estimated {estimated:.5}, within {within:.3}");
             let honest = actual / estimated;
-            assert!(honest < 1.2 && honest > 0.8 - TOO_LONG, "{name} {rays}: {actual}, estimated {estimated}");
+            assert!(
+                honest < 1.2 && honest > 0.8 - TOO_LONG,
+                "{name} {rays}: {actual}, estimated {estimated}"
+            );
             assert!(within > 0.95 - 4.0 * 0.011 && within < 0.995, "{name} {rays}: {within} within");
             // Independent rays would halve it; stratified ones do better, and none falls faster than 1/n.
             assert!(actual < 0.5 * before && actual > before / 5.0 || before.is_infinite(), "{name} {rays}");

@@ -284,8 +284,8 @@ fn emission_from_1e_minus_30_to_1e30() {
         if factor.log2().fract() == 0.0 {
             assert_eq!([b, e, s], [0.0; 3], "{factor:e}");
         } else {
-            // Error bars run in single precision.
-            assert!(b <= 1e-12 && e <= 1e-12 && s <= 1e-5, "{factor:e}: {b:e} {e:e} {s:e}");
+            // Rows are calibrated, and error bars told, in single precision.
+            assert!(b <= 1e-7 && e <= 1e-7 && s <= 1e-5, "{factor:e}: {b:e} {e:e} {s:e}");
         }
     }
 }

@@ -512,19 +512,6 @@ impl FormFactors {
         });
     }
 
-    /// The irradiance that the exchange areas would give had the closure not scaled them.
-    pub(crate) fn unclosed_irradiance<const C: usize>(&self, radiosity: &[f64]) -> Vec<f64> {
-        let radiosity = radiosity.as_chunks::<C>().0;
-        let mut sums = vec![[0.0; C]; radiosity.len()];
-        match &self.stored {
-            Stored::Symmetric(matrix) => matrix.add_product(radiosity, &mut sums),
-            Stored::Rows(matrix) => gather(matrix, radiosity, &mut sums),
-        }
-        // left_i = d_i / A_i, right_i = d_i.
-        let scaled = |i: usize| sums[i].map(|sum| self.left[i] / self.right[i] * sum);
-        (0..self.len()).flat_map(scaled).collect()
-    }
-
     /// F z for a value a replicate and channel, in single precision: for error bars.
     pub(crate) fn gather_replicates<const C: usize>(&self, z: &[Deviation<C>]) -> Vec<Deviation<C>> {
         let scaled = |z: &Deviation<C>, factor: f64| z.map(|z| z.map(|z| z * factor as f32));
