@@ -41,6 +41,55 @@ const ESCAPING: f64 = 0.3;
 /// The least and greatest factor of a row.
 const FACTORS: (f64, f64) = (0.1, 10.0);
 
+/// Rounds of [`balance`],
+const BALANCING_ROUNDS: usize = 20;
+/// and what sources' rows may be off by after it.
+const BALANCED: f64 = 1e-5;
+
+/// Closes the rows of sources, which are all `links`, and leaves to the other patches what they get from sources in all: that is
+/// known better than how it divides among these. A diagonal for both sides, by iterative proportional fitting (Deming and
+/// Stephan, Annals of Mathematical Statistics 11, 1940).
+///
+/// Were sources closed alone, a patch that by chance got much from one near it, and so made it scale down, would lose light
+/// for that: in a cube with a ceiling that shines, floors were 2.5 % too bright at 64 rays a patch.
+pub(super) fn balance(
+    links: &mut Symmetric,
+    is_source: impl Fn(usize) -> bool + Sync,
+    areas: &[f64],
+    escaped: &[f64],
+) {
+    let n = areas.len();
+    let found = links.row_sums();
+    let [of_sources, of_others] =
+        [true, false].map(|source| (0..n).filter(|&i| is_source(i) == source).map(|i| found[i]).sum::<f64>());
+    let wanted: f64 = (0..n).filter(|&i| is_source(i)).map(|i| areas[i] * (1.0 - escaped[i])).sum();
+    // What sources send each other is in the rows of both, and stays.
+    let common = (wanted - (of_sources - of_others)) / of_others;
+    if !(common > FACTORS.0 && common < FACTORS.1) {
+        return;
+    }
+    let mut scale = vec![1.0; n];
+    for _ in 0..BALANCING_ROUNDS {
+        let mut worst = 0f64;
+        for source in [true, false] {
+            let mut sums = vec![0.0; n];
+            links.add_product(scale.as_chunks::<1>().0, sums.as_chunks_mut::<1>().0);
+            for i in (0..n).filter(|&i| is_source(i) == source && sums[i] > 0.0) {
+                let target = if source { areas[i] * (1.0 - escaped[i]) } else { common * found[i] };
+                let factor = target / (sums[i] * scale[i]);
+                if source {
+                    worst = worst.max((factor - 1.0).abs());
+                }
+                scale[i] = (scale[i] * factor).clamp(FACTORS.0, FACTORS.1);
+            }
+        }
+        if worst < BALANCED {
+            break;
+        }
+    }
+    links.update(|i, j, s| s * (scale[i] * scale[j]) as f32);
+}
+
 /// Brings rows nearer to their sums by a positive diagonal that scales only `plain`, what no source takes part in, and by
 /// what escapes. `links` are the sums of what else is in each row. Rows that this cannot bring there are left to [`close`].
 pub(super) fn settle(plain: &mut Symmetric, links: &[f64], areas: &[f64], escaped: &mut [f64]) {

@@ -91,11 +91,7 @@ struct Parts<const C: usize> {
 
 impl FormFactors {
     /// Σ_j dF_ij B_j of all replicates for every patch, where E = F B; `None` when the form factors were not sampled.
-    pub(crate) fn deviations<const C: usize>(
-        &self,
-        radiosity: &[[f64; C]],
-        irradiance: &[[f64; C]],
-    ) -> Option<Vec<Deviation<C>>> {
+    pub(crate) fn deviations<const C: usize>(&self, radiosity: &[[f64; C]]) -> Option<Vec<Deviation<C>>> {
         let samples = self.samples.as_ref()?;
         let parts = samples.deviations(radiosity, |parts| parts);
         let add = |to: &mut [f32], what: &[f32], factor: f32| {
@@ -110,7 +106,8 @@ impl FormFactors {
             })
             .collect();
         if !samples.hits.sources.is_empty() {
-            // What sources scale by is scaled in the rows of the others too, which make up for it: dE_i = Σ F_il (B_l - E_i) ds_l.
+            // What sources scale by is scaled in the rows of the others too, whose light from sources as a whole stays:
+            // dE_i = Σ F_il (B_l - b_i) ds_l with the mean b_i of what they get from sources.
             let scale: Vec<Deviation<1>> = parts.iter().map(|p| [p.scale]).collect();
             let sent: Vec<Deviation<C>> = parts
                 .iter()
@@ -118,10 +115,15 @@ impl FormFactors {
                 .map(|(p, b)| std::array::from_fn(|c| p.scale.map(|s| s * b[c] as f32)))
                 .collect();
             let (scale, sent) = (self.gather_replicates(&scale), self.gather_replicates(&sent));
+            let is_source = |i: usize| f64::from(u8::from(samples.hits.sources.contains(i)));
+            let share = self.irradiance(&(0..parts.len()).map(is_source).collect::<Vec<_>>(), 1);
+            let of_sources = |i: usize| radiosity[i].map(|b| is_source(i) * b);
+            let light = self.irradiance(&(0..parts.len()).flat_map(of_sources).collect::<Vec<_>>(), C);
             for i in (0..whole.len()).filter(|&i| !samples.hits.sources.contains(i)) {
                 for c in 0..C {
                     add(&mut whole[i][c], &sent[i][c], 1.0);
-                    add(&mut whole[i][c], &scale[i][0], -irradiance[i][c] as f32);
+                    let mean = if share[i] > 0.0 { light[i * C + c] / share[i] } else { 0.0 };
+                    add(&mut whole[i][c], &scale[i][0], -mean as f32);
                 }
             }
         }
