@@ -23,9 +23,9 @@ const MOST_BOUNCES: usize = 40;
 const ENOUGH: f64 = 0.01;
 
 /// The variance of a run of rays falls with this power of its length, at least and at most: as that of independent rays, or
-/// twice as fast. Where all is smooth scrambled nets do better still (Owen, "Scrambled net variance for integrals of smooth
-/// functions", Annals of Statistics 25, 1997), but so few points cannot tell that from luck.
-const RATES: (f64, f64) = (1.0, 2.0);
+/// of scrambled nets where all is smooth (Owen, "Scrambled net variance for integrals of smooth functions", Annals of
+/// Statistics 25, 1997). Steeper ones are luck.
+const RATES: (f64, f64) = (1.0, 3.0);
 
 /// The least relative standard error. Light that is known exactly is still stored in single precision, and shares in what the
 /// closure moves at the end: some millionths.

@@ -650,8 +650,8 @@ impl Assembled {
     fn pooled(mut self, patches: &Patches, precision: f64) -> FormFactors {
         let mut plain = std::mem::take(&mut self.plain);
         let buckets = std::mem::take(&mut self.buckets);
-        let sources = &self.samples.hits.sources;
-        closure::balance(&mut self.links, |i| sources.contains(i), &self.samples.areas, &self.escaped);
+        let brightness = self.samples.densities.brightness();
+        closure::balance(&mut self.links, brightness, &self.samples.areas, &self.escaped);
         let radiosity = calibration::calibrate(
             &mut plain,
             buckets,

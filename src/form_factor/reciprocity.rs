@@ -57,6 +57,12 @@ impl Densities {
         }
     }
 
+    /// Radiosity of sources, all channels together, in a unit of its own; zero of all that are none.
+    pub(super) fn brightness(&self) -> &[f64] {
+        // Shadow rays go to sources by power.
+        &self.source
+    }
+
     /// What a hemisphere ray that connects two patches, neither a source, adds to their exchange area.
     #[inline]
     pub(super) fn hit(&self, i: usize, j: usize) -> f64 {

@@ -106,24 +106,25 @@ impl FormFactors {
             })
             .collect();
         if !samples.hits.sources.is_empty() {
-            // What sources scale by is scaled in the rows of the others too, whose light from sources as a whole stays:
-            // dE_i = Σ F_il (B_l - b_i) ds_l with the mean b_i of what they get from sources.
-            let scale: Vec<Deviation<1>> = parts.iter().map(|p| [p.scale]).collect();
+            // What sources scale by is scaled in the rows of the others too, whose light from sources as a whole stays. With the
+            // brightness b_l of the sources dE_i = Σ_l F_il ds_l (B_l - b_l Σ_m F_im B_m / Σ_m F_im b_m).
+            let brightness = samples.densities.brightness();
+            let scale: Vec<Deviation<1>> =
+                parts.iter().zip(brightness).map(|(p, &b)| [p.scale.map(|s| s * b as f32)]).collect();
             let sent: Vec<Deviation<C>> = parts
                 .iter()
                 .zip(radiosity)
                 .map(|(p, b)| std::array::from_fn(|c| p.scale.map(|s| s * b[c] as f32)))
                 .collect();
             let (scale, sent) = (self.gather_replicates(&scale), self.gather_replicates(&sent));
-            let is_source = |i: usize| f64::from(u8::from(samples.hits.sources.contains(i)));
-            let share = self.irradiance(&(0..parts.len()).map(is_source).collect::<Vec<_>>(), 1);
-            let of_sources = |i: usize| radiosity[i].map(|b| is_source(i) * b);
-            let light = self.irradiance(&(0..parts.len()).flat_map(of_sources).collect::<Vec<_>>(), C);
+            let known = self.irradiance(brightness, 1);
+            let of_source = |i: usize| radiosity[i].map(|b| if brightness[i] > 0.0 { b } else { 0.0 });
+            let light = self.irradiance(&(0..parts.len()).flat_map(of_source).collect::<Vec<_>>(), C);
             for i in (0..whole.len()).filter(|&i| !samples.hits.sources.contains(i)) {
                 for c in 0..C {
                     add(&mut whole[i][c], &sent[i][c], 1.0);
-                    let mean = if share[i] > 0.0 { light[i * C + c] / share[i] } else { 0.0 };
-                    add(&mut whole[i][c], &scale[i][0], -mean as f32);
+                    let ratio = if known[i] > 0.0 { light[i * C + c] / known[i] } else { 0.0 };
+                    add(&mut whole[i][c], &scale[i][0], -ratio as f32);
                 }
             }
         }
