@@ -212,3 +212,33 @@ fn what_cannot_be_told_is_not_told() {
     println!("bias {bias:e}, allowed {allowed:e}");
     assert!(bias.abs() < allowed, "{bias} with {allowed}");
 }
+
+/// Under a ceiling that shines as a whole, floor and walls get what they should on average of many casts of few rays: the mean
+/// of eight is within five of its standard errors of what 8192 rays say, whose own error is a tenth of that of one cast.
+#[test]
+fn a_large_lamp_divides_its_light_right() {
+    const SEEDS: u64 = 8;
+    let [x0, x1, y0, y1, floor, ceiling] = room_faces(DVec3::ZERO, DVec3::ONE);
+    let walls = [x0, x1, y0, y1, floor].concat();
+    let scene = scene(&[part(walls, 0.5, 0.0), part(ceiling, 0.0, 1.0)]);
+    let tracer = Tracer::new(&scene);
+    let means = |rays: f64, seed: u64| -> Vec<f64> {
+        let solved = solve_with(&scene, &tracer, Subdivision::Count(700), rays, seed);
+        let (patches, mut means) = (&solved.patches, vec![0.0; scene.triangles.len()]);
+        for i in 0..patches.len() {
+            let t = patches.triangle(i);
+            means[t] += solved.solution.irradiance[i] * patches.area(i) / patches.triangle_areas()[t];
+        }
+        means
+    };
+    let truth = means(8192.0, 1000);
+    let casts: Vec<Vec<f64>> = (0..SEEDS).map(|seed| means(64.0, seed)).collect();
+    for t in 0..truth.len() {
+        let off: Vec<f64> = casts.iter().map(|means| means[t] / truth[t] - 1.0).collect();
+        let mean = off.iter().sum::<f64>() / SEEDS as f64;
+        let variance = off.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (SEEDS - 1) as f64;
+        let allowed = 5.0 * (variance / SEEDS as f64).sqrt() + 5.0 * 0.1 * variance.sqrt();
+        println!("triangle {t}: off by {mean:+.4}, {allowed:.4} allowed");
+        assert!(mean.abs() <= allowed && allowed < 0.02, "triangle {t}: {mean}, {allowed} allowed");
+    }
+}
