@@ -1,6 +1,6 @@
 //! One bounce of light without a matrix: rays are cast, bring the radiosity of what they meet, and are forgotten.
 //!
-//! Where [lamps are few](super::lamp) shadow rays bring their light, a ratio estimate as in [`shadow`], and hemisphere rays
+//! Where lamps are few shadow rays bring their light, a ratio estimate as in `shadow`, and hemisphere rays
 //! what the patches reflect; else hemisphere rays bring all. Memory is in proportion to the patches, not to the rays.
 
 use rayon::prelude::*;

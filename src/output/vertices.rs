@@ -4,7 +4,7 @@
 //! the end with the lower index; or a point inside one triangle. Its position comes from one expression of those, so
 //! patches that meet there agree to the last bit, also where one triangle is cut more finely than its neighbour.
 //! There the larger patch may be drawn as two halves, which meet at the vertex that is no corner of it
-//! ([`meeting`](super::meeting)).
+//! (`meeting`).
 //!
 //! Where surfaces meet at a crease, one place has a vertex for each surface, because each has its own radiosity there.
 
