@@ -1,7 +1,7 @@
 //! How much memory a solution will take, before it is begun.
 
 use crate::{
-    form_factor::{Estimator, hemisphere::REPLICATES},
+    form_factor::{Estimator, hemisphere::REPLICATES, lamp::MOST_LAMPS},
     scene::Scene,
 };
 
@@ -13,8 +13,6 @@ const TRIANGLE: f64 = 500.0;
 const ENTRY: f64 = 8.0;
 /// A link: patch, kernel, index, kind.
 const LINK: f64 = 16.0;
-/// More lamps than this are sampled by hemisphere rays too, which then leave links.
-const FEW_LAMPS: usize = 16;
 
 /// Bytes that a solution with all its errors takes, by what takes them. The upper end of what is likely: were hits spread
 /// evenly, a row would have n (1 - exp(-r / n)) entries of r rays; in a real scene they crowd together and it has fewer.
@@ -51,7 +49,7 @@ impl Memory {
         let pooled = estimator == Estimator::Pooled;
         let (hemisphere, links) = match lamps.len() {
             _ if !pooled => (rays, 0.0),
-            0..=FEW_LAMPS => (0.75 * rays, 0.25 * rays),
+            0..=MOST_LAMPS => (0.75 * rays, 0.25 * rays),
             // At either end a source.
             _ => (0.75 * rays, 0.25 * rays + 0.75 * rays * (1.0 - (1.0 - bright).powi(2))),
         };

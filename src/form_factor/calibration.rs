@@ -10,8 +10,8 @@
 //!
 //! symmetric like S, with the λ for which each row's sums Σ_j S_ij g_j are those of its one-sided estimate. It is the
 //! calibration of survey sampling (Deville and Särndal, "Calibration Estimators in Survey Sampling", JASA 87, 1992), with
-//! weights that belong to two rows each. The function 1 makes it a closure as well; what is left of that,
-//! [`close`](super::closure) takes away in double precision.
+//! weights that belong to two rows each. The function 1 makes it a closure as well; what is left of that, the
+//! [closure](super::closure) takes away.
 //!
 //! Links with sources are precise already and stay as they are.
 
@@ -48,8 +48,9 @@ const MOST_ROUNDS: usize = 60;
 
 /// What the rays have measured.
 pub(super) struct Measured<'a> {
-    /// The links with sources.
+    /// The links with sources, and the sums of their rows.
     pub(super) links: &'a Symmetric,
+    pub(super) link_sums: &'a [f64],
     pub(super) hits: &'a Hits,
     pub(super) densities: &'a Densities,
     pub(super) areas: &'a [f64],
@@ -201,7 +202,6 @@ impl Measured<'_> {
         let mut sums = vec![[0.0; K]; g.len()];
         plain.add_product(&squares, &mut sums);
         drop(squares);
-        let links = self.links.row_sums();
         let equation = |i: usize| {
             let now = SVector::from_fn(|p, _| sums[i][p]);
             let one_sided = one_sided[i];
@@ -212,7 +212,7 @@ impl Measured<'_> {
                 let (p, q) = (p.min(q), p.max(q));
                 sums[i][p * M - p * (p + 1) / 2 + q]
             });
-            let sum = (self.areas[i] * (1.0 - self.escaped[i]) - links[i]).max(1e-3 * now[0]);
+            let sum = (self.areas[i] * (1.0 - self.escaped[i]) - self.link_sums[i]).max(1e-3 * now[0]);
             // Functions that all patches share have nothing to tell; some resistance keeps the block regular.
             let trace = block.trace();
             let resisting = block * (1.0 + RIDGE) + SMatrix::identity() * (1e-3 * trace);

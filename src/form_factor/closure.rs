@@ -56,13 +56,9 @@ const BALANCED: f64 = 1e-5;
 pub(super) fn balance(links: &mut Symmetric, brightness: &[f64], areas: &[f64], escaped: &[f64]) {
     let n = areas.len();
     let is_source = |i: usize| brightness[i] > 0.0;
-    let product = |links: &Symmetric, z: Vec<f64>| {
-        let mut sums = vec![0.0; n];
-        links.add_product(z.as_chunks::<1>().0, sums.as_chunks_mut::<1>().0);
-        sums
-    };
-    let arriving = product(links, brightness.to_vec());
-    let among_sources = product(links, (0..n).map(|i| f64::from(u8::from(is_source(i)))).collect());
+    let arriving = links.product(brightness);
+    let among_sources: Vec<f64> = (0..n).map(|i| if is_source(i) { 1.0 } else { 0.0 }).collect();
+    let among_sources = links.product(&among_sources);
     let sum = |source: bool, value: &dyn Fn(usize) -> f64| {
         (0..n).filter(|&i| is_source(i) == source).map(value).sum::<f64>()
     };
@@ -78,7 +74,7 @@ pub(super) fn balance(links: &mut Symmetric, brightness: &[f64], areas: &[f64], 
         let mut worst = 0f64;
         for source in [true, false] {
             let weigh = |i: usize| if source { scale[i] } else { scale[i] * brightness[i] };
-            let sums = product(links, (0..n).map(weigh).collect());
+            let sums = links.product(&(0..n).map(weigh).collect::<Vec<f64>>());
             for i in (0..n).filter(|&i| is_source(i) == source && sums[i] > 0.0) {
                 let factor = if source { target(i) } else { common * arriving[i] } / (sums[i] * scale[i]);
                 if source {
@@ -100,14 +96,12 @@ pub(super) fn settle(plain: &mut Symmetric, links: &[f64], areas: &[f64], escape
     let n = areas.len();
     let mut scale = vec![1.0; n];
     for _ in 0..SETTLING_ROUNDS {
-        let mut sums = vec![0.0; n];
-        plain.add_product(scale.as_chunks::<1>().0, sums.as_chunks_mut::<1>().0);
+        let sums = plain.product(&scale);
         let rows = scale.par_iter_mut().zip(escaped.par_iter_mut()).enumerate().with_min_len(SHORT);
         let settle_row = |(i, (scale, escaped)): (usize, (&mut f64, &mut f64))| {
             let off = 1.0 - (links[i] + sums[i] * *scale) / areas[i] - *escaped;
             // Of what does not escape at all nothing is made to.
-            let escapes =
-                (*escaped + ESCAPING * off).max(0.5 * *escaped) * f64::from(u8::from(*escaped > 0.0));
+            let escapes = if *escaped > 0.0 { (*escaped + ESCAPING * off).max(0.5 * *escaped) } else { 0.0 };
             let wanted = areas[i] * (1.0 - escapes) - links[i];
             if sums[i] <= 0.0 || wanted <= 0.0 {
                 return 0.0;
@@ -208,8 +202,7 @@ fn step(
             break;
         }
         let scaled: Vec<f64> = direction.iter().zip(scale).map(|(p, d)| p * d).collect();
-        let mut image = vec![0.0; n];
-        matrix.add_product(scaled.as_chunks::<1>().0, image.as_chunks_mut::<1>().0);
+        let mut image = matrix.product(&scaled);
         for i in 0..n {
             image[i] = image[i] * scale[i] + rows[i] * direction[i];
         }

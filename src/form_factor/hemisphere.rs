@@ -21,10 +21,7 @@ use crate::{
     Progress, Result,
     patch::Patches,
     scene::Scene,
-    trace::{
-        Tracer,
-        sampling::{around, mix, sobol_4d, square_to_cosine_hemisphere},
-    },
+    trace::{Tracer, sampling::mix},
 };
 
 /// Parts that the rays of each patch are divided into. The standard error then has 15 degrees of freedom; with 4 parts
@@ -394,11 +391,8 @@ fn cast_patch(
 ) {
     for index in indices {
         let target = &mut targets[index as usize];
-        // The first two dimensions are the better stratified.
-        let [u, v, x, y] = sobol_4d(index, seed);
-        let lifted = square_to_cosine_hemisphere(u, v);
-        let direction = around(from.normal, lifted);
-        let Some(hit) = tracer.closest(Tracer::leave(from.point(x, y), from.normal), direction) else {
+        let (origin, direction, cosine) = from.hemisphere_ray(index, seed);
+        let Some(hit) = tracer.closest(origin, direction) else {
             *target = ESCAPED;
             continue;
         };
@@ -410,7 +404,7 @@ fn cast_patch(
             // Lamps leave nothing to measure, but that backs were seen must be known.
             if !sources.are_lamps() || !hit.front {
                 let cos = tracer.triangles()[hit.triangle as usize].normal.dot(direction).abs();
-                let kernel = lifted.z * cos / (std::f32::consts::PI * hit.t * hit.t);
+                let kernel = cosine * cos / (std::f32::consts::PI * hit.t * hit.t);
                 links.push(Link { to: *target, kernel, index, found: Found::Hemisphere });
             }
             *target = LINKED;

@@ -13,7 +13,7 @@ use super::{
 use crate::{patch::Patches, trace::Tracer};
 
 /// More lamps than this are sampled only: each costs about as much as a ray, at every patch.
-const MOST_LAMPS: usize = 16;
+pub(crate) const MOST_LAMPS: usize = 16;
 /// Lamps with a smaller area, in unit space, are sampled only: rounding would be all that is left of Lambert's formula. One
 /// sample knows their light as well.
 const LEAST_AREA: f32 = 1e-16;

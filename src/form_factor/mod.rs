@@ -11,7 +11,7 @@ pub mod closure;
 mod escape;
 pub mod exact;
 pub mod hemisphere;
-mod lamp;
+pub(crate) mod lamp;
 pub mod reciprocity;
 pub(crate) mod replicates;
 mod shadow;
@@ -579,6 +579,8 @@ struct Assembled {
     /// Exchange areas of pairs without a source, and with one.
     plain: Symmetric,
     links: Symmetric,
+    /// Sums of the rows of `links`.
+    link_sums: Vec<f64>,
     /// Shares of each patch's light that leave the scene: of the rays, and refined.
     of_rays: Vec<f64>,
     escaped: Vec<f64>,
@@ -610,6 +612,7 @@ impl Assembled {
         let sum = |i: usize| (sums[0][i] + sums[1][i]) / relative[i];
         let row_sum_deviation = closure::deviation((0..n).map(sum), &of_rays);
         let escapes = escape::refine(&of_rays, &sums, &hits, &densities, &relative);
+        let [_, link_sums] = sums;
         Assembled {
             escaped: escapes.iter().map(|e| e.share).collect(),
             samples: Samples {
@@ -625,6 +628,7 @@ impl Assembled {
             buckets,
             plain,
             links,
+            link_sums,
             of_rays,
             row_sum_deviation,
             one_way_deviation,
@@ -634,6 +638,7 @@ impl Assembled {
     fn measured(&self) -> Measured<'_> {
         Measured {
             links: &self.links,
+            link_sums: &self.link_sums,
             densities: &self.samples.densities,
             hits: &self.samples.hits,
             areas: &self.samples.areas,
@@ -652,6 +657,7 @@ impl Assembled {
         let buckets = std::mem::take(&mut self.buckets);
         let brightness = self.samples.densities.brightness();
         closure::balance(&mut self.links, brightness, &self.samples.areas, &self.escaped);
+        self.link_sums = self.links.row_sums();
         let radiosity = calibration::calibrate(
             &mut plain,
             buckets,
@@ -659,8 +665,8 @@ impl Assembled {
             patches,
             precision > closure::EXACT,
         );
-        let Assembled { mut samples, links, mut escaped, areas, .. } = self;
-        closure::settle(&mut plain, &links.row_sums(), &samples.areas, &mut escaped);
+        let Assembled { mut samples, links, link_sums, mut escaped, areas, .. } = self;
+        closure::settle(&mut plain, &link_sums, &samples.areas, &mut escaped);
         plain.append(links);
         let spare = |i: usize| 0.5 / f64::from(samples.hits.rays_of(i));
         let mut form_factors = FormFactors::closed(plain, samples.areas.clone(), escaped, spare, precision);

@@ -25,7 +25,7 @@ use crate::{
     patch::Patches,
     trace::{
         Tracer,
-        sampling::{sobol_4d, square_to_triangle},
+        sampling::{around, sobol_4d, square_to_cosine_hemisphere, square_to_triangle},
     },
 };
 
@@ -174,6 +174,15 @@ impl Footprint {
         tracer.closest(Tracer::leave(middle, self.normal), -self.normal).is_some_and(|hit| {
             hit.front && hit.t <= SAME_PLACE && hit.triangle as usize != patches.triangle(i)
         })
+    }
+
+    /// A hemisphere ray of a sequence: where it starts, its direction, and the cosine of its angle with the normal.
+    #[inline]
+    pub(super) fn hemisphere_ray(&self, index: u32, seed: u64) -> (Vec3A, Vec3A, f32) {
+        // The first two dimensions are the better stratified.
+        let [u, v, x, y] = sobol_4d(index, seed);
+        let lifted = square_to_cosine_hemisphere(u, v);
+        (Tracer::leave(self.point(x, y), self.normal), around(self.normal, lifted), lifted.z)
     }
 
     /// The point of the patch for a point of the unit square.

@@ -13,10 +13,7 @@ use crate::{
     Progress, Result,
     patch::Patches,
     scene::Scene,
-    trace::{
-        Tracer,
-        sampling::{around, mix, sobol_4d, square_to_cosine_hemisphere},
-    },
+    trace::{Hit, Tracer, sampling::mix},
 };
 
 /// Rays of each patch that look for backs which are no unknowns yet.
@@ -78,7 +75,7 @@ impl<'a> Sweeper<'a> {
             let seen = (first..last).into_par_iter().with_min_len(32).map(|i| {
                 progress.check()?;
                 let (from, seed) = (Footprint::new(tracer, known, i), mix(&[seed, i as u64]));
-                let hits = (0..LOOKING).filter_map(|index| hemisphere_ray(tracer, &from, index, seed));
+                let hits = (0..LOOKING).filter_map(|index| closest(tracer, &from, index, seed));
                 let unknown = hits.filter(|hit| known.at(hit.triangle, hit.barycentric, hit.front).is_none());
                 Ok(unknown.map(|hit| hit.triangle).collect::<Vec<u32>>())
             });
@@ -145,7 +142,7 @@ impl<'a> Sweeper<'a> {
             let (from, seed) = (Footprint::new(self.tracer, self.patches, i), mix(&[self.seed, i as u64]));
             let mut came = Arrived::NOTHING;
             for index in hemisphere.clone() {
-                let hit = hemisphere_ray(self.tracer, &from, index, seed);
+                let hit = closest(self.tracer, &from, index, seed);
                 let patch = hit.and_then(|hit| self.patches.at(hit.triangle, hit.barycentric, hit.front));
                 let Some(j) = patch.map(|j| j as usize) else {
                     came.escaped += 1.0;
@@ -184,8 +181,7 @@ impl<'a> Sweeper<'a> {
 }
 
 /// What a hemisphere ray meets.
-fn hemisphere_ray(tracer: &Tracer, from: &Footprint, index: u32, seed: u64) -> Option<crate::trace::Hit> {
-    let [u, v, x, y] = sobol_4d(index, seed);
-    let direction = around(from.normal, square_to_cosine_hemisphere(u, v));
-    tracer.closest(Tracer::leave(from.point(x, y), from.normal), direction)
+fn closest(tracer: &Tracer, from: &Footprint, index: u32, seed: u64) -> Option<Hit> {
+    let (origin, direction, _) = from.hemisphere_ray(index, seed);
+    tracer.closest(origin, direction)
 }

@@ -469,11 +469,16 @@ impl Symmetric {
         });
     }
 
+    /// Σ_j s_ij z_j of every row.
+    pub(super) fn product(&self, z: &[f64]) -> Vec<f64> {
+        let mut sums = vec![[0.0]; self.len()];
+        self.add_product(z.as_chunks().0, &mut sums);
+        sums.into_flattened()
+    }
+
     /// Σ_j s_ij of every row.
     pub(super) fn row_sums(&self) -> Vec<f64> {
-        let mut sums = vec![[0.0]; self.len()];
-        self.add_product(&vec![[1.0]; self.len()], &mut sums);
-        sums.into_flattened()
+        self.product(&vec![1.0; self.len()])
     }
 }
 

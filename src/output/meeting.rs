@@ -74,11 +74,6 @@ fn mixed(patches: &Patches, edges: &Edges, triangles: usize) -> Vec<bool> {
     (0..triangles).map(|t| (0..3).any(|k| levels[edges.of(t, k) as usize] == SEVERAL)).collect()
 }
 
-/// The middle between two points.
-pub(super) fn middle(a: [u32; 3], b: [u32; 3]) -> [u32; 3] {
-    std::array::from_fn(|axis| (a[axis] + b[axis]) / 2)
-}
-
 /// The edge of its triangle that a cell's edge is a part of, if any.
 pub(super) fn common_edge(a: [u32; 3], b: [u32; 3]) -> Option<usize> {
     edge_of(std::array::from_fn(|axis| a[axis] + b[axis]))

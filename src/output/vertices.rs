@@ -12,14 +12,14 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
-    meeting::{Meeting, common_edge, middle},
+    meeting::{Meeting, common_edge},
     surfaces::{NONE, Surfaces, has_side},
 };
 use crate::{
     patch::{
         Cell, Patches,
         edges::{FINEST, edge_of, from_lower_end},
-        restricted::points,
+        restricted::{middle, points},
     },
     scene::Scene,
 };

@@ -34,7 +34,7 @@ impl Corners {
         let is_corner = |p| self.0.binary_search(&edges.point(scene, cell.triangle as usize, p)).is_ok();
         std::array::from_fn(|k| {
             let (a, b) = (p[k], p[(k + 1) % 3]);
-            if cell.level >= MAX_LEVEL || !is_corner(between(a, b, 2)) {
+            if cell.level >= MAX_LEVEL || !is_corner(middle(a, b)) {
                 0
             } else if cell.level + 1 >= MAX_LEVEL || ![1, 3].iter().any(|&q| is_corner(between(a, b, q))) {
                 1
@@ -48,6 +48,11 @@ impl Corners {
 /// The corners of a cell in units of 1/2^[`FINEST`].
 pub(crate) fn points(cell: &Cell) -> [[u32; 3]; 3] {
     lattice(cell.child, cell.level).map(|p| p.map(|x| x << (FINEST - u32::from(cell.level))))
+}
+
+/// The middle between two points.
+pub(crate) fn middle(a: [u32; 3], b: [u32; 3]) -> [u32; 3] {
+    between(a, b, 2)
 }
 
 /// The point so many quarters of the way from `a` to `b`.
