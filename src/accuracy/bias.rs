@@ -8,7 +8,7 @@ use crate::{
     Progress, Result,
     form_factor::FormFactors,
     patch::Patches,
-    solve::{Solution, SolveOptions, solve},
+    solve::{Solution, SolveOptions, solve_from},
     trace::Tracer,
 };
 
@@ -16,7 +16,7 @@ use crate::{
 /// `None` when the form factors were not sampled, or with too few rays to halve.
 ///
 /// # Errors
-/// As [`solve()`].
+/// As [`solve`](crate::solve::solve()).
 ///
 /// # Panics
 /// When the sizes disagree.
@@ -33,11 +33,12 @@ pub fn relative(
         irradiance.zip(form_factors.areas()).map(|(e, area)| area * e.iter().sum::<f64>()).sum()
     };
     let options = &options.rough();
+    let start = &solution.radiosity;
     let whole = mean(solution);
     let mut halves = 0.0;
     for half in 0..2 {
         let Some(form_factors) = form_factors.half(half, tracer, patches) else { return Ok(None) };
-        halves += 0.5 * mean(&solve(&form_factors, patches, options, progress)?);
+        halves += 0.5 * mean(&solve_from(Some(start), &form_factors, patches, options, progress)?);
     }
     Ok((whole > 0.0).then(|| halves / whole - 1.0))
 }

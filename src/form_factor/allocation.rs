@@ -8,6 +8,7 @@
 use super::{
     CastOptions,
     hemisphere::{Hits, REPLICATES, Share},
+    ordered_sum,
 };
 
 /// Share of the rays that are cast evenly.
@@ -57,16 +58,16 @@ pub(super) fn by_variance(
     for v in &mut of_ray {
         v[0] = (1.0 - COMMON) * v[0] + COMMON * mean;
     }
+    let roots: Vec<[f64; 2]> = (0..areas.len()).map(|i| of_ray[i].map(|v| (areas[i] * v).sqrt())).collect();
     let wanted = |i: usize, level: f64| -> [f64; 2] {
         std::array::from_fn(|kind| {
             let now = now(i)[kind];
-            (level * (areas[i] * of_ray[i][kind]).sqrt()).clamp(now, MOST_GROWTH * now).round()
+            (level * roots[i][kind]).clamp(now, MOST_GROWTH * now).round()
         })
     };
-    let sum = |level: f64| (0..areas.len()).map(|i| wanted(i, level).iter().sum::<f64>()).sum::<f64>();
+    let sum = |level: f64| ordered_sum(areas.len(), |i| wanted(i, level).iter().sum::<f64>());
     // The number of rays grows with the level: bisect its logarithm.
-    let scale =
-        (0..areas.len()).map(|i| (areas[i] * of_ray[i][0].max(of_ray[i][1])).sqrt()).fold(0.0, f64::max);
+    let scale = roots.iter().map(|root| root[0].max(root[1])).fold(0.0, f64::max);
     let (mut low, mut high) = (-60.0f64, 60.0f64);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);

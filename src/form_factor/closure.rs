@@ -32,9 +32,9 @@ const PATIENCE: usize = 100;
 const CONTRADICTION: f64 = 1e-3;
 
 /// Rounds of [`settle`],
-const SETTLING_ROUNDS: usize = 20;
+const SETTLING_ROUNDS: usize = 8;
 /// and what rows may be off by after it, relative to their area.
-const SETTLED: f64 = 1e-4;
+const SETTLED: f64 = 1e-3;
 /// Share of what a row misses that its escaped light takes, in a round. With none of it the mean irradiance of rooms is too
 /// large, with all too small, by some 0.2 % at 64 rays a patch.
 const ESCAPING: f64 = 0.3;

@@ -19,7 +19,7 @@ mod siblings;
 pub mod sweep;
 mod symmetric;
 
-use std::{borrow::Cow, ops::Range, sync::Arc};
+use std::{borrow::Cow, num::NonZeroU32, ops::Range, sync::Arc};
 
 use rayon::prelude::*;
 use sprs::CsMatI;
@@ -31,7 +31,7 @@ use hemisphere::{ESCAPED, Hits, REPLICATES};
 use reciprocity::{Buckets, Densities};
 use replicates::{Deviation, Samples};
 use shadow::Sources;
-use symmetric::Symmetric;
+use symmetric::{Blocks, Symmetric};
 
 pub use checkpoint::Checkpoint;
 
@@ -173,10 +173,10 @@ impl FormFactors {
         let share = allocation::even(options, rays, !hits.sources.is_empty());
         hits.extend(scene, tracer, patches, share, options.seed, progress)?;
         if options.looks_first() {
-            let samples = Assembled::new(hits, tracer, patches, options).into_samples(patches);
+            let samples = Assembled::new(hits, tracer, patches, options, Vec::new()).into_samples(patches);
             return Self::continued(samples, scene, tracer, patches, options.rays, progress);
         }
-        Ok(Self::from_hits(hits, tracer, patches, options))
+        Ok(Self::from_hits(hits, tracer, patches, options, Vec::new()))
     }
 
     /// Casts more rays, until there are `rays` a patch in the mean, as the options that the first were cast with say; those
@@ -224,15 +224,23 @@ impl FormFactors {
         } else {
             Vec::new()
         };
-        let Samples { mut hits, options, .. } = samples;
+        let Samples { mut hits, options, radiosity, .. } = samples;
+        // Where no variance decides, rounds are to give what casting all at once does.
+        let start = if options.looks_first() { radiosity } else { Vec::new() };
         let even = allocation::even(&options, rays, !hits.sources.is_empty());
         let share = |i: usize, kernel: f64| shares.get(i).copied().unwrap_or_else(|| even(i, kernel));
         hits.extend(scene, tracer, patches, share, options.seed, progress)?;
-        Ok(Self::from_hits(hits, tracer, patches, &options))
+        Ok(Self::from_hits(hits, tracer, patches, &options, start))
     }
 
-    fn from_hits(hits: Hits, tracer: &Tracer, patches: &Patches, options: &CastOptions) -> FormFactors {
-        let assembled = Assembled::new(hits, tracer, patches, options);
+    fn from_hits(
+        hits: Hits,
+        tracer: &Tracer,
+        patches: &Patches,
+        options: &CastOptions,
+        start: Vec<f32>,
+    ) -> FormFactors {
+        let assembled = Assembled::new(hits, tracer, patches, options, start);
         let form_factors = match options.estimator {
             Estimator::OneWay => assembled.one_way(),
             Estimator::Pooled => assembled.pooled(patches, closure::EXACT),
@@ -328,7 +336,8 @@ impl FormFactors {
     pub(crate) fn half(&self, half: usize, tracer: &Tracer, patches: &Patches) -> Option<FormFactors> {
         let samples = self.samples.as_ref()?;
         let hits = samples.hits.half(half)?;
-        let assembled = Assembled::new(hits, tracer, patches, &samples.options);
+        let start = samples.radiosity.clone();
+        let assembled = Assembled::new(hits, tracer, patches, &samples.options, start);
         Some(match samples.options.estimator {
             Estimator::OneWay => assembled.one_way(),
             Estimator::Pooled => assembled.pooled(patches, ROUGH),
@@ -514,12 +523,6 @@ impl FormFactors {
 
     /// F z for a value a replicate and channel, in single precision: for error bars.
     pub(crate) fn gather_replicates<const C: usize>(&self, z: &[Deviation<C>]) -> Vec<Deviation<C>> {
-        let scaled = |z: &Deviation<C>, factor: f64| z.map(|z| z.map(|z| z * factor as f32));
-        let add = |to: &mut Deviation<C>, factor: f32, z: &Deviation<C>| {
-            for (to, z) in to.as_flattened_mut().iter_mut().zip(z.as_flattened()) {
-                *to += factor * z;
-            }
-        };
         let z: Vec<Deviation<C>> =
             z.par_iter().zip(&self.right).with_min_len(SHORT).map(|(z, right)| scaled(z, *right)).collect();
         let mut sums = vec![[[0f32; REPLICATES]; C]; self.len()];
@@ -536,9 +539,40 @@ impl FormFactors {
                 columns.iter().zip(values).for_each(|(&j, &s)| add(sum, s, &z[j as usize]));
             }),
         }
-        let ends = sums.par_iter_mut().zip(&self.left).with_min_len(SHORT);
-        ends.for_each(|(sum, left)| *sum = scaled(sum, *left));
+        self.scale_rows(&mut sums);
         sums
+    }
+
+    /// The same where z is zero but for what `value` says of the patches `from`: those of pooled form factors that shadow rays
+    /// went to, few or many.
+    fn gather_from<const C: usize>(
+        &self,
+        from: &[u32],
+        value: impl Fn(usize) -> Deviation<C>,
+    ) -> Vec<Deviation<C>> {
+        let Stored::Symmetric(matrix) = &self.stored else {
+            unreachable!("one-way form factors have no sources")
+        };
+        let z: Vec<Deviation<C>> =
+            from.iter().map(|&i| scaled(&value(i as usize), self.right[i as usize])).collect();
+        let mut of = vec![None; self.len()];
+        (1..).zip(from).for_each(|(k, &i)| of[i as usize] = NonZeroU32::new(k));
+        let add_from = |to: &mut Deviation<C>, s: f32, k: &Option<NonZeroU32>| {
+            k.iter().for_each(|k| add(to, s, &z[k.get() as usize - 1]));
+        };
+        let mut sums = vec![[[0f32; REPLICATES]; C]; self.len()];
+        matrix.diagonal().for_each(|(i, s)| add_from(&mut sums[i], s, &of[i]));
+        matrix.accumulate(&of, &mut sums, |s, of_i, of_j, at_i, at_j| {
+            add_from(at_i, s, of_j);
+            add_from(at_j, s, of_i);
+        });
+        self.scale_rows(&mut sums);
+        sums
+    }
+
+    fn scale_rows<const C: usize>(&self, sums: &mut [Deviation<C>]) {
+        let rows = sums.par_iter_mut().zip(&self.left).with_min_len(SHORT);
+        rows.for_each(|(sum, left)| *sum = scaled(sum, *left));
     }
 
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j), by visiting every pair.
@@ -555,6 +589,17 @@ impl FormFactors {
     /// The left and right of F_ij = left_i s_ij right_j.
     pub(crate) fn scaling(&self) -> (&[f64], &[f64]) {
         (&self.left, &self.right)
+    }
+}
+
+fn scaled<const C: usize>(z: &Deviation<C>, factor: f64) -> Deviation<C> {
+    z.map(|z| z.map(|z| z * factor as f32))
+}
+
+#[inline]
+fn add<const C: usize>(to: &mut Deviation<C>, factor: f32, z: &Deviation<C>) {
+    for (to, z) in to.as_flattened_mut().iter_mut().zip(z.as_flattened()) {
+        *to += factor * z;
     }
 }
 
@@ -589,7 +634,14 @@ struct Assembled {
 }
 
 impl Assembled {
-    fn new(mut hits: Hits, tracer: &Tracer, patches: &Patches, options: &CastOptions) -> Assembled {
+    /// `start` is the radiosity that fewer or more rays told, or empty.
+    fn new(
+        mut hits: Hits,
+        tracer: &Tracer,
+        patches: &Patches,
+        options: &CastOptions,
+        start: Vec<f32>,
+    ) -> Assembled {
         let mut areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
         let (n, scale) = (areas.len(), tracer.scale());
         // In units of the mean area no exchange area leaves the range of single precision.
@@ -600,7 +652,7 @@ impl Assembled {
             hits.withdraw_hidden(&relative);
         }
         let densities = Densities::new(&hits, &relative, scale * (scale / mean));
-        let buckets = Buckets::new(&hits);
+        let buckets = Buckets::new(&hits, Blocks::new(n));
         let (plain, one_way_deviation) = reciprocity::pool(&hits, &buckets, &densities, &relative);
         let links = reciprocity::links(&hits, &densities);
         let share = |i: usize| {
@@ -620,7 +672,7 @@ impl Assembled {
                 densities,
                 escapes,
                 areas: relative,
-                radiosity: Vec::new(),
+                radiosity: start,
                 siblings: siblings::siblings(tracer, patches),
                 options: *options,
             },
@@ -648,7 +700,8 @@ impl Assembled {
 
     /// No more than tells the variances.
     fn into_samples(mut self, patches: &Patches) -> Samples {
-        self.samples.radiosity = calibration::radiosity(&self.plain, &self.measured(), patches);
+        let start = std::mem::take(&mut self.samples.radiosity);
+        self.samples.radiosity = calibration::radiosity(&self.plain, &self.measured(), patches, &start);
         self.samples
     }
 
@@ -658,13 +711,8 @@ impl Assembled {
         let brightness = self.samples.densities.brightness();
         closure::balance(&mut self.links, brightness, &self.samples.areas, &self.escaped);
         self.link_sums = self.links.row_sums();
-        let radiosity = calibration::calibrate(
-            &mut plain,
-            buckets,
-            &self.measured(),
-            patches,
-            precision > closure::EXACT,
-        );
+        let radiosity =
+            calibration::calibrate(&mut plain, buckets, &self.measured(), patches, &self.samples.radiosity);
         let Assembled { mut samples, links, link_sums, mut escaped, areas, .. } = self;
         closure::settle(&mut plain, &link_sums, &samples.areas, &mut escaped);
         plain.append(links);

@@ -117,28 +117,38 @@ pub(super) fn excess_kernels(hits: &Hits, i: usize) -> [f64; REPLICATES] {
 #[derive(Default)]
 pub(super) struct Buckets {
     pub(super) blocks: Blocks,
-    /// Of each block, one after the other, what its rays met in each: place of the patch, place of what it met, replicate.
-    lists: Vec<Vec<u32>>,
+    /// Of each block, one after the other, what its rays met in each.
+    lists: Vec<Bucket>,
+}
+
+/// What the rays of one block met in another.
+#[derive(Default)]
+struct Bucket {
+    /// Places of the patch and of what it met, replicate by replicate.
+    pairs: Vec<u32>,
+    /// Where each replicate ends.
+    ends: [u32; REPLICATES],
 }
 
 impl Buckets {
-    pub(super) fn new(hits: &Hits) -> Buckets {
-        let blocks = Blocks::new(hits.len());
+    pub(super) fn new(hits: &Hits, blocks: Blocks) -> Buckets {
         let of_block = |block: usize| {
             let mut lengths = vec![0; blocks.count()];
             let rays = |i: usize| hits.of(i).iter().map(|&j| j as usize).filter(|&j| j < LINKED as usize);
             for j in blocks.range(block).flat_map(rays) {
                 lengths[blocks.of(j).0] += 1;
             }
-            let mut lists: Vec<Vec<u32>> = lengths.into_iter().map(Vec::with_capacity).collect();
-            for i in blocks.range(block) {
-                let row = blocks.of(i).1 << (PLACE + REPLICATES.ilog2());
-                for replicate in 0..REPLICATES {
+            let empty = |length| Bucket { pairs: Vec::with_capacity(length), ends: [0; REPLICATES] };
+            let mut lists: Vec<Bucket> = lengths.into_iter().map(empty).collect();
+            for replicate in 0..REPLICATES {
+                for i in blocks.range(block) {
+                    let row = blocks.of(i).1 << PLACE;
                     for &j in hits.of_replicate(i, replicate).iter().filter(|&&j| j < LINKED) {
                         let (other, column) = blocks.of(j as usize);
-                        lists[other].push(row | column << REPLICATES.ilog2() | replicate as u32);
+                        lists[other].pairs.push(row | column);
                     }
                 }
+                lists.iter_mut().for_each(|list| list.ends[replicate] = list.pairs.len() as u32);
             }
             lists
         };
@@ -146,14 +156,32 @@ impl Buckets {
         Buckets { blocks, lists }
     }
 
-    /// What rays from one block met in another: place of the patch, place of what it met, replicate.
-    pub(super) fn list(&self, from: usize, to: usize) -> impl Iterator<Item = (usize, usize, usize)> + '_ {
-        let mask = (1 << PLACE) - 1;
-        self.lists[from * self.blocks.count() + to].iter().map(move |&hit| {
-            let pair = hit as usize >> REPLICATES.ilog2();
-            (pair >> PLACE, pair & mask, hit as usize % REPLICATES)
-        })
+    fn bucket(&self, from: usize, to: usize) -> &Bucket {
+        &self.lists[from * self.blocks.count() + to]
     }
+
+    /// What rays from one block met in another: place of the patch, place of what it met.
+    pub(super) fn list(&self, from: usize, to: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+        self.bucket(from, to).pairs.iter().map(|&pair| places(pair))
+    }
+
+    /// The same of one replicate.
+    pub(super) fn of_replicate(
+        &self,
+        from: usize,
+        to: usize,
+        replicate: usize,
+    ) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let Bucket { pairs, ends } = self.bucket(from, to);
+        let start = if replicate > 0 { ends[replicate - 1] } else { 0 };
+        pairs[start as usize..ends[replicate] as usize].iter().map(|&pair| places(pair))
+    }
+}
+
+/// Row and column in a tile.
+#[inline]
+fn places(pair: u32) -> (usize, usize) {
+    ((pair >> PLACE) as usize, (pair & ((1 << PLACE) - 1)) as usize)
 }
 
 /// The pooled exchange areas S_ij of all pairs without a source, and the largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) that
@@ -162,27 +190,42 @@ pub(super) fn pool(hits: &Hits, buckets: &Buckets, densities: &Densities, areas:
     let blocks = buckets.blocks;
     let (matrix, deviations) = Symmetric::from_tiles(blocks, |(a, b)| {
         let (start_a, start_b) = (blocks.range(a).start, blocks.range(b).start);
-        // Row, column, and whether the ray came from the column. A flat patch does not see itself.
-        let key = |r: usize, c: usize, back: bool| ((r << PLACE | c) as u32) << 1 | u32::from(back);
-        let mut keys: Vec<u32> = Vec::with_capacity(buckets.list(a, b).count() + buckets.list(b, a).count());
-        if a == b {
-            let hits = buckets.list(a, a).filter(|&(r, c, _)| r != c);
-            keys.extend(hits.map(|(r, c, _)| key(r.min(c), r.max(c), r > c)));
+        let key = |r: usize, c: usize| (r << PLACE | c) as u32;
+        let sorted = |keys: &mut dyn Iterator<Item = u32>| {
+            let mut keys: Vec<u32> = keys.collect();
+            keys.sort_unstable();
+            keys
+        };
+        // By rays of the row, and by rays of the column. A flat patch does not see itself.
+        let (out, back) = if a == b {
+            let hits = || buckets.list(a, a);
+            (
+                sorted(&mut hits().filter(|(r, c)| r < c).map(|(r, c)| key(r, c))),
+                sorted(&mut hits().filter(|(r, c)| r > c).map(|(r, c)| key(c, r))),
+            )
         } else {
-            keys.extend(buckets.list(a, b).map(|(r, c, _)| key(r, c, false)));
-            keys.extend(buckets.list(b, a).map(|(c, r, _)| key(r, c, true)));
-        }
-        keys.sort_unstable();
+            (
+                sorted(&mut buckets.list(a, b).map(|(r, c)| key(r, c))),
+                sorted(&mut buckets.list(b, a).map(|(c, r)| key(r, c))),
+            )
+        };
         let mut deviation = 0f64;
-        let mut entries = Vec::with_capacity(keys.len());
-        for pair in keys.chunk_by(|x, y| x >> 1 == y >> 1) {
-            let (row, column) = (pair[0] >> 1 >> PLACE, pair[0] >> 1 & ((1 << PLACE) - 1));
-            let (i, j) = (start_a + row as usize, start_b + column as usize);
-            let (all, back) = (pair.len() as f64, pair.iter().filter(|&&k| k & 1 == 1).count() as f64);
+        let mut entries = Vec::with_capacity(out.len() + back.len());
+        let (mut out, mut back) = (out.chunk_by(u32::eq).peekable(), back.chunk_by(u32::eq).peekable());
+        loop {
+            let pair = match (out.peek(), back.peek()) {
+                (Some(out), Some(back)) => out[0].min(back[0]),
+                (Some(hits), None) | (None, Some(hits)) => hits[0],
+                (None, None) => break,
+            };
+            let out = out.next_if(|hits| hits[0] == pair).map_or(0, <[u32]>::len) as f64;
+            let back = back.next_if(|hits| hits[0] == pair).map_or(0, <[u32]>::len) as f64;
+            let (row, column) = places(pair);
+            let (i, j) = (start_a + row, start_b + column);
             let one_way = |k: usize, hits_of: f64| areas[k] * hits_of / f64::from(hits.rays_of(k));
-            let difference = one_way(i, all - back) - one_way(j, back);
+            let difference = one_way(i, out) - one_way(j, back);
             deviation = deviation.max(difference.abs() / areas[i].min(areas[j]));
-            entries.push((row as u16, column as u16, (all * densities.hit(i, j)) as f32));
+            entries.push((row as u16, column as u16, ((out + back) * densities.hit(i, j)) as f32));
         }
         let count = entries.len();
         (entries.into_iter(), count, deviation)

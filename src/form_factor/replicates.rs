@@ -5,13 +5,16 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::{
-    CastOptions, Estimator, FormFactors, calibration,
+    CastOptions, Estimator, FormFactors, SHORT, calibration,
     escape::Escape,
     hemisphere::{ESCAPED, Hits, LINKED, REPLICATES},
     reciprocity::{Buckets, Densities, excess_kernels},
     shadow::{Found, Link},
     symmetric::Blocks,
 };
+
+/// Patches of a block at most whose sums are made together: a megabyte of what rays add to anywhere.
+const ROWS: usize = 1 << 12;
 
 /// What the estimate was made of, kept for the error bars.
 #[derive(Debug, Clone)]
@@ -23,54 +26,55 @@ pub(super) struct Samples {
     /// Areas in the unit of `densities`.
     pub(super) areas: Vec<f64>,
     /// The radiosity after some bounces, interleaved channels, in a unit of its own.
-    pub(super) radiosity: Vec<f64>,
+    pub(super) radiosity: Vec<f32>,
     /// Runs of patches that are close to each other.
     pub(super) siblings: Vec<Range<usize>>,
     /// What was asked for.
     pub(super) options: CastOptions,
 }
 
-/// Sums over each replicate for a patch: exchange areas and exchanged radiosity, of links and of everything else.
+/// Sums over each replicate for a patch: of links and of everything else.
 #[derive(Debug, Clone, Copy)]
 struct Sums<const C: usize> {
-    plain: [f32; REPLICATES],
-    links: [f32; REPLICATES],
+    plain: [Exchange<C>; REPLICATES],
+    links: [Exchange<C>; REPLICATES],
     /// Shares of the hemisphere rays that escaped, and that connected with sources.
     escaped: [f32; REPLICATES],
     linked: [f32; REPLICATES],
-    plain_power: [[f32; REPLICATES]; C],
-    link_power: [[f32; REPLICATES]; C],
+}
+
+/// Exchange areas, and what is exchanged. Side by side, since a ray adds to both at once, in any row.
+#[derive(Debug, Clone, Copy)]
+struct Exchange<const C: usize> {
+    area: f32,
+    power: [f32; C],
+}
+
+impl<const C: usize> Exchange<C> {
+    const ZERO: Self = Exchange { area: 0.0, power: [0.0; C] };
+
+    #[inline]
+    fn add(&mut self, area: f32, radiosity: &[f32; C]) {
+        self.area += area;
+        for c in 0..C {
+            self.power[c] += area * radiosity[c];
+        }
+    }
 }
 
 impl<const C: usize> Sums<C> {
     const ZERO: Self = Sums {
-        plain: [0.0; REPLICATES],
-        links: [0.0; REPLICATES],
+        plain: [Exchange::ZERO; REPLICATES],
+        links: [Exchange::ZERO; REPLICATES],
         escaped: [0.0; REPLICATES],
         linked: [0.0; REPLICATES],
-        plain_power: [[0.0; REPLICATES]; C],
-        link_power: [[0.0; REPLICATES]; C],
     };
-
-    #[inline]
-    fn add_plain(&mut self, replicate: usize, exchange: f64, radiosity: &[f64; C]) {
-        self.plain[replicate] += exchange as f32;
-        for c in 0..C {
-            self.plain_power[c][replicate] += (exchange * radiosity[c]) as f32;
-        }
-    }
 
     /// Adds a link, of which each replicate has a share.
     #[inline]
-    fn add_link(&mut self, exchange: f64, shares: &[f32; REPLICATES], radiosity: &[f64; C]) {
-        let exchanges = shares.map(|share| exchange as f32 * share);
-        for k in 0..REPLICATES {
-            self.links[k] += exchanges[k];
-        }
-        for c in 0..C {
-            for k in 0..REPLICATES {
-                self.link_power[c][k] += exchanges[k] * radiosity[c] as f32;
-            }
+    fn add_link(&mut self, exchange: f64, shares: &[f32; REPLICATES], radiosity: &[f32; C]) {
+        for (links, share) in self.links.iter_mut().zip(shares) {
+            links.add(exchange as f32 * share, radiosity);
         }
     }
 }
@@ -93,12 +97,14 @@ impl FormFactors {
     /// Σ_j dF_ij B_j of all replicates for every patch, where E = F B; `None` when the form factors were not sampled.
     pub(crate) fn deviations<const C: usize>(&self, radiosity: &[[f64; C]]) -> Option<Vec<Deviation<C>>> {
         let samples = self.samples.as_ref()?;
-        let parts = samples.deviations(radiosity, |parts| parts);
+        let single: Vec<[f32; C]> = radiosity.iter().map(|b| b.map(|b| b as f32)).collect();
+        let parts = samples.deviations(&single, |parts| parts);
         let add = |to: &mut [f32], what: &[f32], factor: f32| {
             to.iter_mut().zip(what).for_each(|(to, what)| *to += factor * what);
         };
         let mut whole: Vec<Deviation<C>> = parts
-            .iter()
+            .par_iter()
+            .with_min_len(SHORT)
             .map(|p| {
                 let mut whole = p.hemisphere;
                 add(whole.as_flattened_mut(), p.shadow.as_flattened(), 1.0);
@@ -109,24 +115,22 @@ impl FormFactors {
             // What sources scale by is scaled in the rows of the others too, whose light from sources as a whole stays. With the
             // brightness b_l of the sources dE_i = Σ_l F_il ds_l (B_l - b_l Σ_m F_im B_m / Σ_m F_im b_m).
             let brightness = samples.densities.brightness();
-            let scale: Vec<Deviation<1>> =
-                parts.iter().zip(brightness).map(|(p, &b)| [p.scale.map(|s| s * b as f32)]).collect();
-            let sent: Vec<Deviation<C>> = parts
-                .iter()
-                .zip(radiosity)
-                .map(|(p, b)| std::array::from_fn(|c| p.scale.map(|s| s * b[c] as f32)))
-                .collect();
-            let (scale, sent) = (self.gather_replicates(&scale), self.gather_replicates(&sent));
+            let sources = samples.hits.sources.patches();
+            let scale = self.gather_from(sources, |i| [parts[i].scale.map(|s| s * brightness[i] as f32)]);
+            let sent: Vec<Deviation<C>> = self.gather_from(sources, |i| {
+                std::array::from_fn(|c| parts[i].scale.map(|s| s * radiosity[i][c] as f32))
+            });
             let known = self.irradiance(brightness, 1);
             let of_source = |i: usize| radiosity[i].map(|b| if brightness[i] > 0.0 { b } else { 0.0 });
             let light = self.irradiance(&(0..parts.len()).flat_map(of_source).collect::<Vec<_>>(), C);
-            for i in (0..whole.len()).filter(|&i| !samples.hits.sources.contains(i)) {
+            let rows = whole.par_iter_mut().enumerate().with_min_len(SHORT);
+            rows.filter(|&(i, _)| !samples.hits.sources.contains(i)).for_each(|(i, whole)| {
                 for c in 0..C {
-                    add(&mut whole[i][c], &sent[i][c], 1.0);
+                    add(&mut whole[c], &sent[i][c], 1.0);
                     let ratio = if known[i] > 0.0 { light[i * C + c] / known[i] } else { 0.0 };
-                    add(&mut whole[i][c], &scale[i][0], -ratio as f32);
+                    add(&mut whole[c], &scale[i][0], -ratio as f32);
                 }
-            }
+            });
         }
         Some(whole)
     }
@@ -152,16 +156,16 @@ impl Samples {
     /// What `make` makes of the deviations of every patch.
     fn deviations<const C: usize, T: Send>(
         &self,
-        radiosity: &[[f64; C]],
+        radiosity: &[[f32; C]],
         make: impl Fn(Parts<C>) -> T + Sync,
     ) -> Vec<T> {
         let pooled = self.options.estimator == Estimator::Pooled;
-        let incoming = if pooled { Incoming::new(&self.hits) } else { Incoming::default() };
-        let blocks = Blocks::new(self.areas.len());
+        let blocks = Blocks::of_rows(self.areas.len(), ROWS);
+        let incoming = if pooled { Incoming::new(&self.hits, blocks) } else { Incoming::default() };
         let of_block = |block: usize| -> Vec<T> {
             let mut sums = vec![Sums::ZERO; blocks.range(block).len()];
             if pooled {
-                self.pooled(block, blocks, &incoming, radiosity, &mut sums);
+                self.pooled(block, &incoming, radiosity, &mut sums);
             } else {
                 self.one_way(blocks.range(block), radiosity, &mut sums);
             }
@@ -170,13 +174,13 @@ impl Samples {
         (0..blocks.count()).into_par_iter().with_max_len(1).flat_map_iter(of_block).collect()
     }
 
-    fn one_way<const C: usize>(&self, range: Range<usize>, radiosity: &[[f64; C]], sums: &mut [Sums<C>]) {
+    fn one_way<const C: usize>(&self, range: Range<usize>, radiosity: &[[f32; C]], sums: &mut [Sums<C>]) {
         for (i, sums) in range.zip(sums) {
             for replicate in 0..REPLICATES {
                 let targets = self.hits.of_replicate(i, replicate);
                 let weight = self.areas[i] / targets.len() as f64;
                 for &j in targets.iter().filter(|&&j| j != ESCAPED) {
-                    sums.add_plain(replicate, weight, &radiosity[j as usize]);
+                    sums.plain[replicate].add(weight as f32, &radiosity[j as usize]);
                 }
             }
         }
@@ -186,28 +190,23 @@ impl Samples {
     fn pooled<const C: usize>(
         &self,
         block: usize,
-        blocks: Blocks,
         incoming: &Incoming,
-        radiosity: &[[f64; C]],
+        radiosity: &[[f32; C]],
         sums: &mut [Sums<C>],
     ) {
-        let Samples { hits, densities, .. } = self;
-        // By how much the replicate's rays stand for all.
-        let many = |i: usize, replicate: usize| {
-            f64::from(hits.rays_of(i)) / hits.of_replicate(i, replicate).len() as f64
-        };
+        let (Samples { hits, densities, .. }, blocks) = (self, incoming.plain.blocks);
         for (i, sums) in blocks.range(block).zip(&mut *sums) {
             for replicate in 0..REPLICATES {
                 let targets = hits.of_replicate(i, replicate);
                 let share = 1.0 / targets.len() as f32;
-                let many = many(i, replicate);
+                let many = f64::from(incoming.many[replicate][i]);
                 for &j in targets {
                     match j {
                         LINKED => sums.linked[replicate] += share,
                         ESCAPED => sums.escaped[replicate] += share,
                         j => {
                             let (own, _) = densities.one_sided(i, j as usize, calibration::TRUST);
-                            sums.add_plain(replicate, many * own, &radiosity[j as usize]);
+                            sums.plain[replicate].add((many * own) as f32, &radiosity[j as usize]);
                         }
                     }
                 }
@@ -220,10 +219,12 @@ impl Samples {
         }
         for other in 0..blocks.count() {
             let start = blocks.range(other).start;
-            for (r, c, replicate) in incoming.plain.list(other, block) {
-                let (i, j) = (start + r, blocks.range(block).start + c);
-                let (_, exchange) = densities.one_sided(i, j, calibration::TRUST);
-                sums[c].add_plain(replicate, many(i, replicate) * exchange, &radiosity[i]);
+            for (replicate, many) in incoming.many.iter().enumerate() {
+                for (r, c) in incoming.plain.of_replicate(other, block, replicate) {
+                    let (i, j) = (start + r, blocks.range(block).start + c);
+                    let (_, exchange) = densities.one_sided(i, j, calibration::TRUST);
+                    sums[c].plain[replicate].add(many[i] * exchange as f32, &radiosity[i]);
+                }
             }
             let (mut from, mut excess) = (u32::MAX, [0.0; REPLICATES]);
             for &(i, k) in &incoming.links[other * blocks.count() + block] {
@@ -241,28 +242,30 @@ impl Samples {
 
     /// Deviations of the replicates of patch `i` from their mean: what the matrix makes of their sums.
     fn deviation<const C: usize>(&self, i: usize, sums: &Sums<C>) -> Parts<C> {
-        let mean = |values: &[f32; REPLICATES]| {
-            values.iter().map(|&value| f64::from(value)).sum::<f64>() / REPLICATES as f64
+        let mean = |of: &dyn Fn(usize) -> f32| {
+            (0..REPLICATES).map(|k| f64::from(of(k))).sum::<f64>() / REPLICATES as f64
         };
         let area = self.areas[i];
         let none = [[0.0; REPLICATES]; C];
         let mut deviation = Parts { hemisphere: none, shadow: none, scale: [0.0; REPLICATES] };
         let Some(&Escape { share, by_rays, by_links, by_linked }) = self.escapes.get(i) else {
             for c in 0..C {
-                let power = mean(&sums.plain_power[c]);
-                deviation.hemisphere[c] = sums.plain_power[c].map(|p| ((f64::from(p) - power) / area) as f32);
+                let power = mean(&|k| sums.plain[k].power[c]);
+                deviation.hemisphere[c] =
+                    sums.plain.map(|plain| ((f64::from(plain.power[c]) - power) / area) as f32);
             }
             return deviation;
         };
-        let (plain, links) = (mean(&sums.plain), mean(&sums.links));
-        let (escaped, linked) = (mean(&sums.escaped), mean(&sums.linked));
+        let (plain, links) = (mean(&|k| sums.plain[k].area), mean(&|k| sums.links[k].area));
+        let (escaped, linked) = (mean(&|k| sums.escaped[k]), mean(&|k| sums.linked[k]));
         let is_source = self.hits.sources.contains(i);
         let ratio = |power: f64, exchange: f64| if exchange > 0.0 { power / exchange } else { 0.0 };
         for c in 0..C {
-            let (plain_power, link_power) = (mean(&sums.plain_power[c]), mean(&sums.link_power[c]));
+            let plain_power = mean(&|k| sums.plain[k].power[c]);
+            let link_power = mean(&|k| sums.links[k].power[c]);
             for k in 0..REPLICATES {
-                let d_links = f64::from(sums.links[k]) - links;
-                let d_link_power = f64::from(sums.link_power[c][k]) - link_power;
+                let d_links = f64::from(sums.links[k].area) - links;
+                let d_link_power = f64::from(sums.links[k].power[c]) - link_power;
                 let d_escaped = by_rays * (f64::from(sums.escaped[k]) - escaped)
                     + by_linked * (f64::from(sums.linked[k]) - linked);
                 let d_escaped_links = by_links * d_links / area;
@@ -276,9 +279,9 @@ impl Samples {
                     (-closing * area * d_escaped, scale * d_closing - closing * area * d_escaped_links)
                 } else {
                     let closing = ratio(plain_power, plain);
-                    let d_closing = f64::from(sums.plain_power[c][k])
+                    let d_closing = f64::from(sums.plain[k].power[c])
                         - plain_power
-                        - closing * (f64::from(sums.plain[k]) - plain);
+                        - closing * (f64::from(sums.plain[k].area) - plain);
                     let scale = ratio(area * (1.0 - share) - links, plain);
                     (
                         scale * d_closing - closing * area * d_escaped,
@@ -297,14 +300,19 @@ impl Samples {
 #[derive(Default)]
 struct Incoming {
     plain: Buckets,
+    /// By how much the rays of each replicate, of each patch, stand for all of its rays.
+    many: Vec<Vec<f32>>,
     /// The patch that each link comes from, and which of its links it is.
     links: Vec<Vec<(u32, u32)>>,
 }
 
 impl Incoming {
-    fn new(hits: &Hits) -> Incoming {
-        let plain = Buckets::new(hits);
-        let blocks = plain.blocks;
+    fn new(hits: &Hits, blocks: Blocks) -> Incoming {
+        let plain = Buckets::new(hits, blocks);
+        let many = |replicate: usize| {
+            let many = |i| hits.rays_of(i) as f32 / hits.of_replicate(i, replicate).len() as f32;
+            (0..hits.len()).map(many).collect()
+        };
         let of_block = |block: usize| {
             let mut lists = vec![Vec::new(); blocks.count()];
             for i in blocks.range(block) {
@@ -316,7 +324,7 @@ impl Incoming {
             lists
         };
         let links = (0..blocks.count()).into_par_iter().with_max_len(1).flat_map_iter(of_block).collect();
-        Incoming { plain, links }
+        Incoming { plain, many: (0..REPLICATES).into_par_iter().map(many).collect(), links }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Symmetric sparse matrices: each pair of patches is stored once, and serves both.
 //!
 //! The patches are divided into blocks, and the pairs into tiles, one for every two blocks. A product walks through the
-//! tiles: what a tile reads and writes is near in memory, and places within a block take 14 bits. Each block works through
+//! tiles: what a tile reads and writes is near in memory, and places within a block take 16 bits. Each block works through
 //! its tiles in the order of a tournament in which everyone meets everyone (the circle method; Kirkman, 1847), so that many
 //! tiles that share no block can be worked on at a time: no two threads write to the same place, and every sum has one order,
 //! whatever the number of threads.
@@ -9,20 +9,25 @@
 //! An entry takes 4 bytes for its value and 2 for its column, and every run of entries of a row in a tile 4 bytes more: 6 to
 //! 10 bytes a pair.
 
-use std::{ops::Range, sync::Mutex};
+use std::{
+    ops::{AddAssign, Mul, Range},
+    sync::Mutex,
+};
 
 use rayon::prelude::*;
 
 use super::Matrix;
 
-/// Rows of a block at most: what a product reads and writes of one then fits into the second-level cache.
+/// Rows of a block at most. With fewer what a product reads and writes of a tile is nearer, but at a million patches a tile
+/// has then no more entries than rows, and reading those takes all the time.
 const MOST_ROWS: usize = 1 << PLACE;
 /// Bits of a place within a block.
-pub(super) const PLACE: u32 = 14;
+pub(super) const PLACE: u32 = u16::BITS;
 /// Rows of a block at least: smaller tiles are not worth a task.
 const LEAST_ROWS: usize = 1 << 10;
-/// Blocks that there should be at least, for threads to share.
-const ENOUGH_BLOCKS: usize = 16;
+/// Blocks that there should be at least, for threads to share: two at a time. Half as many were a quarter faster with two
+/// threads, since runs of a row are longer then.
+const ENOUGH_BLOCKS: usize = 8;
 
 /// How patches are divided into blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -34,7 +39,12 @@ pub(super) struct Blocks {
 
 impl Blocks {
     pub(super) fn new(len: usize) -> Blocks {
-        let rows = (len / ENOUGH_BLOCKS).clamp(LEAST_ROWS, MOST_ROWS);
+        Self::of_rows(len, (len / ENOUGH_BLOCKS).clamp(LEAST_ROWS, MOST_ROWS))
+    }
+
+    /// With so many rows each, or the power of two below.
+    pub(super) fn of_rows(len: usize, rows: usize) -> Blocks {
+        assert!(rows <= MOST_ROWS, "places have {PLACE} bits");
         Blocks { len, bits: rows.ilog2() }
     }
 
@@ -200,7 +210,7 @@ impl Tile {
             Tile { runs: Vec::new(), columns: Vec::with_capacity(count), values: Vec::with_capacity(count) };
         for (row, column, value) in entries {
             match tile.runs.last_mut() {
-                Some([last, length]) if *last == row => *length += 1,
+                Some([last, length]) if *last == row && *length < u16::MAX => *length += 1,
                 _ => tile.runs.push([row, 1]),
             }
             tile.columns.push(column);
@@ -215,6 +225,12 @@ impl Tile {
         rows.zip(&self.columns).zip(&self.values).map(|((row, &column), &value)| (row, column, value))
     }
 }
+
+/// Single or double precision.
+pub(super) trait Real: Copy + Send + Sync + From<f32> + Mul<Output = Self> + AddAssign {}
+
+impl Real for f32 {}
+impl Real for f64 {}
 
 /// A symmetric matrix of non-negative values.
 #[derive(Debug, Clone, Default)]
@@ -453,15 +469,15 @@ impl Symmetric {
         });
     }
 
-    /// Adds Σ_j s_ij z_j to every `out_i`, for `C` channels.
-    pub(super) fn add_product<const C: usize>(&self, z: &[[f64; C]], out: &mut [[f64; C]]) {
+    /// Adds Σ_j s_ij z_j to every `out_i`, for `C` channels, in single or double precision.
+    pub(super) fn add_product<T: Real, const C: usize>(&self, z: &[[T; C]], out: &mut [[T; C]]) {
         for (i, s) in self.diagonal() {
             for c in 0..C {
-                out[i][c] += f64::from(s) * z[i][c];
+                out[i][c] += T::from(s) * z[i][c];
             }
         }
         self.accumulate(z, out, |s, z_i, z_j, at_i, at_j| {
-            let s = f64::from(s);
+            let s = T::from(s);
             for c in 0..C {
                 at_i[c] += s * z_j[c];
                 at_j[c] += s * z_i[c];
@@ -471,7 +487,7 @@ impl Symmetric {
 
     /// Σ_j s_ij z_j of every row.
     pub(super) fn product(&self, z: &[f64]) -> Vec<f64> {
-        let mut sums = vec![[0.0]; self.len()];
+        let mut sums = vec![[0f64]; self.len()];
         self.add_product(z.as_chunks().0, &mut sums);
         sums.into_flattened()
     }

@@ -18,10 +18,11 @@ use rayon::prelude::*;
 /// (reflectances of 1 - 10⁻⁶ and up), so that convergence is judged by the true residual and restarted where needed.
 pub(super) fn solve<const C: usize>(
     system: &System<C>,
+    start: &[f64],
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<Iterate<C>> {
-    let mut radiosity = system.emission.to_vec();
+    let mut radiosity = start.as_chunks().0.to_vec();
     let mut iterations = 0;
     let mut best = f64::INFINITY;
     loop {

@@ -71,7 +71,7 @@ impl Default for SolveOptions {
 impl SolveOptions {
     /// The same, no more precise than what tells how large an error is needs to be.
     pub(crate) fn rough(&self) -> SolveOptions {
-        SolveOptions { tolerance: self.tolerance.max(1e-6), ..*self }
+        SolveOptions { tolerance: self.tolerance.max(1e-5), ..*self }
     }
 }
 
@@ -131,12 +131,23 @@ pub fn solve<'a>(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<Solution> {
+    solve_from(None, form_factors, radiometry, options, progress)
+}
+
+/// As [`solve`], from a radiosity that is near: conjugate gradients take fewer iterations then, the others do not look at it.
+pub(crate) fn solve_from<'a>(
+    start: Option<&[f64]>,
+    form_factors: &FormFactors,
+    radiometry: impl Into<Radiometry<'a>>,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<Solution> {
     let radiometry = radiometry.into();
     let n = form_factors.len() * radiometry.channels;
     assert_eq!((radiometry.emission.len(), radiometry.reflectance.len()), (n, n), "sizes disagree");
     match radiometry.channels {
-        1 => System::<1>::new(form_factors, radiometry).solve(options, progress),
-        3 => System::<3>::new(form_factors, radiometry).solve(options, progress),
+        1 => System::<1>::new(form_factors, radiometry).solve(start, options, progress),
+        3 => System::<3>::new(form_factors, radiometry).solve(start, options, progress),
         c => panic!("{c} channels: there are 1 or 3"),
     }
 }
@@ -160,7 +171,7 @@ impl<'a, const C: usize> System<'a, C> {
         }
     }
 
-    fn solve(&self, options: &SolveOptions, progress: &Progress) -> Result<Solution> {
+    fn solve(&self, start: Option<&[f64]>, options: &SolveOptions, progress: &Progress) -> Result<Solution> {
         self.check_equilibrium()?;
         let symmetric = self.form_factors.estimator() == Estimator::Pooled;
         let solver = match options.solver {
@@ -179,7 +190,12 @@ impl<'a, const C: usize> System<'a, C> {
             Solver::GaussSeidel => gauss_seidel::solve(self, options, progress)?,
             Solver::Southwell => southwell::solve(self, options, progress)?,
             Solver::Direct => direct::solve(self)?,
-            _ => conjugate_gradient::solve(self, options, progress)?,
+            _ => conjugate_gradient::solve(
+                self,
+                start.unwrap_or(self.emission.as_flattened()),
+                options,
+                progress,
+            )?,
         };
         self.finish(solver, radiosity, iterations, options)
     }
