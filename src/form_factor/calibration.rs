@@ -40,7 +40,7 @@ const FURTHEST: f64 = 4.0;
 /// How much of its own weight each row resists its λ with, times its rays: functions which a row cannot tell apart do no
 /// harm then, and what few rays say is believed less. RMS errors at 64 rays a patch with 1, 6, 12 and 24: 4.04, 4.00, 3.99 and
 /// 3.99 % on the Cornell box, 1.3, 1.23, 1.20 and 1.18 % on a block in the open, 2.69, 2.69, 2.69 and 2.72 % behind a door.
-const RESISTANCE: f64 = 12.0;
+pub(super) const RESISTANCE: f64 = 12.0;
 /// The least and greatest factor.
 const FACTORS: (f64, f64) = (0.05, 20.0);
 /// Conjugate gradients stop at this share of the first residual, in the norm of the preconditioner: a thousandth gives the

@@ -44,7 +44,7 @@ pub type Matrix = CsMatI<f32, u32, usize>;
 const LEAST_AREA: f64 = 1e-20;
 
 /// What rows may be off by in form factors that only tell how large an error is.
-const ROUGH: f64 = 1e-6;
+const ROUGH: f64 = 1e-4;
 
 /// What a form factor may exceed 1 by: rows are closed to about as much.
 const ROUNDING: f64 = 1e-12;

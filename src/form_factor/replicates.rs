@@ -205,7 +205,7 @@ impl Samples {
                         LINKED => sums.linked[replicate] += share,
                         ESCAPED => sums.escaped[replicate] += share,
                         j => {
-                            let (own, _) = densities.one_sided(i, j as usize, calibration::TRUST);
+                            let (own, _) = self.counted(i, j as usize);
                             sums.plain[replicate].add((many * own) as f32, &radiosity[j as usize]);
                         }
                     }
@@ -222,7 +222,7 @@ impl Samples {
             for (replicate, many) in incoming.many.iter().enumerate() {
                 for (r, c) in incoming.plain.of_replicate(other, block, replicate) {
                     let (i, j) = (start + r, blocks.range(block).start + c);
-                    let (_, exchange) = densities.one_sided(i, j, calibration::TRUST);
+                    let (_, exchange) = self.counted(i, j);
                     sums[c].plain[replicate].add(many[i] * exchange as f32, &radiosity[i]);
                 }
             }
@@ -238,6 +238,19 @@ impl Samples {
                 sums[place].add_link(exchange, &shares(hits, i, link, &excess), &radiosity[i]);
             }
         }
+    }
+
+    /// What a hemisphere ray of patch `i` that lands on `j` adds to the exchange area as each of the two rows counts it:
+    /// calibrated, but for what the rows resist that with.
+    #[inline]
+    fn counted(&self, i: usize, j: usize) -> (f64, f64) {
+        let (own, incoming) = self.densities.one_sided(i, j, calibration::TRUST);
+        let pooled = self.densities.hit(i, j);
+        let blend = |row: usize, calibrated: f64| {
+            let resistance = calibration::RESISTANCE / f64::from(self.hits.rays_of(row));
+            (calibrated + resistance * pooled) / (1.0 + resistance)
+        };
+        (blend(i, own), blend(j, incoming))
     }
 
     /// Deviations of the replicates of patch `i` from their mean: what the matrix makes of their sums.

@@ -71,7 +71,7 @@ impl Default for SolveOptions {
 impl SolveOptions {
     /// The same, no more precise than what tells how large an error is needs to be.
     pub(crate) fn rough(&self) -> SolveOptions {
-        SolveOptions { tolerance: self.tolerance.max(1e-5), ..*self }
+        SolveOptions { tolerance: self.tolerance.max(1e-4), ..*self }
     }
 }
 
