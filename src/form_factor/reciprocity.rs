@@ -8,9 +8,10 @@ use rayon::prelude::*;
 
 use super::{
     Matrix,
+    blocks::{Blocks, PLACE},
     hemisphere::{Hits, LINKED, REPLICATES},
     shadow::{Found, Link},
-    symmetric::{Blocks, PLACE, Symmetric},
+    symmetric::Symmetric,
 };
 
 /// Weight of a hemisphere ray's density against a shadow ray's in the balance heuristic, where lamps are many. Any gives

@@ -5,12 +5,13 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::{
-    CastOptions, Estimator, FormFactors, SHORT, calibration,
+    CastOptions, Estimator, FormFactors, SHORT,
+    blocks::Blocks,
+    calibration,
     escape::Escape,
     hemisphere::{ESCAPED, Hits, LINKED, REPLICATES},
     reciprocity::{Buckets, Densities, excess_kernels},
     shadow::{Found, Link},
-    symmetric::Blocks,
 };
 
 /// Patches of a block at most whose sums are made together: a megabyte of what rays add to anywhere.

@@ -1,0 +1,209 @@
+//! Patches in blocks, and who works on which two of them when.
+//!
+//! Each block works through its tiles, the pairs that it is in, in the order of a tournament in which everyone meets everyone
+//! (the circle method; Kirkman, 1847), so that many tiles that share no block can be worked on at a time: no two threads write
+//! to the same place, and every sum has one order, whatever the number of threads.
+
+use std::{ops::Range, sync::Mutex};
+
+/// Rows of a block at most. With fewer what a product reads and writes of a tile is nearer, but at a million patches a tile
+/// has then no more entries than rows, and reading those takes all the time.
+const MOST_ROWS: usize = 1 << PLACE;
+/// Bits of a place within a block.
+pub(super) const PLACE: u32 = u16::BITS;
+/// Rows of a block at least: smaller tiles are not worth a task.
+const LEAST_ROWS: usize = 1 << 10;
+/// Blocks that there should be at least, for threads to share: two at a time. Half as many were a quarter faster with two
+/// threads, since runs of a row are longer then.
+const ENOUGH_BLOCKS: usize = 8;
+
+/// How patches are divided into blocks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Blocks {
+    len: usize,
+    /// Logarithm of the rows of each.
+    bits: u32,
+}
+
+impl Blocks {
+    pub(super) fn new(len: usize) -> Blocks {
+        Self::of_rows(len, (len / ENOUGH_BLOCKS).clamp(LEAST_ROWS, MOST_ROWS))
+    }
+
+    /// With so many rows each, or the power of two below.
+    pub(super) fn of_rows(len: usize, rows: usize) -> Blocks {
+        assert!(rows <= MOST_ROWS, "places have {PLACE} bits");
+        Blocks { len, bits: rows.ilog2() }
+    }
+
+    /// Of so many patches.
+    pub(super) fn len(self) -> usize {
+        self.len
+    }
+
+    /// How many there are.
+    pub(super) fn count(self) -> usize {
+        self.len.div_ceil(self.rows())
+    }
+
+    /// Rows of each but the last.
+    pub(super) fn rows(self) -> usize {
+        1 << self.bits
+    }
+
+    /// The patches of a block.
+    pub(super) fn range(self, block: usize) -> Range<usize> {
+        block * self.rows()..((block + 1) * self.rows()).min(self.len)
+    }
+
+    /// The block that a patch is in, and its place there.
+    #[inline]
+    pub(super) fn of(self, i: usize) -> (usize, u32) {
+        (i >> self.bits, (i & (self.rows() - 1)) as u32)
+    }
+
+    /// The tiles, as pairs of blocks of which the second is not before the first.
+    pub(super) fn tiles(self) -> Vec<(usize, usize)> {
+        (0..self.count()).flat_map(|a| (a..self.count()).map(move |b| (a, b))).collect()
+    }
+
+    /// Where a tile is in their order.
+    pub(super) fn tile(self, (a, b): (usize, usize)) -> usize {
+        a * (2 * self.count() - a + 1) / 2 + b - a
+    }
+
+    /// All tiles in rounds: no two tiles of a round share a block.
+    fn rounds(self) -> impl Iterator<Item = Vec<(usize, usize)>> {
+        let count = self.count();
+        // With an odd number of blocks one rests in every round.
+        let last = (count + count % 2).max(2) - 1;
+        let round = move |round: usize| {
+            let meet = |k: usize| match k {
+                0 => (round, last),
+                k => {
+                    let (a, b) = ((round + k) % last, (round + last - k) % last);
+                    (a.min(b), a.max(b))
+                }
+            };
+            (0..=last / 2).map(meet).filter(|&(_, b)| b < count).collect()
+        };
+        std::iter::once((0..count).map(|a| (a, a)).collect()).chain((0..last).map(round))
+    }
+
+    /// Calls `work(a, b, part a of values, part b)` for all tiles, where the second part is `None` on the diagonal. Each
+    /// value is worked on in one order, whatever the number of threads.
+    pub(super) fn meet<Y: Send>(
+        self,
+        values: &mut [Y],
+        work: impl Fn((usize, usize), &mut [Y], Option<&mut [Y]>) + Sync,
+    ) {
+        assert_eq!(values.len(), self.len, "sizes disagree");
+        let parts: Vec<Mutex<&mut [Y]>> = values.chunks_mut(self.rows()).map(Mutex::new).collect();
+        // Nobody else holds these locks: they only tell the compiler so.
+        let part = |k: usize| parts[k].try_lock().expect("a block is in one tile at a time");
+        let tournament = Mutex::new(Tournament::new(self));
+        let next = || tournament.lock().expect("nobody panics while choosing").next();
+        let play = || {
+            loop {
+                match next() {
+                    Next::Over => return,
+                    // Whoever has what is missing may have lost its processor for a while.
+                    Next::Wait => std::thread::yield_now(),
+                    Next::Tile((a, b)) => {
+                        if a == b {
+                            work((a, b), &mut part(a), None);
+                        } else {
+                            work((a, b), &mut part(a), Some(&mut part(b)));
+                        }
+                        tournament.lock().expect("nobody panics while choosing").end((a, b));
+                    }
+                }
+            }
+        };
+        rayon::scope(|scope| {
+            for _ in 1..rayon::current_num_threads().min(self.count().div_ceil(2)) {
+                scope.spawn(|_| play());
+            }
+            play();
+        });
+    }
+}
+
+/// Which tiles were worked on. A tile is next when both of its blocks have done all that comes before: there is no need to
+/// wait for whole rounds.
+struct Tournament {
+    /// The tiles round by round, each with its number in the order of its first and of its second block.
+    tiles: Vec<((usize, usize), [usize; 2])>,
+    begun: Vec<bool>,
+    /// All tiles before this one were begun.
+    first: usize,
+    /// How many tiles each block has done.
+    done: Vec<usize>,
+}
+
+enum Next {
+    Tile((usize, usize)),
+    Wait,
+    Over,
+}
+
+impl Tournament {
+    fn new(blocks: Blocks) -> Tournament {
+        let mut played = vec![0; blocks.count()];
+        let mut tiles = Vec::with_capacity(blocks.count() * (blocks.count() + 1) / 2);
+        for (a, b) in blocks.rounds().flatten() {
+            tiles.push(((a, b), [played[a], played[b]]));
+            played[a] += 1;
+            played[b] += usize::from(a != b);
+        }
+        Tournament { begun: vec![false; tiles.len()], tiles, first: 0, done: vec![0; blocks.count()] }
+    }
+
+    /// Begins a tile.
+    fn next(&mut self) -> Next {
+        while self.begun.get(self.first) == Some(&true) {
+            self.first += 1;
+        }
+        let is_next = |k: &usize| {
+            let ((a, b), numbers) = self.tiles[*k];
+            !self.begun[*k] && numbers == [self.done[a], self.done[b]]
+        };
+        match (self.first..self.tiles.len()).find(is_next) {
+            Some(k) => {
+                self.begun[k] = true;
+                Next::Tile(self.tiles[k].0)
+            }
+            None if self.first == self.tiles.len() => Next::Over,
+            None => Next::Wait,
+        }
+    }
+
+    /// Ends a tile.
+    fn end(&mut self, (a, b): (usize, usize)) {
+        self.done[a] += 1;
+        self.done[b] += usize::from(a != b);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everyone_meets_everyone_once_and_nobody_two_at_a_time() {
+        for len in [1, 1024, 1025, 3000, 5000, 40_000, 16 * 16_384, 700_000] {
+            let blocks = Blocks::new(len);
+            let mut met = Vec::new();
+            for round in blocks.rounds() {
+                let mut busy: Vec<usize> =
+                    round.iter().flat_map(|&(a, b)| if a == b { vec![a] } else { vec![a, b] }).collect();
+                busy.sort_unstable();
+                assert!(busy.windows(2).all(|w| w[0] != w[1]), "{len}: {round:?}");
+                met.extend(round);
+            }
+            met.sort_unstable();
+            assert_eq!(met, blocks.tiles());
+            assert!(met.iter().enumerate().all(|(k, &at)| blocks.tile(at) == k));
+        }
+    }
+}

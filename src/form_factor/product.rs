@@ -1,0 +1,148 @@
+//! Form factors times light: what arrives, from what leaves.
+
+use std::num::NonZeroU32;
+
+use rayon::prelude::*;
+
+use super::{FormFactors, Matrix, SHORT, Stored, hemisphere::REPLICATES, replicates::Deviation, row};
+
+impl FormFactors {
+    /// Sum over j of F_ij for every row.
+    pub fn row_sums(&self) -> Vec<f64> {
+        self.irradiance(&vec![1.0; self.len()], 1)
+    }
+
+    /// Σ_i A_i F_ij for every column j: what the other patches receive of patch j's radiosity.
+    pub fn column_sums(&self) -> Vec<f64> {
+        let weight = |i: usize| self.areas[i] * self.left[i];
+        let mut sums = vec![[0.0]; self.len()];
+        match &self.stored {
+            Stored::Symmetric(matrix) => {
+                let weights: Vec<[f64; 1]> = (0..self.len()).map(|i| [weight(i)]).collect();
+                matrix.add_product(&weights, &mut sums);
+            }
+            Stored::Rows(matrix) => {
+                for (&s, (i, j)) in matrix {
+                    sums[j as usize][0] += weight(i as usize) * f64::from(s);
+                }
+            }
+        }
+        sums.iter().zip(&self.right).map(|([sum], right)| sum * right).collect()
+    }
+
+    /// Irradiance E_i = Σ_j F_ij B_j of every patch, from `channels` (1 or 3) interleaved values of radiosity.
+    ///
+    /// # Panics
+    /// When the length of `radiosity` is not `channels` a patch.
+    pub fn irradiance(&self, radiosity: &[f64], channels: usize) -> Vec<f64> {
+        let mut irradiance = vec![0.0; radiosity.len()];
+        match channels {
+            1 => self.irradiance_into::<1>(radiosity, &mut irradiance),
+            3 => self.irradiance_into::<3>(radiosity, &mut irradiance),
+            _ => panic!("{channels} channels: there are 1 or 3"),
+        }
+        irradiance
+    }
+
+    /// As [`FormFactors::irradiance`], for `C` channels, into a vector at hand.
+    pub(crate) fn irradiance_into<const C: usize>(&self, radiosity: &[f64], irradiance: &mut [f64]) {
+        assert_eq!(radiosity.len(), C * self.len(), "one value a patch and channel is wanted");
+        let mut scaled = radiosity.as_chunks::<C>().0.to_vec();
+        scaled.par_iter_mut().zip(&self.right).with_min_len(SHORT).for_each(|(b, right)| {
+            b.iter_mut().for_each(|b| *b *= right);
+        });
+        let out = irradiance.as_chunks_mut::<C>().0;
+        match &self.stored {
+            Stored::Symmetric(matrix) => {
+                out.fill([0.0; C]);
+                matrix.add_product(&scaled, out);
+            }
+            Stored::Rows(matrix) => gather(matrix, &scaled, out),
+        }
+        out.par_iter_mut().zip(&self.left).with_min_len(SHORT).for_each(|(e, left)| {
+            e.iter_mut().for_each(|e| *e *= left);
+        });
+    }
+
+    /// F z for a value a replicate and channel, in single precision: for error bars.
+    pub(crate) fn gather_replicates<const C: usize>(&self, z: &[Deviation<C>]) -> Vec<Deviation<C>> {
+        let z: Vec<Deviation<C>> =
+            z.par_iter().zip(&self.right).with_min_len(SHORT).map(|(z, right)| scaled(z, *right)).collect();
+        let mut sums = vec![[[0f32; REPLICATES]; C]; self.len()];
+        match &self.stored {
+            Stored::Symmetric(matrix) => {
+                matrix.diagonal().for_each(|(i, s)| add(&mut sums[i], s, &z[i]));
+                matrix.accumulate(&z, &mut sums, |s, z_i, z_j, at_i, at_j| {
+                    add(at_i, s, z_j);
+                    add(at_j, s, z_i);
+                });
+            }
+            Stored::Rows(matrix) => sums.par_iter_mut().enumerate().with_min_len(128).for_each(|(i, sum)| {
+                let (columns, values) = row(matrix, i);
+                columns.iter().zip(values).for_each(|(&j, &s)| add(sum, s, &z[j as usize]));
+            }),
+        }
+        self.scale_rows(&mut sums);
+        sums
+    }
+
+    /// The same where z is zero but for what `value` says of the patches `from`: those of pooled form factors that shadow rays
+    /// went to, few or many.
+    pub(super) fn gather_from<const C: usize>(
+        &self,
+        from: &[u32],
+        value: impl Fn(usize) -> Deviation<C>,
+    ) -> Vec<Deviation<C>> {
+        let Stored::Symmetric(matrix) = &self.stored else {
+            unreachable!("one-way form factors have no sources")
+        };
+        let z: Vec<Deviation<C>> =
+            from.iter().map(|&i| scaled(&value(i as usize), self.right[i as usize])).collect();
+        let mut of = vec![None; self.len()];
+        (1..).zip(from).for_each(|(k, &i)| of[i as usize] = NonZeroU32::new(k));
+        let add_from = |to: &mut Deviation<C>, s: f32, k: &Option<NonZeroU32>| {
+            k.iter().for_each(|k| add(to, s, &z[k.get() as usize - 1]));
+        };
+        let mut sums = vec![[[0f32; REPLICATES]; C]; self.len()];
+        matrix.diagonal().for_each(|(i, s)| add_from(&mut sums[i], s, &of[i]));
+        matrix.accumulate(&of, &mut sums, |s, of_i, of_j, at_i, at_j| {
+            add_from(at_i, s, of_j);
+            add_from(at_j, s, of_i);
+        });
+        self.scale_rows(&mut sums);
+        sums
+    }
+
+    fn scale_rows<const C: usize>(&self, sums: &mut [Deviation<C>]) {
+        let rows = sums.par_iter_mut().zip(&self.left).with_min_len(SHORT);
+        rows.for_each(|(sum, left)| *sum = scaled(sum, *left));
+    }
+}
+
+fn scaled<const C: usize>(z: &Deviation<C>, factor: f64) -> Deviation<C> {
+    z.map(|z| z.map(|z| z * factor as f32))
+}
+
+#[inline]
+fn add<const C: usize>(to: &mut Deviation<C>, factor: f32, z: &Deviation<C>) {
+    for (to, z) in to.as_flattened_mut().iter_mut().zip(z.as_flattened()) {
+        *to += factor * z;
+    }
+}
+
+/// out_i = Σ_j s_ij z_j for `C` channels.
+///
+/// sprs's own product is serial; this one reads its slices row by row in parallel, each row summed in order, so that
+/// the bytes do not depend on the number of threads.
+fn gather<const C: usize>(matrix: &Matrix, z: &[[f64; C]], out: &mut [[f64; C]]) {
+    assert_eq!((matrix.cols(), matrix.rows()), (z.len(), out.len()), "sizes disagree");
+    out.par_iter_mut().enumerate().with_min_len(128).for_each(|(i, out)| {
+        let (columns, values) = row(matrix, i);
+        *out = [0.0; C];
+        for (&j, &s) in columns.iter().zip(values) {
+            for c in 0..C {
+                out[c] += f64::from(s) * z[j as usize][c];
+            }
+        }
+    });
+}
