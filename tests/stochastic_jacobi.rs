@@ -57,6 +57,7 @@ fn sweeps_agree_with_the_matrix_within_their_error_bars() {
                 mean += area * truth[q];
             }
             for (imbalance, error) in found.imbalance.iter().zip(&found.imbalance_error) {
+                println!("imbalance {imbalance:.2e} error {error:.2e}");
                 assert!(imbalance.abs() <= 5.0 * error + 1e-9, "{name}: {imbalance} with error {error}");
             }
         }
@@ -81,6 +82,7 @@ fn a_furnace_is_as_bright_as_it_must_be() {
     let scene = common::scene(&[common::part(room, 0.9, 1.0)]);
     let (_, found) = by_sweeps(&scene, 200, 64.0, 1);
     let wanted = 1.0 / (1.0 - 0.9);
+    println!("furnace imbalance {:?} {:?} {:?}", found.imbalance, found.imbalance_error, found.reached);
     for (e, error) in found.irradiance.iter().zip(&found.standard_error) {
         assert!((e / wanted - 1.0).abs() < 1e-2, "{e} of {wanted} with error {error}");
     }

@@ -7,6 +7,9 @@
 //! a sweep brings is averaged in 16 batches. Their spread tells the standard error; because light that one sweep overestimates is
 //! reflected in the next, batches are correlated, and by how much is read off neighbouring batches of all patches together.
 
+use std::ops::Range;
+
+use nalgebra::{SVector, Vector2};
 use rayon::prelude::*;
 
 use super::Radiometry;
@@ -14,7 +17,7 @@ use crate::{
     Error, Progress, Result,
     form_factor::{
         ordered_sum,
-        sweep::{Arrived, Sweeper},
+        sweep::{Arrived, Sweeper, Tally},
     },
 };
 
@@ -22,7 +25,7 @@ use crate::{
 const FIRST_SWEEPS: u32 = 16;
 /// with so many hemisphere rays and shadow rays of each patch. They come from a far part of the sequences.
 const FIRST_RAYS: [u32; 2] = [4, 2];
-const FAR: u32 = 1 << 15;
+const FAR: u64 = (1 << 32) - (1 << 16);
 /// Batches that the counted sweeps are averaged in.
 const BATCHES: usize = 16;
 /// Hemisphere rays that a sweep has at least, where there are enough.
@@ -39,6 +42,17 @@ pub struct StochasticOptions {
     pub rays: f64,
 }
 
+/// How far the sweeps have come.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reached {
+    /// Rays a patch, the first sweeps not counted.
+    pub rays: f64,
+    /// Area-weighted root mean square of the standard error of irradiance, relative to its mean.
+    pub error: f64,
+    /// Share of the rays so far that the next batch adds.
+    pub next: f64,
+}
+
 /// The light on every patch, with its statistical errors; `channels` interleaved values each.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StochasticSolution {
@@ -52,15 +66,18 @@ pub struct StochasticSolution {
     pub standard_error: Vec<f64>,
     /// Sweeps, the first ones counted.
     pub sweeps: u32,
-    /// Rays of each patch, all sweeps together; fewer where no lamp is in front.
-    pub rays: u32,
+    /// Their rays.
+    pub tally: Tally,
+    /// Rays a patch and error of those sweeps that count.
+    pub reached: Reached,
     /// Σ A Be, W.
     pub emitted: Vec<f64>,
     /// Σ A (1 - ρ) E, W.
     pub absorbed: Vec<f64>,
     /// What left the scene, W.
     pub escaped: Vec<f64>,
-    /// (emitted - absorbed - escaped) / emitted of each channel: of statistical nature, unlike that of a matrix.
+    /// (emitted - absorbed - escaped) / emitted of each channel as the rays say, of statistical nature: before all that arrives
+    /// and escapes is scaled so that none remains.
     pub imbalance: Vec<f64>,
     /// Its standard error.
     pub imbalance_error: Vec<f64>,
@@ -79,16 +96,34 @@ pub fn solve<'a>(
     options: &StochasticOptions,
     progress: &Progress,
 ) -> Result<StochasticSolution> {
+    solve_while(sweeper, radiometry, options, |_| false, progress)
+}
+
+/// As [`solve`], and then for as long as `more` says so, batch by batch. Whenever there are 16 batches, they become 8 that are
+/// twice as long; so the answer is the mean of 9 to 16, and each adds at most an eighth to the rays before.
+///
+/// # Errors
+/// As [`solve`].
+///
+/// # Panics
+/// As [`solve`].
+pub fn solve_while<'a>(
+    sweeper: &Sweeper<'_>,
+    radiometry: impl Into<Radiometry<'a>>,
+    options: &StochasticOptions,
+    more: impl FnMut(&Reached) -> bool,
+    progress: &Progress,
+) -> Result<StochasticSolution> {
     let radiometry = radiometry.into();
     let n = sweeper.areas().len() * radiometry.channels;
     assert_eq!((radiometry.emission.len(), radiometry.reflectance.len()), (n, n), "sizes disagree");
     match radiometry.channels {
-        1 => Iteration::<1>::new(sweeper, radiometry).run(options, progress),
-        _ => Iteration::<3>::new(sweeper, radiometry).run(options, progress),
+        1 => Iteration::<1>::new(sweeper, radiometry).run(options, more, progress),
+        _ => Iteration::<3>::new(sweeper, radiometry).run(options, more, progress),
     }
 }
 
-/// The mean irradiance of each batch.
+/// A value of each batch.
 type Batches<const C: usize> = [[f32; BATCHES]; C];
 
 struct Iteration<'a, const C: usize> {
@@ -101,6 +136,12 @@ struct Iteration<'a, const C: usize> {
     /// All that came by shadow rays, and in the present batch.
     whole: Vec<Arrived<C>>,
     batch: Vec<Arrived<C>>,
+    /// The mean irradiance of each batch, the power that escaped in it, and how many batches there are.
+    batches: Vec<Batches<C>>,
+    escaped: [[f64; BATCHES]; C],
+    filled: usize,
+    tally: Tally,
+    sweeps: u32,
 }
 
 impl<'a, const C: usize> Iteration<'a, C> {
@@ -114,68 +155,120 @@ impl<'a, const C: usize> Iteration<'a, C> {
             indirect: vec![[0.0; C]; n],
             whole: vec![Arrived::NOTHING; n],
             batch: vec![Arrived::NOTHING; n],
+            batches: vec![[[0.0; BATCHES]; C]; n],
+            escaped: [[0.0; BATCHES]; C],
+            filled: 0,
+            tally: Tally::default(),
+            sweeps: 0,
         }
     }
 
-    fn run(mut self, options: &StochasticOptions, progress: &Progress) -> Result<StochasticSolution> {
+    fn run(
+        mut self,
+        options: &StochasticOptions,
+        mut more: impl FnMut(&Reached) -> bool,
+        progress: &Progress,
+    ) -> Result<StochasticSolution> {
         let lamps = self.sweeper.has_lamps();
         let of_batch = options.rays / BATCHES as f64;
         let hemisphere = of_batch * if lamps { 1.0 - SHADOW } else { 1.0 };
         let sweeps = (hemisphere / LEAST_RAYS).floor().max(1.0);
         let each = |rays: f64| (rays / sweeps).round().max(1.0) as u32;
         let rays = [each(hemisphere), if lamps { each(of_batch * SHADOW) } else { 0 }];
-        let sweeps = sweeps as u32;
-        let n = self.radiosity.len();
-        let all = FIRST_SWEEPS + BATCHES as u32 * sweeps;
-        progress.begin(u64::from(all) * n as u64);
+        let mut sweeps = sweeps as u64;
+        let steps = |sweeps: u64| sweeps * self.emission.len() as u64;
+        progress.begin(steps(u64::from(FIRST_SWEEPS) + BATCHES as u64 * sweeps));
 
         for sweep in 0..FIRST_SWEEPS {
-            self.sweep(FAR + sweep, FIRST_RAYS, 1.0 / (1.0 + f64::from(sweep)).min(1.0 / NEWEST), progress)?;
+            let first = FIRST_RAYS.map(|rays| (FAR + u64::from(sweep * rays)) as u32);
+            self.sweep(first, FIRST_RAYS, 1.0 / (1.0 + f64::from(sweep)).min(1.0 / NEWEST), progress)?;
             self.balance(FIRST_RAYS[0])?;
         }
         // Shadow rays know nothing of other patches' light: all of them count.
         self.whole.iter_mut().for_each(|whole| (whole.met, whole.escaped) = ([0.0; C], 0.0));
-        let mut batches: Vec<Batches<C>> = vec![[[0.0; BATCHES]; C]; n];
-        let mut escaped = [[0.0; BATCHES]; C];
-        for batch in 0..BATCHES {
-            self.batch.fill(Arrived::NOTHING);
-            for sweep in 0..sweeps {
-                // What left is told by the light that this sweep starts from.
-                let before: Vec<f64> = self.batch.iter().map(|came| came.escaped).collect();
-                let leaving = self.radiosity.clone();
-                self.sweep(batch as u32 * sweeps + sweep, rays, NEWEST, progress)?;
-                let areas = self.sweeper.areas();
-                for c in 0..C {
-                    let of_patch = |i: usize| areas[i] * leaving[i][c] * (self.batch[i].escaped - before[i]);
-                    escaped[c][batch] += ordered_sum(n, of_patch) / f64::from(rays[0] * sweeps);
-                }
+        let (mut counted, mut first) = (0, true);
+        loop {
+            self.fill_batch(counted..counted + sweeps, rays, progress)?;
+            counted += sweeps;
+            if first && self.filled < BATCHES {
+                continue;
             }
-            let many = f64::from(rays[0] * sweeps);
-            batches.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, batches)| {
-                let [mut direct, indirect] = self.sweeper.irradiance(i, &self.batch[i], many);
-                if self.batch[i].kernel == 0.0 {
-                    [direct, _] = self.sweeper.irradiance(i, &self.whole[i], many);
-                }
-                for c in 0..C {
-                    batches[c][batch] = (direct[c] + indirect[c]) as f32;
-                }
-            });
+            first = false;
+            let so_far = (counted * u64::from(rays[0] + rays[1])) as f64;
+            let next = if self.filled == BATCHES { 2 * sweeps } else { sweeps } as f64 / counted as f64;
+            let reached = Reached { rays: so_far, error: self.error(), next };
+            if !more(&reached) {
+                return Ok(self.finish((counted * u64::from(rays[0])) as f64, reached));
+            }
+            if self.filled == BATCHES {
+                self.pair_batches();
+                sweeps *= 2;
+                progress.begin(steps(BATCHES as u64 / 2 * sweeps));
+            }
         }
-        let of_patch = FIRST_SWEEPS * (FIRST_RAYS[0] + FIRST_RAYS[1] * u32::from(lamps))
-            + BATCHES as u32 * sweeps * (rays[0] + rays[1]);
-        let counted = BATCHES as u32 * sweeps * rays[0];
-        Ok(self.finish(&batches, &escaped, f64::from(counted), [all, of_patch]))
     }
 
-    /// Casts the sweep of this number, and lets the patches reflect what comes.
-    fn sweep(&mut self, number: u32, rays: [u32; 2], newest: f64, progress: &Progress) -> Result<()> {
-        let [hemisphere, shadow] = rays.map(|rays| {
-            // The first sweeps' numbers are far, and their indices no further.
-            let first = if number < FAR { number * rays } else { FAR + (number - FAR) * rays };
-            first..first + rays
+    /// One more batch: the sweeps of these numbers.
+    fn fill_batch(&mut self, numbers: Range<u64>, rays: [u32; 2], progress: &Progress) -> Result<()> {
+        let (n, batch) = (self.radiosity.len(), self.filled);
+        let many = (numbers.end - numbers.start) as f64 * f64::from(rays[0]);
+        self.batch.fill(Arrived::NOTHING);
+        let mut escaped = SVector::<f64, C>::zeros();
+        for number in numbers {
+            // Sequences end before the far part; who gets there begins them again.
+            let first = rays.map(|rays| (number * u64::from(rays) % FAR) as u32);
+            escaped += self.sweep(first, rays, NEWEST, progress)? / many;
+        }
+        let Iteration { sweeper, whole, batch: came, .. } = &*self;
+        let arrived = |i: usize| {
+            let [direct, indirect] = sweeper.irradiance(i, &came[i], many);
+            let [known, _] = sweeper.irradiance(i, &whole[i], many);
+            let direct = if came[i].kernel == 0.0 { known } else { direct };
+            std::array::from_fn(|c| (direct[c] + indirect[c]) as f32)
+        };
+        let arrived: Vec<[f32; C]> = (0..n).into_par_iter().with_min_len(1024).map(arrived).collect();
+        for c in 0..C {
+            self.escaped[c][batch] = escaped[c];
+            self.batches.iter_mut().zip(&arrived).for_each(|(of, arrived)| of[c][batch] = arrived[c]);
+        }
+        self.filled += 1;
+        Ok(())
+    }
+
+    /// Makes one batch of every two.
+    fn pair_batches(&mut self) {
+        for k in 0..BATCHES / 2 {
+            for c in 0..C {
+                self.escaped[c][k] = 0.5 * (self.escaped[c][2 * k] + self.escaped[c][2 * k + 1]);
+            }
+        }
+        self.batches.par_iter_mut().with_min_len(1024).for_each(|batches| {
+            for k in 0..BATCHES / 2 {
+                for of in batches.iter_mut() {
+                    of[k] = 0.5 * (of[2 * k] + of[2 * k + 1]);
+                }
+            }
         });
-        let came = self.sweeper.sweep(&self.radiosity, hemisphere, shadow, progress)?;
-        let sweeper = self.sweeper;
+        self.filled = BATCHES / 2;
+    }
+
+    /// Casts a sweep whose hemisphere rays and shadow rays have these indices and those that follow, and lets the patches
+    /// reflect what comes. Returns the power that escaped, times the number of hemisphere rays.
+    fn sweep(
+        &mut self,
+        first: [u32; 2],
+        rays: [u32; 2],
+        newest: f64,
+        progress: &Progress,
+    ) -> Result<SVector<f64, C>> {
+        let [hemisphere, shadow] = [0, 1].map(|k| first[k]..first[k] + rays[k]);
+        let (came, tally) = self.sweeper.sweep(&self.radiosity, hemisphere, shadow, progress)?;
+        self.tally.add(tally);
+        self.sweeps += 1;
+        let (sweeper, areas) = (self.sweeper, self.sweeper.areas());
+        // By the light that this sweep started from.
+        let left = |i: usize| areas[i] * came[i].escaped * SVector::from(self.radiosity[i]);
+        let escaped = ordered_sum(came.len(), left);
         let patches = self.radiosity.par_iter_mut().zip(&mut self.indirect).zip(&mut self.whole);
         patches.zip(&mut self.batch).zip(&came).enumerate().with_min_len(1024).for_each(
             |(i, ((((radiosity, indirect), whole), batch), came))| {
@@ -190,7 +283,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
             },
         );
         progress.advance(came.len() as u64);
-        Ok(())
+        Ok(escaped)
     }
 
     /// Scales what is reflected so that the energy balances: the light that all patches share, slowest to settle, is right at
@@ -230,72 +323,131 @@ impl<'a, const C: usize> Iteration<'a, C> {
         std::array::from_fn(|c| (direct[c] + self.indirect[i][c]).max(0.0))
     }
 
-    fn finish(
-        self,
-        batches: &[Batches<C>],
-        escaped: &[[f64; BATCHES]; C],
-        counted: f64,
-        [sweeps, rays]: [u32; 2],
-    ) -> StochasticSolution {
-        let (n, areas) = (batches.len(), self.sweeper.areas());
-        let many = BATCHES as f64;
-        let correlated = correlation(batches, areas);
-        let error = |values: &[f64; BATCHES]| {
-            let mean = values.iter().sum::<f64>() / many;
-            let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
-            correlated * (squares / (many * (many - 1.0))).sqrt()
-        };
+    /// The irradiance of patch `i` in each batch, all of them scaled.
+    fn balanced(&self, i: usize, scales: &[[f64; BATCHES]; C]) -> [[f64; BATCHES]; C] {
+        std::array::from_fn(|c| std::array::from_fn(|k| scales[c][k] * f64::from(self.batches[i][c][k])))
+    }
+
+    /// What all that arrives and escapes in each batch has to be scaled with.
+    fn scales(&self) -> [[f64; BATCHES]; C] {
+        let areas = self.sweeper.areas();
+        std::array::from_fn(|c| {
+            let kept = |i: usize| {
+                let share = areas[i] * (1.0 - self.reflectance[i][c]);
+                SVector::<f64, BATCHES>::from(self.batches[i][c].map(|e| share * f64::from(e)))
+            };
+            let (emitted, absorbed) = (self.emitted(c), ordered_sum(areas.len(), kept));
+            std::array::from_fn(|k| balancing(emitted, absorbed[k] + self.escaped[c][k]))
+        })
+    }
+
+    /// Σ A Be of a channel.
+    fn emitted(&self, c: usize) -> f64 {
+        let areas = self.sweeper.areas();
+        ordered_sum(areas.len(), |i| areas[i] * self.emission[i][c])
+    }
+
+    /// As [`Reached`] has it.
+    fn error(&self) -> f64 {
+        let (areas, scales) = (self.sweeper.areas(), self.scales());
+        let correlated = self.correlation(&scales);
+        let sums = ordered_sum(areas.len(), |i| {
+            let mut sums = Vector2::zeros();
+            for values in self.balanced(i, &scales) {
+                let [mean, error] = mean_and_error(&values[..self.filled]);
+                sums[0] += areas[i] * (correlated * error).powi(2);
+                sums[1] += areas[i] * mean;
+            }
+            sums
+        });
+        let [squares, mean]: [f64; 2] = sums.into();
+        let weight = C as f64 * ordered_sum(areas.len(), |i| areas[i]);
+        if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
+    }
+
+    /// The standard error of the mean of the batches over what it would be, were they independent.
+    fn correlation(&self, scales: &[[f64; BATCHES]; C]) -> f64 {
+        let areas = self.sweeper.areas();
+        let many = self.filled as f64;
+        let sums = ordered_sum(areas.len(), |i| {
+            let mut sums = Vector2::zeros();
+            for values in self.balanced(i, scales) {
+                let values = &values[..self.filled];
+                let mean = values.iter().sum::<f64>() / many;
+                let d = |k: usize| values[k] - mean;
+                sums[0] += areas[i] * (0..values.len()).map(|k| d(k) * d(k)).sum::<f64>();
+                sums[1] += areas[i] * (1..values.len()).map(|k| d(k - 1) * d(k)).sum::<f64>();
+            }
+            sums
+        });
+        let [own, next]: [f64; 2] = sums.into();
+        if !(own > 0.0) {
+            return 1.0;
+        }
+        // Deviations from their own mean are correlated by -1 / K.
+        let lag = (next / own + 1.0 / many).min(0.9);
+        // As of a chain whose correlation falls geometrically.
+        ((1.0 + lag) / (1.0 - lag)).max(0.1).sqrt()
+    }
+
+    fn finish(self, counted: f64, reached: Reached) -> StochasticSolution {
+        let scales = self.scales();
+        let correlated = self.correlation(&scales);
         // Ratios of whole sums, which are less biased than those of batches.
-        let irradiance: Vec<[f64; C]> = (0..n)
-            .map(|i| {
-                let [direct, indirect] = self.sweeper.irradiance(i, &self.whole[i], counted);
-                std::array::from_fn(|c| direct[c] + indirect[c])
-            })
-            .collect();
-        let of_channel = |value: &dyn Fn(usize) -> f64| (0..C).map(value).collect::<Vec<f64>>();
-        let emitted = of_channel(&|c| ordered_sum(n, |i| areas[i] * self.emission[i][c]));
-        let absorbed_in = |c: usize, k: usize| {
-            ordered_sum(n, |i| areas[i] * (1.0 - self.reflectance[i][c]) * f64::from(batches[i][c][k]))
+        let sampled = |i: usize| {
+            let [direct, indirect] = self.sweeper.irradiance(i, &self.whole[i], counted);
+            std::array::from_fn::<f64, C, _>(|c| direct[c] + indirect[c])
         };
-        let imbalances: Vec<[f64; BATCHES]> =
-            (0..C).map(|c| std::array::from_fn(|k| emitted[c] - absorbed_in(c, k) - escaped[c][k])).collect();
-        let absorbed =
-            of_channel(&|c| ordered_sum(n, |i| areas[i] * (1.0 - self.reflectance[i][c]) * irradiance[i][c]));
-        let left = of_channel(&|c| escaped[c].iter().sum::<f64>() / many);
-        let relative = |c: usize, power: f64| if emitted[c] > 0.0 { power / emitted[c] } else { 0.0 };
+        let (n, areas) = (self.radiosity.len(), self.sweeper.areas());
+        let mut irradiance: Vec<[f64; C]> = (0..n).map(sampled).collect();
+        let (mut emitted, mut absorbed, mut escaped) = (vec![], vec![], vec![]);
+        let (mut imbalance, mut imbalance_error) = (vec![], vec![]);
+        for c in 0..C {
+            let sent = self.emitted(c);
+            let [left, _] = mean_and_error(&self.escaped[c][..self.filled]);
+            let kept = ordered_sum(n, |i| areas[i] * (1.0 - self.reflectance[i][c]) * irradiance[i][c]);
+            let scale = balancing(sent, kept + left);
+            irradiance.iter_mut().for_each(|e| e[c] *= scale);
+            let relative = |power: f64| if sent > 0.0 { power / sent } else { 0.0 };
+            // 1 / scale - 1 is the imbalance of a batch.
+            let imbalances = scales[c].map(|scale| relative(sent - sent / scale));
+            let [_, error] = mean_and_error(&imbalances[..self.filled]);
+            imbalance.push(relative(sent - kept - left));
+            imbalance_error.push(correlated * error);
+            emitted.push(sent);
+            absorbed.push(scale * kept);
+            escaped.push(scale * left);
+        }
+        let error = |i: usize| {
+            self.balanced(i, &scales).map(|values| correlated * mean_and_error(&values[..self.filled])[1])
+        };
         let radiosity = irradiance.iter().zip(self.emission).zip(self.reflectance);
         StochasticSolution {
             channels: C,
             radiosity: radiosity.flat_map(|((e, be), rho)| (0..C).map(|c| be[c] + rho[c] * e[c])).collect(),
-            standard_error: batches.iter().flatten().map(|b| error(&b.map(f64::from))).collect(),
+            standard_error: (0..n).flat_map(error).collect(),
             irradiance: irradiance.into_flattened(),
-            sweeps,
-            rays,
-            imbalance: of_channel(&|c| relative(c, emitted[c] - absorbed[c] - left[c])),
-            absorbed,
-            escaped: left,
-            imbalance_error: of_channel(&|c| relative(c, error(&imbalances[c]))),
+            sweeps: self.sweeps,
+            tally: self.tally,
+            reached,
             emitted,
+            absorbed,
+            escaped,
+            imbalance,
+            imbalance_error,
         }
     }
 }
 
-/// The standard error of the mean of the batches over what it would be, were they independent.
-fn correlation<const C: usize>(batches: &[Batches<C>], areas: &[f64]) -> f64 {
-    let (mut own, mut next) = (0.0, 0.0);
-    for (batches, area) in batches.iter().zip(areas) {
-        for values in batches {
-            let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / BATCHES as f64;
-            let d = values.map(|v| f64::from(v) - mean);
-            own += area * d.iter().map(|d| d * d).sum::<f64>() / (BATCHES - 1) as f64;
-            next += area * d.windows(2).map(|d| d[0] * d[1]).sum::<f64>() / (BATCHES - 1) as f64;
-        }
-    }
-    if !(own > 0.0) {
-        return 1.0;
-    }
-    // Deviations from their own mean are correlated by -1 / K.
-    let lag = (next / own + 1.0 / BATCHES as f64).min(0.9);
-    // As of a chain whose correlation falls geometrically.
-    ((1.0 + lag) / (1.0 - lag)).max(0.1).sqrt()
+/// What brings a sum of powers to what is emitted.
+fn balancing(emitted: f64, arrived: f64) -> f64 {
+    if emitted > 0.0 && arrived > 0.0 { emitted / arrived } else { 1.0 }
+}
+
+/// The mean of independent values, and its standard error.
+fn mean_and_error(values: &[f64]) -> [f64; 2] {
+    let many = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / many;
+    let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    [mean, (squares / (many * (many - 1.0))).sqrt()]
 }
