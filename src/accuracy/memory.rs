@@ -14,6 +14,17 @@ const ENTRY: f64 = 8.0;
 /// A link: patch, kernel, index, kind.
 const LINK: f64 = 16.0;
 
+/// A patch that is solved without a matrix, whatever its rays: a channel's sums, batches, light and error, and what does not
+/// depend on channels; then the mesh that is written of it.
+const SWEPT: f64 = 400.0;
+const SWEPT_CHANNEL: f64 = 200.0;
+
+/// Bytes that a solution without a matrix takes at most at any time, of a scene cut into so many patches, backs included.
+pub fn without_matrix(scene: &Scene, patches: f64) -> f64 {
+    let of_patch = SWEPT + SWEPT_CHANNEL * scene.channels() as f64;
+    BASE + TRIANGLE * scene.triangles.len() as f64 + of_patch * patches
+}
+
 /// Bytes that a solution with all its errors takes, by what takes them. The upper end of what is likely: were hits spread
 /// evenly, a row would have n (1 - exp(-r / n)) entries of r rays; in a real scene they crowd together and it has fewer.
 /// Backs, which only the rays find, are patches like others and have to be counted in.

@@ -81,6 +81,15 @@ impl Plan {
         (rays >= LEAST_GROWTH * last.rays).then_some(rays)
     }
 
+    /// Whether to go on after this round, where one may stop at any time: with what takes so many seconds.
+    pub fn goes_on(&self, last: &Round, seconds: f64) -> bool {
+        let wanted = match self.error {
+            Some(target) => last.error > target,
+            None => self.seconds.is_some(),
+        };
+        wanted && self.seconds.is_none_or(|all| last.elapsed + seconds <= all)
+    }
+
     /// Rays a patch that the error will take, as far as the rounds tell.
     pub fn forecast(&self, rounds: &[Round]) -> Option<f64> {
         let (target, last) = (self.error?, rounds.last()?);
@@ -169,6 +178,16 @@ mod tests {
         // 4 seconds for the last round, 5 left: a quarter more.
         assert_eq!(plan.next(&[round(64.0, 0.1, 1.0), round(256.0, 0.05, 5.0)]), Some(320.0));
         assert_eq!(plan.next(&[round(64.0, 0.1, 1.0), round(256.0, 0.05, 6.0)]), None);
+    }
+
+    #[test]
+    fn small_steps_go_on_until_the_error_is_reached_or_the_time_is_up() {
+        let last = round(64.0, 0.02, 8.0);
+        let plan = |error, seconds| Plan { error, seconds, ..Plan::default() };
+        assert!(plan(Some(0.01), None).goes_on(&last, 1e9) && !plan(Some(0.02), None).goes_on(&last, 0.0));
+        assert!(plan(None, Some(10.0)).goes_on(&last, 2.0) && !plan(None, Some(10.0)).goes_on(&last, 2.1));
+        assert!(!plan(Some(0.02), Some(10.0)).goes_on(&last, 1.0));
+        assert!(!Plan::default().goes_on(&last, 0.0));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use radiosity::{
     Error, Result, Scene,
-    accuracy::memory::Memory,
+    accuracy::memory::{Memory, without_matrix},
     form_factor::Estimator,
     patch::{Patches, Subdivision},
 };
@@ -39,6 +39,11 @@ pub const USUAL: [&str; 2] = ["--patches", "--rays"];
 /// Bytes for one solution.
 pub fn bytes(scene: &Scene, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
     move |patches, rays| Memory::of(scene, patches, rays, estimator).peak()
+}
+
+/// Bytes for a solution without a matrix.
+pub fn bytes_without_matrix(scene: &Scene) -> impl Fn(f64, f64) -> f64 {
+    move |patches, _| without_matrix(scene, patches)
 }
 
 impl Limit {
@@ -160,7 +165,7 @@ fn round_down(x: f64) -> f64 {
 }
 
 /// As `--memory` reads it, not less.
-fn exact(bytes: f64) -> String {
+pub fn exact(bytes: f64) -> String {
     format!("{}MiB", (bytes / f64::from(1 << 20)).ceil())
 }
 

@@ -15,6 +15,7 @@ mod render;
 mod sampling;
 mod solve;
 mod summary;
+mod sweeps;
 mod tradeoff;
 mod validate;
 mod watch;

@@ -13,6 +13,7 @@ use radiosity::{
     form_factor::{CastOptions, Checkpoint, Estimator},
     output::report::Seconds,
     patch::{Patches, Subdivision},
+    solve::{Light, stochastic_jacobi::StochasticSolution},
     trace::Tracer,
 };
 
@@ -49,9 +50,40 @@ pub struct Sampling<'a> {
     pub checkpoint: Option<Arc<Checkpoint>>,
 }
 
+/// The light, with its sampling errors.
+pub enum Answer {
+    Matrix(Solved),
+    /// Without one.
+    Sweeps(Patches, StochasticSolution),
+}
+
+impl Answer {
+    pub fn patches(&self) -> &Patches {
+        match self {
+            Answer::Matrix(solved) => &solved.patches,
+            Answer::Sweeps(patches, _) => patches,
+        }
+    }
+
+    pub fn light(&self) -> Light<'_> {
+        match self {
+            Answer::Matrix(solved) => (&solved.solution).into(),
+            Answer::Sweeps(_, solution) => solution.into(),
+        }
+    }
+
+    /// Of irradiance.
+    pub fn standard_error(&self) -> &[f64] {
+        match self {
+            Answer::Matrix(solved) => &solved.error_bars.standard_error,
+            Answer::Sweeps(_, solution) => &solution.standard_error,
+        }
+    }
+}
+
 /// What came of it.
 pub struct Sampled {
-    pub solved: Solved,
+    pub answer: Answer,
     pub rounds: Vec<Round>,
     /// Who chose the patches.
     pub chosen: String,
@@ -82,9 +114,7 @@ impl Sampling<'_> {
         let forecast = || Patches::forecast(self.scene, &subdivision);
         let count = adapted.as_ref().map_or_else(forecast, |patches: &Patches| patches.fronts() as f64);
         let bytes = forecast::bytes(self.scene, args.estimator());
-        if let Some(warning) = args.common.limit().check(&self.work(count, rays, &bytes))? {
-            self.watch.warn(&warning);
-        }
+        let with_matrix = self.holds_matrix(&self.work(count, rays, &bytes))?;
         let cut = || adapted.unwrap_or_else(|| Patches::subdivide(self.scene, &subdivision));
         let (patches, subdivide) = self.watch.stage("patches", || Ok(cut()))?;
         times.subdivide = subdivide;
@@ -92,8 +122,12 @@ impl Sampling<'_> {
         let plan = Plan {
             error: target,
             seconds: args.time.map(|seconds| seconds - before),
-            most_rays: in_rounds.then(|| args.common.limit().most_rays(count, &bytes)),
+            most_rays: (in_rounds && with_matrix).then(|| args.common.limit().most_rays(count, &bytes)),
         };
+        if !with_matrix {
+            let (answer, rounds) = self.sweep(patches, rays, &plan, times)?;
+            return Ok(Sampled { answer, rounds, chosen });
+        }
         let cast =
             CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
         let tell = |solved: &Solved, rounds: &[Round]| {
@@ -109,7 +143,16 @@ impl Sampling<'_> {
         let ((solved, rounds), _) = self.watch.stage("rays", || self.refine(patches, &cast, &plan, tell))?;
         times.form_factors = rounds.iter().map(|round| round.casting).sum();
         times.solve = rounds.last().map_or(0.0, |round| round.elapsed) - times.form_factors;
-        Ok(Sampled { solved, rounds, chosen })
+        if self.goes_on_without_matrix(&plan, &rounds, solved.patches.len() as f64) {
+            // What was cast cannot be used: sweeps meet other light.
+            let Solved { patches, .. } = solved;
+            let casting = times.form_factors + times.solve;
+            let plan = Plan { most_rays: None, ..plan };
+            let (answer, rounds) = self.sweep(patches, FIRST_RAYS, &plan, times)?;
+            times.form_factors += casting;
+            return Ok(Sampled { answer, rounds, chosen });
+        }
+        Ok(Sampled { answer: Answer::Matrix(solved), rounds, chosen })
     }
 
     fn work<'a>(&'a self, patches: f64, rays: f64, bytes: &'a dyn Fn(f64, f64) -> f64) -> Work<'a> {
@@ -137,6 +180,10 @@ impl Sampling<'_> {
         let (limit, bytes) = (self.args.common.limit(), forecast::bytes(self.scene, Estimator::Pooled));
         let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
         let mut floor = None;
+        if !limit.allows(bytes(patches.fronts() as f64, FIRST_RAYS)) {
+            // Not even to look where light varies.
+            return Ok((patches, None));
+        }
         for _ in 0..MOST_CUTS {
             let (solved, _) = self.refine(patches.clone(), &cast, &Plan::default(), |_, _| Ok(()))?;
             let Solved { patches: solved, form_factors, solution, .. } = &solved;
@@ -190,7 +237,7 @@ impl Sampling<'_> {
     }
 
     /// Tells how far a round came.
-    fn tell(&self, plan: &Plan, rounds: &[Round]) {
+    pub fn tell(&self, plan: &Plan, rounds: &[Round]) {
         let [.., round] = rounds else { return };
         let mut line = format!(
             "round {}: {:.0} rays a patch, error {:.3} %, {:.2} s",

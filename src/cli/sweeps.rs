@@ -1,0 +1,115 @@
+//! `solve` without a matrix, where none fits or none is wanted.
+
+use std::time::Instant;
+
+use radiosity::{
+    Error, Result,
+    accuracy::refinement::{Plan, Round},
+    form_factor::sweep::Sweeper,
+    output::report::Seconds,
+    patch::Patches,
+    solve::stochastic_jacobi::{self, Reached, StochasticOptions},
+};
+
+use super::{
+    forecast::{self, Work},
+    pipeline::blame,
+    sampling::{Answer, Sampling},
+};
+
+impl Sampling<'_> {
+    /// Whether the matrix of this work may be held and is wanted; `false` where it is done without. Refuses what can be done
+    /// neither way.
+    pub fn holds_matrix(&self, work: &Work) -> Result<bool> {
+        let (limit, args) = (self.args.common.limit(), self.args);
+        let without = forecast::bytes_without_matrix(self.scene);
+        let swept = Work { bytes: &without, ..*work };
+        let warning = if args.without_matrix() {
+            limit.check(&swept)?
+        } else {
+            match limit.check(work) {
+                Ok(warning) => warning,
+                Err(refusal) => {
+                    let bytes = without(work.patches, work.rays);
+                    match args.needs_matrix() {
+                        Some(option) if limit.allows(bytes) => {
+                            let also = format!(
+                                "or, without {option} and without a matrix, --memory {}",
+                                forecast::exact(bytes)
+                            );
+                            let hint = refusal.hint().map_or(also.clone(), |hint| format!("{hint}; {also}"));
+                            return Err(refusal.with_hint(hint));
+                        }
+                        Some(_) => return Err(refusal),
+                        None => {}
+                    }
+                    limit.check(&swept).map_err(without_matrix_too)?;
+                    self.watch.warn(&format!(
+                        "a matrix of {refusal}: solving without one, in about {}",
+                        super::summary::memory(bytes)
+                    ));
+                    return Ok(false);
+                }
+            }
+        };
+        warning.iter().for_each(|warning| self.watch.warn(warning));
+        Ok(!args.without_matrix())
+    }
+
+    /// Whether an error that no matrix in memory reaches is worth starting anew without one. Not where the time is limited:
+    /// what is left of it might not lead as far.
+    pub fn goes_on_without_matrix(&self, plan: &Plan, rounds: &[Round], patches: f64) -> bool {
+        let missed = |target: f64| rounds.last().is_some_and(|round| round.error > target);
+        let goes_on = plan.error.is_some_and(missed)
+            && plan.seconds.is_none()
+            && self.args.needs_matrix().is_none()
+            && self.args.common.limit().allows(forecast::bytes_without_matrix(self.scene)(patches, 0.0));
+        if goes_on {
+            self.watch.warn("memory holds no matrix of more rays: starting again without one");
+        }
+        goes_on
+    }
+
+    /// Solves without a matrix, with `rays` a patch and for as long as the plan says.
+    pub fn sweep(
+        &self,
+        mut patches: Patches,
+        rays: f64,
+        plan: &Plan,
+        times: &mut Seconds,
+    ) -> Result<(Answer, Vec<Round>)> {
+        let (args, progress) = (self.args, self.watch.progress());
+        let start = Instant::now();
+        let mut rounds: Vec<Round> = Vec::new();
+        let in_rounds = *plan != Plan::default();
+        let more = |reached: &Reached| {
+            let elapsed = start.elapsed().as_secs_f64();
+            let round = Round { rays: reached.rays, error: reached.error, elapsed, casting: elapsed };
+            let goes_on = plan.goes_on(&round, reached.next * elapsed);
+            // A round is told when there are twice as many rays, or no more to come.
+            if !goes_on || rounds.last().is_none_or(|last| round.rays >= 2.0 * last.rays) {
+                rounds.push(round);
+                if in_rounds {
+                    self.tell(plan, &rounds);
+                }
+            }
+            goes_on
+        };
+        let work = || {
+            let looking = Instant::now();
+            let sweeper = Sweeper::new(self.scene, self.tracer, &mut patches, args.seed, progress)?;
+            times.form_factors = looking.elapsed().as_secs_f64();
+            let options = StochasticOptions { rays };
+            stochastic_jacobi::solve_while(&sweeper, sweeper.patches(), &options, more, progress)
+                .map_err(|error| blame(&args.scene.path, error))
+        };
+        let (solution, seconds) = self.watch.stage("sweeps", work)?;
+        times.solve = seconds - times.form_factors;
+        Ok((Answer::Sweeps(patches, solution), rounds))
+    }
+}
+
+fn without_matrix_too(refusal: Error) -> Error {
+    let hint = refusal.hint().map(String::from);
+    Error::Usage { message: format!("without a matrix, too, {refusal}"), hint }
+}
