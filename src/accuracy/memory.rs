@@ -16,8 +16,8 @@ const LINK: f64 = 16.0;
 
 /// A patch that is solved without a matrix, whatever its rays: a channel's sums, batches, light and error, and what does not
 /// depend on channels; then the mesh that is written of it.
-const SWEPT: f64 = 400.0;
-const SWEPT_CHANNEL: f64 = 200.0;
+const SWEPT: f64 = 200.0;
+const SWEPT_CHANNEL: f64 = 160.0;
 
 /// Bytes that a solution without a matrix takes at most at any time, of a scene cut into so many patches, backs included.
 pub fn without_matrix(scene: &Scene, patches: f64) -> f64 {

@@ -48,13 +48,15 @@ pub struct Sampling<'a> {
     pub watch: &'a Watch,
     /// Where rays are kept.
     pub checkpoint: Option<Arc<Checkpoint>>,
+    /// How many patches there will be for one of a front, where memory is limited.
+    pub with_backs: f64,
 }
 
 /// The light, with its sampling errors.
 pub enum Answer {
-    Matrix(Solved),
+    Matrix(Box<Solved>),
     /// Without one.
-    Sweeps(Patches, StochasticSolution),
+    Sweeps(Box<Patches>, Box<StochasticSolution>),
 }
 
 impl Answer {
@@ -68,7 +70,7 @@ impl Answer {
     pub fn light(&self) -> Light<'_> {
         match self {
             Answer::Matrix(solved) => (&solved.solution).into(),
-            Answer::Sweeps(_, solution) => solution.into(),
+            Answer::Sweeps(_, solution) => (&**solution).into(),
         }
     }
 
@@ -113,7 +115,7 @@ impl Sampling<'_> {
         }
         let forecast = || Patches::forecast(self.scene, &subdivision);
         let count = adapted.as_ref().map_or_else(forecast, |patches: &Patches| patches.fronts() as f64);
-        let bytes = forecast::bytes(self.scene, args.estimator());
+        let bytes = self.bytes(args.estimator());
         let with_matrix = self.holds_matrix(&self.work(count, rays, &bytes))?;
         let cut = || adapted.unwrap_or_else(|| Patches::subdivide(self.scene, &subdivision));
         let (patches, subdivide) = self.watch.stage("patches", || Ok(cut()))?;
@@ -143,7 +145,7 @@ impl Sampling<'_> {
         let ((solved, rounds), _) = self.watch.stage("rays", || self.refine(patches, &cast, &plan, tell))?;
         times.form_factors = rounds.iter().map(|round| round.casting).sum();
         times.solve = rounds.last().map_or(0.0, |round| round.elapsed) - times.form_factors;
-        if self.goes_on_without_matrix(&plan, &rounds, solved.patches.len() as f64) {
+        if self.goes_on_without_matrix(&plan, &rounds, solved.patches.fronts() as f64) {
             // What was cast cannot be used: sweeps meet other light.
             let Solved { patches, .. } = solved;
             let casting = times.form_factors + times.solve;
@@ -152,7 +154,13 @@ impl Sampling<'_> {
             times.form_factors += casting;
             return Ok(Sampled { answer, rounds, chosen });
         }
-        Ok(Sampled { answer: Answer::Matrix(solved), rounds, chosen })
+        Ok(Sampled { answer: Answer::Matrix(Box::new(solved)), rounds, chosen })
+    }
+
+    /// Bytes with a matrix for so many patches of fronts.
+    fn bytes(&self, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
+        let (bytes, with_backs) = (forecast::bytes(self.scene, estimator), self.with_backs);
+        move |fronts, rays| bytes(with_backs * fronts, rays)
     }
 
     fn work<'a>(&'a self, patches: f64, rays: f64, bytes: &'a dyn Fn(f64, f64) -> f64) -> Work<'a> {
@@ -177,7 +185,7 @@ impl Sampling<'_> {
     fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<(Patches, Option<f64>)> {
         let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
         let (options, progress) = (self.args.solve_options(), self.watch.progress());
-        let (limit, bytes) = (self.args.common.limit(), forecast::bytes(self.scene, Estimator::Pooled));
+        let (limit, bytes) = (self.args.common.limit(), self.bytes(Estimator::Pooled));
         let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
         let mut floor = None;
         if !limit.allows(bytes(patches.fronts() as f64, FIRST_RAYS)) {

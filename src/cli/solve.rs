@@ -25,7 +25,7 @@ use radiosity::{
 };
 
 use super::{
-    Common, Outcome,
+    Common, Outcome, forecast,
     options::{CastArgs, SceneArgs, below_one, percent, seconds_given, stops},
     outputs, pipeline,
     sampling::{Answer, Sampled, Sampling},
@@ -129,7 +129,7 @@ impl SolveArgs {
     pub fn needs_matrix(&self) -> Option<&'static str> {
         [
             (!matches!(self.solver, SolverName::Auto | SolverName::StochasticJacobi), "--solver"),
-            (matches!(self.estimator, EstimatorName::OneWay), "--estimator one-way"),
+            (matches!(self.estimator, EstimatorName::OneWay), "--estimator"),
             (self.tolerance.is_some(), "--tolerance"),
             (self.checkpoint.is_some(), "--checkpoint"),
         ]
@@ -234,7 +234,9 @@ fn compute(
 ) -> Result<Computed> {
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
     let checkpoint = args.checkpoint.as_ref().map(|path| open(path, &scene, args, watch)).transpose()?;
-    let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch, checkpoint };
+    let with_backs =
+        if args.common.limit().is_given() { forecast::with_backs(&scene, &tracer, args.seed) } else { 1.0 };
+    let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch, checkpoint, with_backs };
     let Sampled { answer, rounds, chosen } = sampling.run(start, times)?;
     let target = args.error.map(|percent| percent / 100.0);
     let rms_relative = rounds.last().map(|round| round.error);
@@ -244,7 +246,7 @@ fn compute(
     };
     let options = args.solve_options();
     let ((energy, error, discretisation), seconds) = watch.stage("errors", || {
-        let Solved { patches, form_factors, solution, .. } = solved;
+        let Solved { patches, form_factors, solution, .. } = &**solved;
         let energy = EnergyLedger::of(form_factors, patches, solution);
         let progress = watch.progress();
         let change = Discretisation::of(form_factors, patches, solution, &options, progress)?;
@@ -275,7 +277,8 @@ fn report_of(args: &SolveArgs, computed: &Computed, exposure: Exposure) -> Solve
     };
     let file = args.scene.path.display().to_string();
     let mut report = match (answer, energy) {
-        (Answer::Matrix(Solved { patches, form_factors, solution, .. }), Some(energy)) => {
+        (Answer::Matrix(solved), Some(energy)) => {
+            let Solved { patches, form_factors, solution, .. } = &**solved;
             options.estimator =
                 if form_factors.estimator() == Estimator::Pooled { "pooled" } else { "one-way" };
             options.tolerance = Some(args.solve_options().tolerance);

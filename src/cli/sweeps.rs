@@ -4,7 +4,10 @@ use std::time::Instant;
 
 use radiosity::{
     Error, Result,
-    accuracy::refinement::{Plan, Round},
+    accuracy::{
+        memory::without_matrix,
+        refinement::{Plan, Round},
+    },
     form_factor::sweep::Sweeper,
     output::report::Seconds,
     patch::Patches,
@@ -22,7 +25,7 @@ impl Sampling<'_> {
     /// neither way.
     pub fn holds_matrix(&self, work: &Work) -> Result<bool> {
         let (limit, args) = (self.args.common.limit(), self.args);
-        let without = forecast::bytes_without_matrix(self.scene);
+        let without = self.bytes_without_matrix();
         let swept = Work { bytes: &without, ..*work };
         let warning = if args.without_matrix() {
             limit.check(&swept)?
@@ -43,9 +46,9 @@ impl Sampling<'_> {
                         Some(_) => return Err(refusal),
                         None => {}
                     }
-                    limit.check(&swept).map_err(without_matrix_too)?;
+                    limit.check(&swept).map_err(even_without)?;
                     self.watch.warn(&format!(
-                        "a matrix of {refusal}: solving without one, in about {}",
+                        "{refusal}: solving without a matrix, which takes about {}",
                         super::summary::memory(bytes)
                     ));
                     return Ok(false);
@@ -56,14 +59,19 @@ impl Sampling<'_> {
         Ok(!args.without_matrix())
     }
 
+    /// Bytes without a matrix for so many patches of fronts.
+    fn bytes_without_matrix(&self) -> impl Fn(f64, f64) -> f64 {
+        move |fronts, _| without_matrix(self.scene, self.with_backs * fronts)
+    }
+
     /// Whether an error that no matrix in memory reaches is worth starting anew without one. Not where the time is limited:
     /// what is left of it might not lead as far.
-    pub fn goes_on_without_matrix(&self, plan: &Plan, rounds: &[Round], patches: f64) -> bool {
+    pub fn goes_on_without_matrix(&self, plan: &Plan, rounds: &[Round], fronts: f64) -> bool {
         let missed = |target: f64| rounds.last().is_some_and(|round| round.error > target);
         let goes_on = plan.error.is_some_and(missed)
             && plan.seconds.is_none()
             && self.args.needs_matrix().is_none()
-            && self.args.common.limit().allows(forecast::bytes_without_matrix(self.scene)(patches, 0.0));
+            && self.args.common.limit().allows(self.bytes_without_matrix()(fronts, 0.0));
         if goes_on {
             self.watch.warn("memory holds no matrix of more rays: starting again without one");
         }
@@ -105,11 +113,11 @@ impl Sampling<'_> {
         };
         let (solution, seconds) = self.watch.stage("sweeps", work)?;
         times.solve = seconds - times.form_factors;
-        Ok((Answer::Sweeps(patches, solution), rounds))
+        Ok((Answer::Sweeps(Box::new(patches), Box::new(solution)), rounds))
     }
 }
 
-fn without_matrix_too(refusal: Error) -> Error {
+fn even_without(refusal: Error) -> Error {
     let hint = refusal.hint().map(String::from);
-    Error::Usage { message: format!("without a matrix, too, {refusal}"), hint }
+    Error::Usage { message: format!("even without a matrix {refusal}"), hint }
 }

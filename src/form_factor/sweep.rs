@@ -3,13 +3,17 @@
 //! Where lamps are few shadow rays bring their light, a ratio estimate as in `shadow`, and hemisphere rays
 //! what the patches reflect; else hemisphere rays bring all. Memory is in proportion to the patches, not to the rays.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicU64, Ordering},
+};
 
 use rayon::prelude::*;
 
 use super::{
     hemisphere::REPLICATES,
     shadow::{self, Footprint, Found, Sources},
+    siblings::siblings,
 };
 use crate::{
     Progress, Result,
@@ -125,6 +129,11 @@ impl<'a> Sweeper<'a> {
         self.patches
     }
 
+    /// Neighbours in the plane: runs of up to 16 patches of one triangle's side, in the order of the patches.
+    pub(crate) fn siblings(&self) -> Vec<Range<usize>> {
+        siblings(self.tracer, self.patches)
+    }
+
     /// Area of each patch.
     pub(crate) fn areas(&self) -> &[f64] {
         &self.areas
@@ -153,8 +162,8 @@ impl<'a> Sweeper<'a> {
     pub(crate) fn sweep<const C: usize>(
         &self,
         radiosity: &[[f64; C]],
-        hemisphere: std::ops::Range<u32>,
-        shadow: std::ops::Range<u32>,
+        hemisphere: Range<u32>,
+        shadow: Range<u32>,
         progress: &Progress,
     ) -> Result<(Vec<Arrived<C>>, Tally)> {
         let emission = self.patches.emission().as_chunks::<C>().0;

@@ -4,10 +4,10 @@
 //!
 //! One sweep is a noisy product: E = F_s B, B ← Be + ρ E. Since the product is linear in B and the rays of a sweep are
 //! independent of the light they meet, the mean of the sweeps has no error but noise, once the first bounces are over. What
-//! a sweep brings is averaged in 16 batches. Their spread tells the standard error; because light that one sweep overestimates is
-//! reflected in the next, batches are correlated, and by how much is read off neighbouring batches of all patches together.
+//! a sweep brings is averaged in 16 batches. Their spread tells the standard error, with how they depend on each other read off
+//! runs of batches of all patches together.
 
-use std::ops::Range;
+use std::{f64::consts::LN_2, ops::Range};
 
 use nalgebra::{SVector, Vector2};
 use rayon::prelude::*;
@@ -35,6 +35,9 @@ const SHADOW: f64 = 0.25;
 /// Weight of the newest sweep in the light that the next one meets: less noise is carried on, and later.
 const NEWEST: f64 = 0.5;
 
+/// The variance of a run of batches falls with this power of its length, at least and at most: more slowly than that of
+/// independent ones where light lingers, faster where the parts of a sequence complement each other.
+const RATES: (f64, f64) = (0.5, 3.0);
 /// An imbalance of energy within so many standard errors is taken for noise. Of 9 to 16 batches, more is one case in 950 to
 /// 6,300 (Student's t distribution with 8 to 15 degrees of freedom).
 const NOISE: f64 = 5.0;
@@ -381,12 +384,12 @@ impl<'a, const C: usize> Iteration<'a, C> {
     /// As [`Reached`] has it.
     fn error(&self) -> f64 {
         let (areas, scales) = (self.sweeper.areas(), self.scales());
-        let correlated = self.correlation(&scales);
+        let stratified = self.stratification(&scales);
         let sums = ordered_sum(areas.len(), |i| {
             let mut sums = Vector2::zeros();
             for values in self.balanced(i, &scales) {
                 let [mean, error] = mean_and_error(&values[..self.filled]);
-                sums[0] += areas[i] * (correlated * error).powi(2);
+                sums[0] += areas[i] * (stratified * error).powi(2);
                 sums[1] += areas[i] * mean;
             }
             sums
@@ -397,33 +400,49 @@ impl<'a, const C: usize> Iteration<'a, C> {
     }
 
     /// The standard error of the mean of the batches over what it would be, were they independent.
-    fn correlation(&self, scales: &[[f64; BATCHES]; C]) -> f64 {
+    ///
+    /// Batches are parts of one sequence and complement each other; but light that one overestimates is reflected in the
+    /// next. By how much either counts is told as for the error bars of a matrix, by half the differences of neighbouring runs
+    /// of b batches: where the variance of a run is v b^-α, their mean square is v b^-α (1 - 2^-α). A line through their
+    /// logarithms gives both.
+    fn stratification(&self, scales: &[[f64; BATCHES]; C]) -> f64 {
+        const LEVELS: usize = BATCHES.ilog2() as usize;
         let areas = self.sweeper.areas();
-        let many = self.filled as f64;
-        let sums = ordered_sum(areas.len(), |i| {
-            let mut sums = Vector2::zeros();
-            for values in self.balanced(i, scales) {
-                let values = &values[..self.filled];
-                let mean = values.iter().sum::<f64>() / many;
-                let d = |k: usize| values[k] - mean;
-                sums[0] += areas[i] * (0..values.len()).map(|k| d(k) * d(k)).sum::<f64>();
-                sums[1] += areas[i] * (1..values.len()).map(|k| d(k - 1) * d(k)).sum::<f64>();
+        let halves = |i: usize| {
+            let mut sums = SVector::<f64, { LEVELS + 1 }>::zeros();
+            for mut runs in self.balanced(i, scales) {
+                let [_, error] = mean_and_error(&runs[..self.filled]);
+                sums[LEVELS] += areas[i] * error.powi(2);
+                for level in 0..LEVELS {
+                    let pairs = self.filled >> (level + 1);
+                    for k in 0..pairs {
+                        let (p, q) = (runs[2 * k], runs[2 * k + 1]);
+                        sums[level] += areas[i] * (0.5 * (p - q)).powi(2) / pairs as f64;
+                        runs[k] = 0.5 * (p + q);
+                    }
+                }
             }
             sums
-        });
-        let [own, next]: [f64; 2] = sums.into();
-        if !(own > 0.0) {
+        };
+        let sums = ordered_sum(areas.len(), halves);
+        let levels = self.filled.ilog2() as usize;
+        if !(0..=levels).all(|k| sums[if k < levels { k } else { LEVELS }] > 0.0) {
             return 1.0;
         }
-        // Deviations from their own mean are correlated by -1 / K.
-        let lag = (next / own + 1.0 / many).min(0.9);
-        // As of a chain whose correlation falls geometrically.
-        ((1.0 + lag) / (1.0 - lag)).max(0.1).sqrt()
+        // Least squares of ln D on log2 b, each level with as much weight as it has differences.
+        let points = || (0..levels).map(|k| (k as f64, sums[k].ln(), 0.5f64.powi(k as i32)));
+        let weight: f64 = points().map(|(_, _, w)| w).sum();
+        let (x, y) = points().fold((0.0, 0.0), |(x, y), (k, d, w)| (x + w * k / weight, y + w * d / weight));
+        let slope = points().map(|(k, d, w)| w * (k - x) * (d - y)).sum::<f64>()
+            / points().map(|(k, _, w)| w * (k - x).powi(2)).sum::<f64>();
+        let rate = (-slope / LN_2).clamp(RATES.0, RATES.1);
+        let all = (y + rate * (x * LN_2 - (self.filled as f64).ln())).exp() / (1.0 - 0.5f64.powf(rate));
+        (all / sums[LEVELS]).sqrt()
     }
 
     fn finish(self, counted: f64, reached: Reached) -> StochasticSolution {
         let scales = self.scales();
-        let correlated = self.correlation(&scales);
+        let stratified = self.stratification(&scales);
         // Ratios of whole sums, which are less biased than those of batches.
         let sampled = |i: usize| {
             let [direct, indirect] = self.sweeper.irradiance(i, &self.whole[i], counted);
@@ -444,19 +463,30 @@ impl<'a, const C: usize> Iteration<'a, C> {
             let imbalances = scales[c].map(|scale| relative(sent - sent / scale));
             let [_, error] = mean_and_error(&imbalances[..self.filled]);
             imbalance.push(relative(sent - kept - left));
-            imbalance_error.push(correlated * error);
+            imbalance_error.push(stratified * error);
             emitted.push(sent);
             absorbed.push(scale * kept);
             escaped.push(scale * left);
         }
-        let error = |i: usize| {
-            self.balanced(i, &scales).map(|values| correlated * mean_and_error(&values[..self.filled])[1])
+        // As of a matrix: the variance of a patch together with the mean of its siblings, which know of rare paths too.
+        let own = |i: usize| {
+            self.balanced(i, &scales).map(|values| mean_and_error(&values[..self.filled])[1].powi(2))
         };
+        let own: Vec<[f64; C]> = (0..n).into_par_iter().with_min_len(1024).map(own).collect();
+        let mut standard_error = Vec::with_capacity(C * n);
+        for siblings in self.sweeper.siblings() {
+            let many = siblings.len() as f64;
+            let mean: [f64; C] =
+                std::array::from_fn(|c| own[siblings.clone()].iter().map(|v| v[c]).sum::<f64>() / many);
+            for v in &own[siblings] {
+                standard_error.extend((0..C).map(|c| stratified * (0.5 * (v[c] + mean[c])).sqrt()));
+            }
+        }
         let radiosity = irradiance.iter().zip(self.emission).zip(self.reflectance);
         StochasticSolution {
             channels: C,
             radiosity: radiosity.flat_map(|((e, be), rho)| (0..C).map(|c| be[c] + rho[c] * e[c])).collect(),
-            standard_error: (0..n).flat_map(error).collect(),
+            standard_error,
             irradiance: irradiance.into_flattened(),
             sweeps: self.sweeps,
             tally: self.tally,
