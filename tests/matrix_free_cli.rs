@@ -79,10 +79,11 @@ fn what_fits_no_matrix_is_solved_without_one_within_its_error_bars() {
         let share = inside as f64 / (3 * found.len()) as f64;
         println!("{name}: {:.1} % in 95 % intervals", 100.0 * share);
         assert!(share >= 0.9, "{name}: {share}");
-        // What is told of all agrees with what is written of each; siblings share variances, and backs are not counted here.
+        // What is written of each is the larger of a patch's own variance and that of its siblings: of 16 batches the larger of
+        // the two is 15 % above their mean, the error 7 %; backs are not counted here.
         let told = number(&report["error"]["rms_relative"]);
         let written = (squares / areas).sqrt() / (mean / areas);
-        assert!((written / told - 1.0).abs() < 0.1, "{name}: {written} and {told}");
+        assert!((0.95..1.2).contains(&(written / told)), "{name}: {written} and {told}");
         check_energy(&report);
     }
 }

@@ -74,7 +74,7 @@ pub struct StochasticSolution {
     pub radiosity: Vec<f64>,
     /// Irradiance E, W/m².
     pub irradiance: Vec<f64>,
-    /// Standard error of the irradiance, W/m².
+    /// Standard error of the irradiance, W/m²; rather too large.
     pub standard_error: Vec<f64>,
     /// Sweeps, the first ones counted.
     pub sweeps: u32,
@@ -468,7 +468,8 @@ impl<'a, const C: usize> Iteration<'a, C> {
             absorbed.push(scale * kept);
             escaped.push(scale * left);
         }
-        // As of a matrix: the variance of a patch together with the mean of its siblings, which know of rare paths too.
+        // The variance of a patch or the mean of its siblings, which know of rare paths too, whatever is larger: light that
+        // shadow rays brought is carried on in all later batches, so that what it is off by does not show in their spread.
         let own = |i: usize| {
             self.balanced(i, &scales).map(|values| mean_and_error(&values[..self.filled])[1].powi(2))
         };
@@ -479,7 +480,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
             let mean: [f64; C] =
                 std::array::from_fn(|c| own[siblings.clone()].iter().map(|v| v[c]).sum::<f64>() / many);
             for v in &own[siblings] {
-                standard_error.extend((0..C).map(|c| stratified * (0.5 * (v[c] + mean[c])).sqrt()));
+                standard_error.extend((0..C).map(|c| stratified * v[c].max(mean[c]).sqrt()));
             }
         }
         let radiosity = irradiance.iter().zip(self.emission).zip(self.reflectance);
