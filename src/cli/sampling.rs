@@ -1,17 +1,20 @@
 //! How long `solve` samples, and on which patches.
 
-use std::{sync::Arc, time::Instant};
+use std::{io, sync::Arc, time::Instant};
 
 use radiosity::{
-    Result, Scene,
+    Error, Result, Scene,
     accuracy::{
         adaptive,
         discretisation::Discretisation,
-        refinement::{FIRST_RAYS, Plan, Round, refine},
+        refinement::{FIRST_RAYS, Plan, Round, begin, refine},
         solved::Solved,
     },
     form_factor::{CastOptions, Checkpoint, Estimator},
-    output::report::Seconds,
+    output::{
+        ply::{self, PlyOptions},
+        report::Seconds,
+    },
     patch::{Patches, Subdivision},
     solve::{Light, stochastic_jacobi::StochasticSolution},
     trace::Tracer,
@@ -20,7 +23,7 @@ use radiosity::{
 use super::{
     forecast::{self, Work},
     pipeline::blame,
-    solve::SolveArgs,
+    solve::{Errors, SolveArgs},
     watch::Watch,
 };
 
@@ -83,6 +86,15 @@ impl Answer {
     }
 }
 
+/// Patches that were chosen by the light,
+struct SmallPatches {
+    patches: Patches,
+    /// the error that they leave, where that can be told,
+    floor: Option<f64>,
+    /// and the first round with them.
+    first: Option<(Solved, Round)>,
+}
+
 /// What came of it.
 pub struct Sampled {
     pub answer: Answer,
@@ -100,10 +112,10 @@ impl Sampling<'_> {
         let rays = if in_rounds { FIRST_RAYS } else { f64::from(args.cast.rays()) };
         let (subdivision, mut chosen) = args.cast.subdivision();
         let (mut target, mut floor) = (wanted, None);
-        let mut adapted = None;
+        let (mut adapted, mut first) = (None, None);
         if in_rounds && args.cast.given_subdivision().is_none() {
             let small;
-            (small, floor) = self.small_enough(wanted, start)?;
+            SmallPatches { patches: small, floor, first } = self.small_enough(wanted, start)?;
             let adaptive = small.is_restricted();
             chosen =
                 if adaptive { "smaller where light varies" } else { "as small as they should be" }.into();
@@ -120,29 +132,42 @@ impl Sampling<'_> {
         let cut = || adapted.unwrap_or_else(|| Patches::subdivide(self.scene, &subdivision));
         let (patches, subdivide) = self.watch.stage("patches", || Ok(cut()))?;
         times.subdivide = subdivide;
-        let before = start.elapsed().as_secs_f64();
-        let plan = Plan {
+        let cast =
+            CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
+        let usable = with_matrix && cast.estimator == Estimator::Pooled;
+        let first = first.filter(|_| usable);
+        let before = start.elapsed().as_secs_f64() - first.as_ref().map_or(0.0, |(_, round)| round.elapsed);
+        let mut plan = Plan {
             error: target,
             seconds: args.time.map(|seconds| seconds - before),
+            after: 0.0,
             most_rays: (in_rounds && with_matrix).then(|| args.common.limit().most_rays(count, &bytes)),
         };
         if !with_matrix {
             let (answer, rounds) = self.sweep(patches, rays, &plan, times)?;
             return Ok(Sampled { answer, rounds, chosen });
         }
-        let cast =
-            CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
-        let tell = |solved: &Solved, rounds: &[Round]| {
+        let next = |solved: &Solved, rounds: &[Round]| {
             if !in_rounds {
-                return Ok(());
+                return Ok(None);
             }
             if let (1, Some(wanted), None) = (rounds.len(), wanted, floor) {
                 self.warn_of_patches(solved, wanted)?;
             }
             self.tell(&plan, rounds);
-            Ok(())
+            if let (1, Some(seconds), Some(_)) = (rounds.len(), plan.seconds, plan.next(rounds)) {
+                let takes = self.seconds_after(solved)?;
+                plan.after = takes / rounds[0].rays;
+                plan.seconds = Some(seconds - takes);
+            }
+            Ok(plan.next(rounds))
         };
-        let ((solved, rounds), _) = self.watch.stage("rays", || self.refine(patches, &cast, &plan, tell))?;
+        let ((solved, rounds), _) = self.watch.stage("rays", || {
+            let first = first.map_or_else(|| self.begin(patches, &cast), Ok)?;
+            let (options, progress) = (args.solve_options(), self.watch.progress());
+            refine(self.scene, self.tracer, first, &options, next, progress)
+                .map_err(|error| self.blame(error))
+        })?;
         times.form_factors = rounds.iter().map(|round| round.casting).sum();
         times.solve = rounds.last().map_or(0.0, |round| round.elapsed) - times.form_factors;
         if self.goes_on_without_matrix(&plan, &rounds, solved.patches.fronts() as f64) {
@@ -167,22 +192,34 @@ impl Sampling<'_> {
         Work { scene: self.scene, patches, rays, bytes, options: forecast::USUAL }
     }
 
-    fn refine(
-        &self,
-        patches: Patches,
-        cast: &CastOptions,
-        plan: &Plan,
-        tell: impl FnMut(&Solved, &[Round]) -> Result<()>,
-    ) -> Result<(Solved, Vec<Round>)> {
+    fn begin(&self, patches: Patches, cast: &CastOptions) -> Result<(Solved, Round)> {
         let (options, progress) = (self.args.solve_options(), self.watch.progress());
-        let file = self.checkpoint.clone();
-        refine(self.scene, self.tracer, patches, cast, &options, plan, tell, file, progress)
-            .map_err(|error| blame(&self.args.scene.path, error))
+        begin(self.scene, self.tracer, patches, cast, &options, self.checkpoint.clone(), progress)
+            .map_err(|error| self.blame(error))
     }
 
-    /// Patches small enough for a wanted error, or for the time there is, smaller where light varies; and the error that they
-    /// leave, where that can be told.
-    fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<(Patches, Option<f64>)> {
+    fn blame(&self, error: Error) -> Error {
+        blame(&self.args.scene.path, error)
+    }
+
+    /// How long all takes that comes after the last round, were this the last: it is done for once.
+    fn seconds_after(&self, solved: &Solved) -> Result<f64> {
+        let start = Instant::now();
+        Errors::of(&self.args.solve_options(), self.tracer, solved, self.watch.progress())?;
+        if let Some(path) = &self.args.output {
+            let (patches, light) = (&solved.patches, &solved.solution);
+            let options = PlyOptions {
+                standard_errors: Some(&solved.error_bars.standard_error),
+                ..PlyOptions::default()
+            };
+            ply::encode(&mut io::sink(), self.scene, patches, light, &options)
+                .map_err(|error| Error::io(path, error))?;
+        }
+        Ok(start.elapsed().as_secs_f64())
+    }
+
+    /// Patches small enough for a wanted error, or for the time there is, smaller where light varies.
+    fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<SmallPatches> {
         let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
         let (options, progress) = (self.args.solve_options(), self.watch.progress());
         let (limit, bytes) = (self.args.common.limit(), self.bytes(Estimator::Pooled));
@@ -190,11 +227,12 @@ impl Sampling<'_> {
         let mut floor = None;
         if !limit.allows(bytes(patches.fronts() as f64, FIRST_RAYS)) {
             // Not even to look where light varies.
-            return Ok((patches, None));
+            return Ok(SmallPatches { patches, floor: None, first: None });
         }
+        let mut first = None;
         for _ in 0..MOST_CUTS {
-            let (solved, _) = self.refine(patches.clone(), &cast, &Plan::default(), |_, _| Ok(()))?;
-            let Solved { patches: solved, form_factors, solution, .. } = &solved;
+            let (solved, _) = first.insert(self.begin(patches.clone(), &cast)?);
+            let Solved { patches: solved, form_factors, solution, .. } = &*solved;
             floor =
                 Discretisation::of(form_factors, solved, solution, &options, progress)?.map(|d| d.relative);
             let growth = match (wanted, floor) {
@@ -217,6 +255,7 @@ impl Sampling<'_> {
                 break;
             }
             patches = finer;
+            first = None;
         }
         if let (Some(wanted), Some(floor)) = (wanted, floor)
             && floor > wanted
@@ -227,7 +266,7 @@ impl Sampling<'_> {
                 100.0 * floor
             ));
         }
-        Ok((patches, floor))
+        Ok(SmallPatches { patches, floor, first })
     }
 
     /// Says that the patches someone chose are too large for the error that he wants.

@@ -8,7 +8,7 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use radiosity::{
-    Error, Result, Scene,
+    Error, Progress, Result, Scene,
     accuracy::{
         bias, discretisation::Discretisation, error_bars::relative_rms, refinement::Round, solved::Solved,
     },
@@ -22,6 +22,7 @@ use radiosity::{
     },
     solve::{SolveOptions, Solver, stochastic_jacobi},
     tone::Exposure,
+    trace::Tracer,
 };
 
 use super::{
@@ -44,7 +45,7 @@ pub struct SolveArgs {
     pub scene: SceneArgs,
     /// Write a coloured mesh, binary PLY
     #[arg(short, long, value_name = "OUT.ply")]
-    output: Option<PathBuf>,
+    pub output: Option<PathBuf>,
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
@@ -244,25 +245,46 @@ fn compute(
     let Answer::Matrix(solved) = &answer else {
         return Ok(Computed { scene, answer, rounds, chosen, energy: None, error, discretisation: None });
     };
-    let options = args.solve_options();
-    let ((energy, error, discretisation), seconds) = watch.stage("errors", || {
-        let Solved { patches, form_factors, solution, .. } = &**solved;
-        let energy = EnergyLedger::of(form_factors, patches, solution);
-        let progress = watch.progress();
-        let change = Discretisation::of(form_factors, patches, solution, &options, progress)?;
+    let (errors, seconds) =
+        watch.stage("errors", || Errors::of(&args.solve_options(), &tracer, solved, watch.progress()))?;
+    times.solve += seconds;
+    let Errors { energy, bias, discretisation, solver } = errors;
+    let error = ErrorReport {
+        bias_relative: bias,
+        discretisation_relative: discretisation.as_ref().map(|d| d.relative),
+        solver_relative: solver,
+        ..error
+    };
+    Ok(Computed { scene, answer, rounds, chosen, energy: Some(energy), error, discretisation })
+}
+
+/// What is told of a solution once no more rays are cast.
+pub struct Errors {
+    energy: EnergyLedger,
+    /// Relative to the mean irradiance, as is the bound on what the solver left.
+    bias: Option<f64>,
+    solver: Option<f64>,
+    discretisation: Option<Discretisation>,
+}
+
+impl Errors {
+    pub fn of(
+        options: &SolveOptions,
+        tracer: &Tracer,
+        solved: &Solved,
+        progress: &Progress,
+    ) -> Result<Errors> {
+        let Solved { patches, form_factors, solution, .. } = solved;
         let unit = vec![1.0; solution.irradiance.len()];
         // One W/m2 relative to the mean irradiance; zero in the dark.
         let unit = relative_rms(&unit, &solution.irradiance, form_factors.areas());
-        let error = ErrorReport {
-            bias_relative: bias::relative(form_factors, &tracer, patches, solution, &options, progress)?,
-            discretisation_relative: change.as_ref().map(|d| d.relative),
-            solver_relative: Some(solution.error_bound * unit).filter(|x| x.is_finite() && unit > 0.0),
-            ..error
-        };
-        Ok((Some(energy), error, change))
-    })?;
-    times.solve += seconds;
-    Ok(Computed { scene, answer, rounds, chosen, energy, error, discretisation })
+        Ok(Errors {
+            energy: EnergyLedger::of(form_factors, patches, solution),
+            discretisation: Discretisation::of(form_factors, patches, solution, options, progress)?,
+            bias: bias::relative(form_factors, tracer, patches, solution, options, progress)?,
+            solver: Some(solution.error_bound * unit).filter(|x| x.is_finite() && unit > 0.0),
+        })
+    }
 }
 
 /// All figures but times and memory.

@@ -110,7 +110,8 @@ pub struct SolverReport {
     pub residual: Option<f64>,
     /// No patch's radiosity is farther from the exact solution of the system; `null` where nothing bounds it.
     pub error_bound: Option<f64>,
-    /// Whether the tolerance was reached; without a system, whether what the rays miss in energy is within its error.
+    /// Whether the tolerance was reached; without a system, whether what the rays miss in energy is no more than
+    /// their error.
     pub converged: bool,
 }
 

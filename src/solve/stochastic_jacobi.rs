@@ -96,11 +96,13 @@ pub struct StochasticSolution {
 }
 
 impl StochasticSolution {
-    /// Whether what the rays miss in energy is within its error in every channel. If not, something was never sampled, or the
-    /// sweeps have not settled.
+    /// Whether what the rays miss in energy is no more in any channel than its own noise and the sampling error of patches: what
+    /// makes it balance moves no patch by more than it is uncertain by anyway. If not, something was never sampled, or the sweeps
+    /// have not settled.
     pub fn is_balanced(&self) -> bool {
         let both = self.imbalance.iter().zip(&self.imbalance_error);
-        both.into_iter().all(|(imbalance, error)| imbalance.abs() <= ROUNDING + NOISE * error)
+        let allowed = |error: f64| ROUNDING + NOISE * error + self.reached.error;
+        both.into_iter().all(|(imbalance, &error)| imbalance.abs() <= allowed(error))
     }
 
     /// The imbalance of the channel where it is worst, and its standard error.
