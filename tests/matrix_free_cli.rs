@@ -151,13 +151,13 @@ fn what_sweeps_cannot_do_is_refused_with_a_way_out() {
         let errors =
             here.fails(&format!("solve {scene} --patches 8000 --rays 256 --memory 25MB {option}"), 2);
         assert!(errors.contains("of memory, --memory allows 23.8 MiB"), "{errors}");
-        let memory = errors.split_once(&format!("without {named} and without a matrix, --memory "));
+        let memory = errors.split_once(&format!("or --solver stochastic-jacobi, without {named}: "));
         let memory = memory.unwrap_or_else(|| panic!("{errors}")).1.trim();
-        solved(
-            &here,
-            &format!("{scene} --patches 8000 --rays 16 --memory {memory} --solver stochastic-jacobi"),
-        );
+        let work = format!("{scene} --patches 8000 --rays 16 --solver stochastic-jacobi");
+        solved(&here, &format!("{work} --memory {memory}"));
     }
+    let errors = here.fails(&format!("solve {scene} --patches 8000 --rays 256 --memory 25MB --solver cg"), 2);
+    assert!(errors.contains("; or --solver stochastic-jacobi: "), "{errors}");
     let errors = here.fails(&format!("solve {scene} --patches 30000 --rays 256 --memory 25MB"), 2);
     assert!(
         errors.contains("even without a matrix") && errors.contains("of memory, --memory allows"),

@@ -18,45 +18,41 @@ use super::{
     forecast::{self, Work},
     pipeline::blame,
     sampling::{Answer, Sampling},
+    summary,
 };
 
 impl Sampling<'_> {
     /// Whether the matrix of this work may be held and is wanted; `false` where it is done without. Refuses what can be done
-    /// neither way.
+    /// neither way, and what nobody set a limit to: sweeps go on for as long as it takes, however much is asked for.
     pub fn holds_matrix(&self, work: &Work) -> Result<bool> {
         let (limit, args) = (self.args.common.limit(), self.args);
         let without = self.bytes_without_matrix();
         let swept = Work { bytes: &without, ..*work };
-        let warning = if args.without_matrix() {
-            limit.check(&swept)?
-        } else {
-            match limit.check(work) {
-                Ok(warning) => warning,
-                Err(refusal) => {
-                    let bytes = without(work.patches, work.rays);
-                    match args.needs_matrix() {
-                        Some(option) if limit.allows(bytes) => {
-                            let also = format!(
-                                "or, without {option} and without a matrix, --memory {}",
-                                forecast::exact(bytes)
-                            );
-                            let hint = refusal.hint().map_or(also.clone(), |hint| format!("{hint}; {also}"));
-                            return Err(refusal.with_hint(hint));
-                        }
-                        Some(_) => return Err(refusal),
-                        None => {}
-                    }
-                    limit.check(&swept).map_err(even_without)?;
-                    self.watch.warn(&format!(
-                        "{refusal}: solving without a matrix, which takes about {}",
-                        super::summary::memory(bytes)
-                    ));
-                    return Ok(false);
-                }
+        let is_swept = args.without_matrix();
+        let refusal = match limit.check(if is_swept { &swept } else { work }) {
+            Ok(warning) => {
+                warning.iter().for_each(|warning| self.watch.warn(warning));
+                return Ok(!is_swept);
             }
+            Err(refusal) if is_swept => return Err(refusal),
+            Err(refusal) => refusal,
         };
-        warning.iter().for_each(|warning| self.watch.warn(warning));
-        Ok(!args.without_matrix())
+        let bytes = without(work.patches, work.rays);
+        let option = args.needs_matrix();
+        if limit.is_given() && option.is_none() {
+            limit.check(&swept).map_err(even_without)?;
+            let bytes = summary::memory(bytes);
+            self.watch.warn(&format!("{refusal}: solving without a matrix, which takes about {bytes}"));
+            return Ok(false);
+        }
+        if !limit.allows(bytes) {
+            return Err(refusal);
+        }
+        let instead = option.filter(|&option| option != "--solver");
+        let left_out = instead.map_or(String::new(), |option| format!(", without {option}"));
+        let also = format!("--solver {}{left_out}: {}", stochastic_jacobi::NAME, forecast::exact(bytes));
+        let hint = refusal.hint().map_or(also.clone(), |hint| format!("{hint}; or {also}"));
+        Err(refusal.with_hint(hint))
     }
 
     /// Bytes without a matrix for so many patches of fronts.
