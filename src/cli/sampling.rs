@@ -140,8 +140,8 @@ impl Sampling<'_> {
         let mut plan = Plan {
             error: target,
             seconds: args.time.map(|seconds| seconds - before),
-            after: 0.0,
             most_rays: (in_rounds && with_matrix).then(|| args.common.limit().most_rays(count, &bytes)),
+            ..Plan::default()
         };
         if !with_matrix {
             let (answer, rounds) = self.sweep(patches, rays, &plan, times)?;
@@ -157,7 +157,7 @@ impl Sampling<'_> {
             self.tell(&plan, rounds);
             if let (1, Some(seconds), Some(_)) = (rounds.len(), plan.seconds, plan.next(rounds)) {
                 let takes = self.seconds_after(solved)?;
-                plan.after = takes / rounds[0].rays;
+                plan.after = takes / rounds[0].elapsed;
                 plan.seconds = Some(seconds - takes);
             }
             Ok(plan.next(rounds))
@@ -174,7 +174,8 @@ impl Sampling<'_> {
             // What was cast cannot be used: sweeps meet other light.
             let Solved { patches, .. } = solved;
             let casting = times.form_factors + times.solve;
-            let plan = Plan { most_rays: None, ..plan };
+            let gone = rounds.last().map_or(0.0, |round| round.elapsed);
+            let plan = Plan { most_rays: None, seconds: plan.seconds.map(|all| all - gone), ..plan };
             let (answer, rounds) = self.sweep(patches, FIRST_RAYS, &plan, times)?;
             times.form_factors += casting;
             return Ok(Sampled { answer, rounds, chosen });

@@ -60,12 +60,9 @@ impl Sampling<'_> {
         move |fronts, _| without_matrix(self.scene, self.with_backs * fronts)
     }
 
-    /// Whether an error that no matrix in memory reaches is worth starting anew without one. Not where the time is limited:
-    /// what is left of it might not lead as far.
+    /// Whether what no matrix in memory reaches is worth starting anew without one.
     pub fn goes_on_without_matrix(&self, plan: &Plan, rounds: &[Round], fronts: f64) -> bool {
-        let missed = |target: f64| rounds.last().is_some_and(|round| round.error > target);
-        let goes_on = plan.error.is_some_and(missed)
-            && plan.seconds.is_none()
+        let goes_on = plan.starts_anew(rounds)
             && self.args.needs_matrix().is_none()
             && self.args.common.limit().allows(self.bytes_without_matrix()(fronts, 0.0));
         if goes_on {
