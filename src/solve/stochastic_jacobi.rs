@@ -172,7 +172,7 @@ struct Iteration<'a, const C: usize> {
     /// All that came by shadow rays, and in the present batch.
     whole: Vec<Arrived<C>>,
     batch: Vec<Arrived<C>>,
-    /// The mean irradiance of each batch, the power that escaped in it, and how many batches there are.
+    /// The mean irradiance of each batch, the power that escaped in it, for their spread, and how many batches there are.
     batches: Vec<Batches<C>>,
     escaped: [[f64; BATCHES]; C],
     filled: usize,
@@ -456,8 +456,14 @@ impl<'a, const C: usize> Iteration<'a, C> {
         let (mut imbalance, mut imbalance_error) = (vec![], vec![]);
         for c in 0..C {
             let sent = self.emitted(c);
-            let [left, _] = mean_and_error(&self.escaped[c][..self.filled]);
-            let kept = ordered_sum(n, |i| areas[i] * (1.0 - self.reflectance[i][c]) * irradiance[i][c]);
+            // What escapes is told by all rays together and the mean light: summed over sweeps it is too much, since of one
+            // sequence the rays that follow on many that met light are rather those that escape.
+            let lost = |i: usize| {
+                let (e, rho) = (irradiance[i][c], self.reflectance[i][c]);
+                let escaping = self.whole[i].escaped / counted;
+                areas[i] * Vector2::new((1.0 - rho) * e, escaping * (self.emission[i][c] + rho * e))
+            };
+            let [kept, left]: [f64; 2] = ordered_sum(n, lost).into();
             let scale = balancing(sent, kept + left);
             irradiance.iter_mut().for_each(|e| e[c] *= scale);
             let relative = |power: f64| if sent > 0.0 { power / sent } else { 0.0 };
