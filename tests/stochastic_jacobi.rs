@@ -117,6 +117,25 @@ fn sweeps_go_on_batch_by_batch() {
     assert!(found.reached.error < told[0].error * 3f64.sqrt().recip() * 1.36, "{told:?}");
 }
 
+/// However many sweeps of three rays there are, none of their mistakes grows with them: what rays that follow on each other have
+/// in common must not show in the energy. In the mean over patches it is known to a thousandth then.
+#[test]
+fn many_short_sweeps_balance_their_energy() {
+    let scene = Scene::load("meshes/cornell-box.obj").unwrap();
+    let (tracer, progress) = (Tracer::new(&scene), Progress::new());
+    let mut patches = Patches::subdivide(&scene, &Subdivision::Count(1000));
+    let sweeper = Sweeper::new(&scene, &tracer, &mut patches, 1, &progress).unwrap();
+    let more = |reached: &Reached| reached.rays < 8192.0;
+    let options = StochasticOptions { rays: 64.0 };
+    let found =
+        stochastic_jacobi::solve_while(&sweeper, sweeper.patches(), &options, more, &progress).unwrap();
+    for (imbalance, error) in found.imbalance.iter().zip(&found.imbalance_error) {
+        println!("{imbalance:.2e} with error {error:.2e}");
+        assert!(imbalance.abs() <= 5.0 * error && *error < 1e-3, "{imbalance} with error {error}");
+    }
+    assert!(found.balanced_to().abs() < 1e-12);
+}
+
 #[test]
 fn sweeps_are_the_same_for_any_number_of_threads() {
     let scene = Scene::load("meshes/cornell-box.obj").unwrap();
