@@ -5,7 +5,11 @@
 mod cli_common;
 
 use cli_common::{Here, stderr};
-use radiosity::{Scene, accuracy::memory::Memory, form_factor::Estimator};
+use radiosity::{
+    Scene,
+    accuracy::memory::{Memory, without_matrix},
+    form_factor::Estimator,
+};
 
 fn mesh(name: &str) -> String {
     format!("{}/meshes/{name}.obj", env!("CARGO_MANIFEST_DIR"))
@@ -49,6 +53,29 @@ fn check(cases: &[(u32, u32)], names: &[&str]) {
 #[test]
 fn no_more_is_taken_than_was_forecast() {
     check(&[(8000, 64)], &["cornell-box", "furnace"]);
+}
+
+/// Nor without a matrix, whatever the rays.
+#[test]
+fn sweeps_take_no_more_than_was_forecast() {
+    let here = Here::new("", "");
+    for (name, patches, rays) in [
+        ("cornell-box", 1000, 256),
+        ("cornell-box", 30000, 16),
+        ("furnace", 30000, 16),
+        ("textured", 8000, 64),
+    ] {
+        let file = mesh(name);
+        let work = format!("{file} --patches {patches} --rays {rays} --solver stochastic-jacobi");
+        let output = here.run(&format!("solve {work} -o out.ply --report r.json --quiet"));
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        let report = here.json("r.json");
+        let made = report["scene"]["patches"].as_f64().unwrap();
+        let peak = report["peak_bytes"].as_f64().unwrap();
+        let forecast = without_matrix(&Scene::load(file).unwrap(), made);
+        println!("| {name} | {made} | {rays} | sweeps | {:.0} MB | {:.0} MB |", forecast / 1e6, peak / 1e6);
+        assert!(peak <= forecast && forecast <= 2.0 * peak, "{name}, {made} patches: {peak} of {forecast}");
+    }
 }
 
 /// The table in docs/extremes.md: `cargo test --test memory -- --ignored --nocapture`.
