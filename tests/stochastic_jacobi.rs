@@ -136,6 +136,24 @@ fn many_short_sweeps_balance_their_energy() {
     assert!(found.balanced_to().abs() < 1e-12);
 }
 
+/// Light beyond the range of single precision and of its squares: powers of two change no digit.
+#[test]
+fn brightness_makes_no_difference() {
+    let room = common::room(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
+    let (lamp, walls) = room.split_at(2);
+    let [dim, bright] = [1.0, 2f64.powi(600)].map(|light| {
+        let parts = [common::part(lamp.to_vec(), 0.5, light), common::part(walls.to_vec(), 0.5, 0.0)];
+        let scene = common::scene(&parts);
+        by_sweeps(&scene, 100, 32.0, 1).1
+    });
+    assert!(dim.irradiance.iter().any(|&e| e > 0.0) && dim.standard_error.iter().any(|&e| e > 0.0));
+    let scaled = |values: &[f64]| values.iter().map(|x| x * 2f64.powi(600)).collect::<Vec<_>>();
+    assert_eq!(scaled(&dim.irradiance), bright.irradiance);
+    assert_eq!(scaled(&dim.standard_error), bright.standard_error);
+    assert_eq!(dim.reached, bright.reached);
+    assert_eq!(dim.imbalance_error, bright.imbalance_error);
+}
+
 #[test]
 fn sweeps_are_the_same_for_any_number_of_threads() {
     let scene = Scene::load("meshes/cornell-box.obj").unwrap();

@@ -137,21 +137,36 @@ impl Sampling<'_> {
         let usable = with_matrix && cast.estimator == Estimator::Pooled;
         let first = first.filter(|_| usable);
         let before = start.elapsed().as_secs_f64() - first.as_ref().map_or(0.0, |(_, round)| round.elapsed);
-        let mut plan = Plan {
+        let plan = Plan {
             error: target,
             seconds: args.time.map(|seconds| seconds - before),
             most_rays: (in_rounds && with_matrix).then(|| args.common.limit().most_rays(count, &bytes)),
             ..Plan::default()
         };
-        if !with_matrix {
-            let (answer, rounds) = self.sweep(patches, rays, &plan, times)?;
-            return Ok(Sampled { answer, rounds, chosen });
-        }
+        let (answer, rounds) = match with_matrix {
+            // Where the patches were chosen by the light, it was said what they leave.
+            true => self.by_matrix(patches, first, &cast, plan, wanted.filter(|_| floor.is_none()), times)?,
+            false => self.sweep(patches, rays, &plan, times)?,
+        };
+        Ok(Sampled { answer, rounds, chosen })
+    }
+
+    /// Casts and solves for as long as the plan says, from the first round if there is one. Says if the patches are too large for
+    /// an error of `wanted`.
+    fn by_matrix(
+        &self,
+        patches: Patches,
+        first: Option<(Solved, Round)>,
+        cast: &CastOptions,
+        mut plan: Plan,
+        wanted: Option<f64>,
+        times: &mut Seconds,
+    ) -> Result<(Answer, Vec<Round>)> {
         let next = |solved: &Solved, rounds: &[Round]| {
-            if !in_rounds {
+            if plan == Plan::default() {
                 return Ok(None);
             }
-            if let (1, Some(wanted), None) = (rounds.len(), wanted, floor) {
+            if let (1, Some(wanted)) = (rounds.len(), wanted) {
                 self.warn_of_patches(solved, wanted)?;
             }
             self.tell(&plan, rounds);
@@ -163,24 +178,23 @@ impl Sampling<'_> {
             Ok(plan.next(rounds))
         };
         let ((solved, rounds), _) = self.watch.stage("rays", || {
-            let first = first.map_or_else(|| self.begin(patches, &cast), Ok)?;
-            let (options, progress) = (args.solve_options(), self.watch.progress());
+            let first = first.map_or_else(|| self.begin(patches, cast), Ok)?;
+            let (options, progress) = (self.args.solve_options(), self.watch.progress());
             refine(self.scene, self.tracer, first, &options, next, progress)
                 .map_err(|error| self.blame(error))
         })?;
+        let all = rounds.last().map_or(0.0, |round| round.elapsed);
         times.form_factors = rounds.iter().map(|round| round.casting).sum();
-        times.solve = rounds.last().map_or(0.0, |round| round.elapsed) - times.form_factors;
-        if self.goes_on_without_matrix(&plan, &rounds, solved.patches.fronts() as f64) {
-            // What was cast cannot be used: sweeps meet other light.
-            let Solved { patches, .. } = solved;
-            let casting = times.form_factors + times.solve;
-            let gone = rounds.last().map_or(0.0, |round| round.elapsed);
-            let plan = Plan { most_rays: None, seconds: plan.seconds.map(|all| all - gone), ..plan };
-            let (answer, rounds) = self.sweep(patches, FIRST_RAYS, &plan, times)?;
-            times.form_factors += casting;
-            return Ok(Sampled { answer, rounds, chosen });
+        times.solve = all - times.form_factors;
+        if !self.goes_on_without_matrix(&plan, &rounds, solved.patches.fronts() as f64) {
+            return Ok((Answer::Matrix(Box::new(solved)), rounds));
         }
-        Ok(Sampled { answer: Answer::Matrix(Box::new(solved)), rounds, chosen })
+        // What was cast cannot be used: sweeps meet other light.
+        let Solved { patches, .. } = solved;
+        let plan = Plan { most_rays: None, seconds: plan.seconds.map(|seconds| seconds - all), ..plan };
+        let swept = self.sweep(patches, FIRST_RAYS, &plan, times)?;
+        times.form_factors += all;
+        Ok(swept)
     }
 
     /// Bytes with a matrix for so many patches of fronts.

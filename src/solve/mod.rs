@@ -4,6 +4,7 @@
 //! true relative residual of what they return, and a certified bound on its distance from the exact solution of the
 //! discrete system. Not converging is an error, never a silent result.
 
+mod batches;
 pub mod conjugate_gradient;
 pub mod direct;
 pub mod gauss_seidel;

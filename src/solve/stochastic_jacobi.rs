@@ -7,12 +7,15 @@
 //! a sweep brings is averaged in 16 batches. Their spread tells the standard error, with how they depend on each other read off
 //! runs of batches of all patches together.
 
-use std::{f64::consts::LN_2, ops::Range};
+use std::ops::Range;
 
 use nalgebra::{SVector, Vector2};
 use rayon::prelude::*;
 
-use super::Radiometry;
+use super::{
+    Radiometry,
+    batches::{BATCHES, Batches, balancing},
+};
 use crate::{
     Error, Progress, Result,
     form_factor::{
@@ -26,8 +29,6 @@ const FIRST_SWEEPS: u32 = 16;
 /// with so many hemisphere rays and shadow rays of each patch. They come from a far part of the sequences.
 const FIRST_RAYS: [u32; 2] = [4, 2];
 const FAR: u64 = (1 << 32) - (1 << 16);
-/// Batches that the counted sweeps are averaged in.
-const BATCHES: usize = 16;
 /// Hemisphere rays that a sweep has at least, where there are enough.
 const LEAST_RAYS: f64 = 4.0;
 /// Share of all rays that are shadow rays.
@@ -35,9 +36,6 @@ const SHADOW: f64 = 0.25;
 /// Weight of the newest sweep in the light that the next one meets: less noise is carried on, and later.
 const NEWEST: f64 = 0.5;
 
-/// The variance of a run of batches falls with this power of its length, at least and at most: more slowly than that of
-/// independent ones where light lingers, faster where the parts of a sequence complement each other.
-const RATES: (f64, f64) = (0.5, 3.0);
 /// An imbalance of energy within so many standard errors is taken for noise. Of 9 to 16 batches, more is one case in 950 to
 /// 6,300 (Student's t distribution with 8 to 15 degrees of freedom).
 const NOISE: f64 = 5.0;
@@ -159,9 +157,6 @@ pub fn solve_while<'a>(
     }
 }
 
-/// A value of each batch.
-type Batches<const C: usize> = [[f32; BATCHES]; C];
-
 struct Iteration<'a, const C: usize> {
     sweeper: &'a Sweeper<'a>,
     emission: &'a [[f64; C]],
@@ -172,10 +167,7 @@ struct Iteration<'a, const C: usize> {
     /// All that came by shadow rays, and in the present batch.
     whole: Vec<Arrived<C>>,
     batch: Vec<Arrived<C>>,
-    /// The mean irradiance of each batch, the power that escaped in it, for their spread, and how many batches there are.
-    batches: Vec<Batches<C>>,
-    escaped: [[f64; BATCHES]; C],
-    filled: usize,
+    batches: Batches<'a, C>,
     tally: Tally,
     sweeps: u32,
 }
@@ -183,17 +175,16 @@ struct Iteration<'a, const C: usize> {
 impl<'a, const C: usize> Iteration<'a, C> {
     fn new(sweeper: &'a Sweeper<'a>, radiometry: Radiometry<'a>) -> Self {
         let (emission, n) = (radiometry.emission.as_chunks::<C>().0, sweeper.areas().len());
+        let reflectance = radiometry.reflectance.as_chunks().0;
         Iteration {
             sweeper,
             emission,
-            reflectance: radiometry.reflectance.as_chunks().0,
+            reflectance,
             radiosity: emission.to_vec(),
             indirect: vec![[0.0; C]; n],
             whole: vec![Arrived::NOTHING; n],
             batch: vec![Arrived::NOTHING; n],
-            batches: vec![[[0.0; BATCHES]; C]; n],
-            escaped: [[0.0; BATCHES]; C],
-            filled: 0,
+            batches: Batches::new(sweeper.areas(), emission, reflectance),
             tally: Tally::default(),
             sweeps: 0,
         }
@@ -226,18 +217,18 @@ impl<'a, const C: usize> Iteration<'a, C> {
         loop {
             self.fill_batch(counted..counted + sweeps, rays, progress)?;
             counted += sweeps;
-            if first && self.filled < BATCHES {
+            if first && !self.batches.are_full() {
                 continue;
             }
             first = false;
             let so_far = (counted * u64::from(rays[0] + rays[1])) as f64;
-            let next = if self.filled == BATCHES { 2 * sweeps } else { sweeps } as f64 / counted as f64;
-            let reached = Reached { rays: so_far, error: self.error(), next };
+            let next = if self.batches.are_full() { 2 * sweeps } else { sweeps } as f64 / counted as f64;
+            let reached = Reached { rays: so_far, error: self.batches.error(), next };
             if !more(&reached) {
                 return Ok(self.finish((counted * u64::from(rays[0])) as f64, reached));
             }
-            if self.filled == BATCHES {
-                self.pair_batches();
+            if self.batches.are_full() {
+                self.batches.pair();
                 sweeps *= 2;
                 progress.begin(steps(BATCHES as u64 / 2 * sweeps));
             }
@@ -246,7 +237,6 @@ impl<'a, const C: usize> Iteration<'a, C> {
 
     /// One more batch: the sweeps of these numbers.
     fn fill_batch(&mut self, numbers: Range<u64>, rays: [u32; 2], progress: &Progress) -> Result<()> {
-        let (n, batch) = (self.radiosity.len(), self.filled);
         let many = (numbers.end - numbers.start) as f64 * f64::from(rays[0]);
         self.batch.fill(Arrived::NOTHING);
         let mut escaped = SVector::<f64, C>::zeros();
@@ -255,37 +245,15 @@ impl<'a, const C: usize> Iteration<'a, C> {
             let first = rays.map(|rays| (number * u64::from(rays) % FAR) as u32);
             escaped += self.sweep(first, rays, NEWEST, progress)? / many;
         }
-        let Iteration { sweeper, whole, batch: came, .. } = &*self;
+        let (sweeper, whole, came) = (self.sweeper, &self.whole, &self.batch);
         let arrived = |i: usize| {
             let [direct, indirect] = sweeper.irradiance(i, &came[i], many);
             let [known, _] = sweeper.irradiance(i, &whole[i], many);
             let direct = if came[i].kernel == 0.0 { known } else { direct };
-            std::array::from_fn(|c| (direct[c] + indirect[c]) as f32)
+            std::array::from_fn(|c| direct[c] + indirect[c])
         };
-        let arrived: Vec<[f32; C]> = (0..n).into_par_iter().with_min_len(1024).map(arrived).collect();
-        for c in 0..C {
-            self.escaped[c][batch] = escaped[c];
-            self.batches.iter_mut().zip(&arrived).for_each(|(of, arrived)| of[c][batch] = arrived[c]);
-        }
-        self.filled += 1;
+        self.batches.push(arrived, escaped.into());
         Ok(())
-    }
-
-    /// Makes one batch of every two.
-    fn pair_batches(&mut self) {
-        for k in 0..BATCHES / 2 {
-            for c in 0..C {
-                self.escaped[c][k] = 0.5 * (self.escaped[c][2 * k] + self.escaped[c][2 * k + 1]);
-            }
-        }
-        self.batches.par_iter_mut().with_min_len(1024).for_each(|batches| {
-            for k in 0..BATCHES / 2 {
-                for of in batches.iter_mut() {
-                    of[k] = 0.5 * (of[2 * k] + of[2 * k + 1]);
-                }
-            }
-        });
-        self.filled = BATCHES / 2;
     }
 
     /// Casts a sweep whose hemisphere rays and shadow rays have these indices and those that follow, and lets the patches
@@ -359,92 +327,13 @@ impl<'a, const C: usize> Iteration<'a, C> {
         std::array::from_fn(|c| (direct[c] + self.indirect[i][c]).max(0.0))
     }
 
-    /// The irradiance of patch `i` in each batch, all of them scaled.
-    fn balanced(&self, i: usize, scales: &[[f64; BATCHES]; C]) -> [[f64; BATCHES]; C] {
-        std::array::from_fn(|c| std::array::from_fn(|k| scales[c][k] * f64::from(self.batches[i][c][k])))
-    }
-
-    /// What all that arrives and escapes in each batch has to be scaled with.
-    fn scales(&self) -> [[f64; BATCHES]; C] {
-        let areas = self.sweeper.areas();
-        std::array::from_fn(|c| {
-            let kept = |i: usize| {
-                let share = areas[i] * (1.0 - self.reflectance[i][c]);
-                SVector::<f64, BATCHES>::from(self.batches[i][c].map(|e| share * f64::from(e)))
-            };
-            let (emitted, absorbed) = (self.emitted(c), ordered_sum(areas.len(), kept));
-            std::array::from_fn(|k| balancing(emitted, absorbed[k] + self.escaped[c][k]))
-        })
-    }
-
     /// Σ A Be of a channel.
     fn emitted(&self, c: usize) -> f64 {
         let areas = self.sweeper.areas();
         ordered_sum(areas.len(), |i| areas[i] * self.emission[i][c])
     }
 
-    /// As [`Reached`] has it.
-    fn error(&self) -> f64 {
-        let (areas, scales) = (self.sweeper.areas(), self.scales());
-        let stratified = self.stratification(&scales);
-        let sums = ordered_sum(areas.len(), |i| {
-            let mut sums = Vector2::zeros();
-            for values in self.balanced(i, &scales) {
-                let [mean, error] = mean_and_error(&values[..self.filled]);
-                sums[0] += areas[i] * (stratified * error).powi(2);
-                sums[1] += areas[i] * mean;
-            }
-            sums
-        });
-        let [squares, mean]: [f64; 2] = sums.into();
-        let weight = C as f64 * ordered_sum(areas.len(), |i| areas[i]);
-        if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
-    }
-
-    /// The standard error of the mean of the batches over what it would be, were they independent.
-    ///
-    /// Batches are parts of one sequence and complement each other; but light that one overestimates is reflected in the
-    /// next. By how much either counts is told as for the error bars of a matrix, by half the differences of neighbouring runs
-    /// of b batches: where the variance of a run is v b^-α, their mean square is v b^-α (1 - 2^-α). A line through their
-    /// logarithms gives both.
-    fn stratification(&self, scales: &[[f64; BATCHES]; C]) -> f64 {
-        const LEVELS: usize = BATCHES.ilog2() as usize;
-        let areas = self.sweeper.areas();
-        let halves = |i: usize| {
-            let mut sums = SVector::<f64, { LEVELS + 1 }>::zeros();
-            for mut runs in self.balanced(i, scales) {
-                let [_, error] = mean_and_error(&runs[..self.filled]);
-                sums[LEVELS] += areas[i] * error.powi(2);
-                for level in 0..LEVELS {
-                    let pairs = self.filled >> (level + 1);
-                    for k in 0..pairs {
-                        let (p, q) = (runs[2 * k], runs[2 * k + 1]);
-                        sums[level] += areas[i] * (0.5 * (p - q)).powi(2) / pairs as f64;
-                        runs[k] = 0.5 * (p + q);
-                    }
-                }
-            }
-            sums
-        };
-        let sums = ordered_sum(areas.len(), halves);
-        let levels = self.filled.ilog2() as usize;
-        if !(0..=levels).all(|k| sums[if k < levels { k } else { LEVELS }] > 0.0) {
-            return 1.0;
-        }
-        // Least squares of ln D on log2 b, each level with as much weight as it has differences.
-        let points = || (0..levels).map(|k| (k as f64, sums[k].ln(), 0.5f64.powi(k as i32)));
-        let weight: f64 = points().map(|(_, _, w)| w).sum();
-        let (x, y) = points().fold((0.0, 0.0), |(x, y), (k, d, w)| (x + w * k / weight, y + w * d / weight));
-        let slope = points().map(|(k, d, w)| w * (k - x) * (d - y)).sum::<f64>()
-            / points().map(|(k, _, w)| w * (k - x).powi(2)).sum::<f64>();
-        let rate = (-slope / LN_2).clamp(RATES.0, RATES.1);
-        let all = (y + rate * (x * LN_2 - (self.filled as f64).ln())).exp() / (1.0 - 0.5f64.powf(rate));
-        (all / sums[LEVELS]).sqrt()
-    }
-
     fn finish(self, counted: f64, reached: Reached) -> StochasticSolution {
-        let scales = self.scales();
-        let stratified = self.stratification(&scales);
         // Ratios of whole sums, which are less biased than those of batches.
         let sampled = |i: usize| {
             let [direct, indirect] = self.sweeper.irradiance(i, &self.whole[i], counted);
@@ -453,7 +342,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
         let (n, areas) = (self.radiosity.len(), self.sweeper.areas());
         let mut irradiance: Vec<[f64; C]> = (0..n).map(sampled).collect();
         let (mut emitted, mut absorbed, mut escaped) = (vec![], vec![], vec![]);
-        let (mut imbalance, mut imbalance_error) = (vec![], vec![]);
+        let mut imbalance = vec![];
         for c in 0..C {
             let sent = self.emitted(c);
             // What escapes is told by all rays together and the mean light: summed over sweeps it is too much, since of one
@@ -467,30 +356,12 @@ impl<'a, const C: usize> Iteration<'a, C> {
             let scale = balancing(sent, kept + left);
             irradiance.iter_mut().for_each(|e| e[c] *= scale);
             let relative = |power: f64| if sent > 0.0 { power / sent } else { 0.0 };
-            // 1 / scale - 1 is the imbalance of a batch.
-            let imbalances = scales[c].map(|scale| relative(sent - sent / scale));
-            let [_, error] = mean_and_error(&imbalances[..self.filled]);
             imbalance.push(relative(sent - kept - left));
-            imbalance_error.push(stratified * error);
             emitted.push(sent);
             absorbed.push(scale * kept);
             escaped.push(scale * left);
         }
-        // The variance of a patch or the mean of its siblings, which know of rare paths too, whatever is larger: light that
-        // shadow rays brought is carried on in all later batches, so that what it is off by does not show in their spread.
-        let own = |i: usize| {
-            self.balanced(i, &scales).map(|values| mean_and_error(&values[..self.filled])[1].powi(2))
-        };
-        let own: Vec<[f64; C]> = (0..n).into_par_iter().with_min_len(1024).map(own).collect();
-        let mut standard_error = Vec::with_capacity(C * n);
-        for siblings in self.sweeper.siblings() {
-            let many = siblings.len() as f64;
-            let mean: [f64; C] =
-                std::array::from_fn(|c| own[siblings.clone()].iter().map(|v| v[c]).sum::<f64>() / many);
-            for v in &own[siblings] {
-                standard_error.extend((0..C).map(|c| stratified * v[c].max(mean[c]).sqrt()));
-            }
-        }
+        let (standard_error, imbalance_error) = self.batches.errors(&self.sweeper.siblings());
         let radiosity = irradiance.iter().zip(self.emission).zip(self.reflectance);
         StochasticSolution {
             channels: C,
@@ -507,17 +378,4 @@ impl<'a, const C: usize> Iteration<'a, C> {
             imbalance_error,
         }
     }
-}
-
-/// What brings a sum of powers to what is emitted.
-fn balancing(emitted: f64, arrived: f64) -> f64 {
-    if emitted > 0.0 && arrived > 0.0 { emitted / arrived } else { 1.0 }
-}
-
-/// The mean of independent values, and its standard error.
-fn mean_and_error(values: &[f64]) -> [f64; 2] {
-    let many = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / many;
-    let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
-    [mean, (squares / (many * (many - 1.0))).sqrt()]
 }
