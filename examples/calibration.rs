@@ -10,7 +10,7 @@ use radiosity::{
     Progress, Result, Scene,
     accuracy::{
         error_bars::{T_QUANTILE, relative_rms},
-        refinement::{Plan, refine},
+        refinement::{Plan, Round, begin, refine},
         solved::Solved,
     },
     form_factor::CastOptions,
@@ -113,8 +113,10 @@ fn targets(name: &str, scene: &Scene, tracer: &Tracer, reference: &Solved) -> Re
         let patches = Patches::subdivide(scene, &Subdivision::Count(PATCHES));
         let cast = CastOptions { seed, ..CastOptions::default() };
         let options = SolveOptions::default();
-        let (solved, rounds) =
-            refine(scene, tracer, patches, &cast, &options, &plan, |_, _| Ok(()), None, &Progress::new())?;
+        let progress = Progress::new();
+        let first = begin(scene, tracer, patches, &cast, &options, None, &progress)?;
+        let next = |_: &Solved, rounds: &[Round]| Ok(plan.next(rounds));
+        let (solved, rounds) = refine(scene, tracer, first, &options, next, &progress)?;
         let off: Vec<f64> = solved.solution.irradiance.iter().zip(truth).map(|(e, t)| e - t).collect();
         let actual = relative_rms(&off, truth, areas);
         honest += usize::from(actual <= 1.15 * TARGET);

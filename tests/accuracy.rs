@@ -6,7 +6,7 @@ use radiosity::{
         bias,
         discretisation::Discretisation,
         error_bars::{T_QUANTILE, relative_rms},
-        refinement::{Plan, Round, refine},
+        refinement::{Plan, Round, begin, refine},
         solved::Solved,
     },
     form_factor::{CastOptions, FormFactors},
@@ -98,21 +98,13 @@ fn a_wanted_error_is_reached() {
         let patches = Patches::subdivide(&case.scene, &case.subdivision);
         let cast = CastOptions { seed, ..CastOptions::default() };
         let mut told: Vec<Round> = Vec::new();
-        let (solved, rounds) = refine(
-            &case.scene,
-            &case.tracer,
-            patches,
-            &cast,
-            &SolveOptions::default(),
-            &plan,
-            |_, rounds| {
-                told = rounds.to_vec();
-                Ok(())
-            },
-            None,
-            &Progress::new(),
-        )
-        .unwrap();
+        let (options, progress) = (SolveOptions::default(), Progress::new());
+        let first = begin(&case.scene, &case.tracer, patches, &cast, &options, None, &progress).unwrap();
+        let next = |_: &Solved, rounds: &[Round]| {
+            told = rounds.to_vec();
+            Ok(plan.next(rounds))
+        };
+        let (solved, rounds) = refine(&case.scene, &case.tracer, first, &options, next, &progress).unwrap();
         assert_eq!(told, rounds);
         assert!(rounds.len() > 1 && rounds.windows(2).all(|r| r[1].rays > r[0].rays), "{rounds:?}");
         let last = rounds.last().unwrap();

@@ -2,7 +2,7 @@
 
 mod cli_common;
 
-use std::{fs, path::Path, process::Command};
+use std::{collections::BTreeMap, fs, path::Path, process::Command};
 
 use ply_rs::{
     parser::Parser,
@@ -101,6 +101,51 @@ fn the_report_has_the_promised_fields_in_the_promised_order() {
     // Whole triangles have no largest edge, and what is infinite is null.
     assert!(here.json("r.json")["scene"]["patch_edge"].is_null());
     assert_eq!(here.json("r.json")["scene"]["patches"], 12);
+}
+
+/// Where nobody chooses patches, a wanted error makes them small where light varies: within triangles there are several sizes.
+/// Where someone does, all of a triangle are of one.
+#[test]
+fn a_wanted_error_alone_cuts_patches_by_the_light() {
+    let here = Here::new("", "");
+    let scene = format!("{}/meshes/cornell-box.obj", env!("CARGO_MANIFEST_DIR"));
+    // By triangle, the areas of its patches. Patches that are drawn as two halves count once.
+    let sizes = |options: &str| {
+        let output = here.run(&format!("solve {scene} --error 4 {options} -o out.ply --quiet"));
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        let ply = Parser::<DefaultElement>::new().read_ply(&mut &here.read("out.ply")[..]).unwrap();
+        let mut patches = BTreeMap::new();
+        for (k, face) in ply.payload["face"].iter().enumerate() {
+            let (Property::Int(triangle), Property::UChar(side)) = (&face["triangle"], &face["side"]) else {
+                panic!("no integers")
+            };
+            let patch = match face.get("patch") {
+                Some(Property::Int(patch)) => *patch as usize,
+                _ => k,
+            };
+            let Property::Double(area) = face["area"] else { panic!("no double") };
+            if *side == 0 {
+                *patches.entry((*triangle, patch)).or_insert(0.0) += area;
+            }
+        }
+        let mut of_triangle: BTreeMap<i32, Vec<f64>> = BTreeMap::new();
+        patches
+            .into_iter()
+            .for_each(|((triangle, _), area)| of_triangle.entry(triangle).or_default().push(area));
+        of_triangle
+    };
+    // How many times as large the largest patch of a triangle is as the smallest: powers of four.
+    let ratio = |areas: &Vec<f64>| {
+        let extreme = |f: fn(f64, f64) -> f64| areas.iter().copied().reduce(f).unwrap();
+        (extreme(f64::max) / extreme(f64::min)).round() as u32
+    };
+    let by_light = sizes("");
+    assert_eq!(by_light.len(), 38);
+    assert!(by_light.values().all(|areas| [1, 4, 16, 64, 256].contains(&ratio(areas))));
+    let mixed = by_light.values().filter(|areas| ratio(areas) > 1).count();
+    assert!(mixed >= 10, "{mixed} of 38 triangles");
+    assert!(by_light.values().any(|areas| ratio(areas) >= 16));
+    assert!(sizes("--patches 500").values().all(|areas| ratio(areas) == 1));
 }
 
 #[test]

@@ -9,10 +9,23 @@ use crate::{
 const BASE: f64 = 16.0 * 1024.0 * 1024.0;
 /// A triangle, its normals and its share of the hierarchy while that is built: 498 bytes measured on 10⁶ triangles.
 const TRIANGLE: f64 = 500.0;
-/// Entries of a matrix: value and column.
+/// Entries of a matrix of whole rows: value and column.
 const ENTRY: f64 = 8.0;
+/// Entries of a row of a symmetric matrix, each half of a pair of 12 bytes at most.
+const SHARED_ENTRY: f64 = 6.0;
 /// A link: patch, kernel, index, kind.
 const LINK: f64 = 16.0;
+
+/// A patch that is solved without a matrix, whatever its rays: a channel's sums, batches, light and error, and what does not
+/// depend on channels; then the mesh that is written of it.
+const SWEPT: f64 = 200.0;
+const SWEPT_CHANNEL: f64 = 160.0;
+
+/// Bytes that a solution without a matrix takes at most at any time, of a scene cut into so many patches, backs included.
+pub fn without_matrix(scene: &Scene, patches: f64) -> f64 {
+    let of_patch = SWEPT + SWEPT_CHANNEL * scene.channels() as f64;
+    BASE + TRIANGLE * scene.triangles.len() as f64 + of_patch * patches
+}
 
 /// Bytes that a solution with all its errors takes, by what takes them. The upper end of what is likely: were hits spread
 /// evenly, a row would have n (1 - exp(-r / n)) entries of r rays; in a real scene they crowd together and it has fewer.
@@ -57,22 +70,23 @@ impl Memory {
         let row = |samples: f64, patches: f64| -patches * (-samples / patches).exp_m1();
         let both = if pooled { 2.0 } else { 1.0 };
         let hits = 4.0 * hemisphere + LINK * links + 100.0;
-        let matrix = ENTRY * row(both * rays, n);
+        let entry = if pooled { SHARED_ENTRY } else { ENTRY };
+        let entries = row(both * rays, n);
         // Of a family of four put together: as they are found, 16 bytes and room to spare, then as a matrix.
-        let merging = 3.5 * ENTRY * row(4.0 * both * rays, 0.25 * n) * 0.25;
-        let factors = if pooled { 1.5 * matrix + ENTRY * row(rays, n) } else { 2.0 * ENTRY * row(rays, n) };
-        let half = ENTRY * row(0.5 * both * rays, n);
+        let merging = if pooled { 12.0 } else { 28.0 } * row(4.0 * both * rays, 0.25 * n) * 0.25;
+        let factors = if pooled { 10.0 * entries + 8.0 * row(rays, n) } else { 2.0 * ENTRY * row(rays, n) };
+        let half = entry * row(0.5 * both * rays, n);
         let (sums, deviations) = (16.0 + 8.0 * channels, 4.0 * (7.0 * channels + 3.0));
         Memory {
             scene: BASE + TRIANGLE * scene.triangles.len() as f64,
-            patches: n * 1200.0,
+            patches: n * if pooled { 700.0 } else { 1200.0 },
             hits: n * hits,
-            matrix: n * matrix,
+            matrix: n * entry * entries,
             calibration: n * factors,
             error_bars: n * REPLICATES as f64 * (sums + deviations),
             merging: n * merging,
             // Copied into vectors that grow as they are filled.
-            halves: n * (hits + half + if pooled { 1.5 * half } else { half }),
+            halves: n * (hits + 2.0 * half),
         }
     }
 

@@ -1,7 +1,7 @@
 //! Sampling in rounds, until the error is low enough or the time is up.
 //!
 //! Every round keeps all rays cast before, and sends more where they lower the error of irradiance most. How many more is
-//! told by [`Plan`]s, which look at the rounds so far and at nothing else.
+//! told by [`Plan`]s, which look at the rounds so far and at no clock.
 
 use std::{sync::Arc, time::Instant};
 
@@ -32,6 +32,10 @@ const RATES: (f64, f64) = (0.5, 0.8);
 /// What the power is taken to be after one round.
 const USUAL_RATE: f64 = 0.65;
 
+/// Sweeps need so many times the time of a matrix to come further. For the same rays they are about twice as far off, and
+/// their error falls with a power of 0.6 of those: 2 of 4, and something to gain.
+const ANEW: f64 = 5.0;
+
 /// What a round reached.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Round {
@@ -39,7 +43,7 @@ pub struct Round {
     pub rays: f64,
     /// Estimated RMS error of irradiance from sampling, relative to its mean.
     pub error: f64,
-    /// Seconds since the first round began.
+    /// Seconds that all rounds so far took together.
     pub elapsed: f64,
     /// Seconds of this round that casting and assembling took.
     pub casting: f64,
@@ -50,8 +54,10 @@ pub struct Round {
 pub struct Plan {
     /// Stop when the error is at most this.
     pub error: Option<f64>,
-    /// Stop after so many seconds: the next round is begun only if it should end by then.
+    /// Stop after so many seconds: the next round is begun only if it, and what comes after, should end by then.
     pub seconds: Option<f64>,
+    /// How many times as long as the last round all takes that comes after it: zero where it is not known.
+    pub after: f64,
     /// Never more rays a patch than this: what memory holds.
     pub most_rays: Option<f64>,
 }
@@ -75,10 +81,30 @@ impl Plan {
             // A round costs about in proportion to the rays it ends with: it assembles and solves with all of them.
             let before = rounds.len().checked_sub(2).map_or(0.0, |k| rounds[k].elapsed);
             let left = seconds - last.elapsed;
-            growth = growth.min(left / (last.elapsed - before).max(1e-9));
+            growth = growth.min(left / ((1.0 + self.after) * (last.elapsed - before)).max(1e-9));
         }
         let rays = self.most_rays.unwrap_or(f64::INFINITY).min(growth * last.rays);
         (rays >= LEAST_GROWTH * last.rays).then_some(rays)
+    }
+
+    /// Whether to go on after this round, where one may stop at any time: with what takes so many seconds.
+    pub fn goes_on(&self, last: &Round, seconds: f64) -> bool {
+        let wanted = match self.error {
+            Some(target) => last.error > target,
+            None => self.seconds.is_some(),
+        };
+        wanted && self.seconds.is_none_or(|all| last.elapsed + seconds <= all)
+    }
+
+    /// Whether, after the last round that memory holds, it is worth to start anew without a matrix: where the error was not
+    /// reached, and there is enough time for sweeps to come further.
+    pub fn starts_anew(&self, rounds: &[Round]) -> bool {
+        let Some(last) = rounds.last() else { return false };
+        let wanted = match self.error {
+            Some(target) => last.error > target,
+            None => self.seconds.is_some(),
+        };
+        wanted && self.seconds.is_none_or(|all| all - last.elapsed > ANEW * last.elapsed)
     }
 
     /// Rays a patch that the error will take, as far as the rounds tell.
@@ -95,46 +121,71 @@ fn rate(rounds: &[Round]) -> f64 {
     if observed.is_finite() { observed.clamp(RATES.0, RATES.1) } else { RATES.0 }
 }
 
-/// Casts and solves in rounds as `plan` says, calls `tell` after each with the solution and all rounds so far, and returns
-/// the last solution. The first round has the rays of `cast`. What rays meet is kept in the checkpoint, if there is one, and
-/// taken from there where it is known.
+/// Casts and solves the first round, with the rays of `cast`. What rays meet is kept in the checkpoint, if there is one, and
+/// taken from there where it is known; later rounds go on with it.
 ///
 /// # Errors
-/// As [`FormFactors::cast_checkpointed`] and [`solve()`], and what `tell` returns.
-#[expect(clippy::too_many_arguments, reason = "all stages of a solution")]
-pub fn refine(
+/// As [`FormFactors::cast_checkpointed`] and [`solve()`].
+pub fn begin(
     scene: &Scene,
     tracer: &Tracer,
     mut patches: Patches,
     cast: &CastOptions,
     options: &SolveOptions,
-    plan: &Plan,
-    mut tell: impl FnMut(&Solved, &[Round]) -> Result<()>,
     checkpoint: Option<Arc<Checkpoint>>,
     progress: &Progress,
-) -> Result<(Solved, Vec<Round>)> {
+) -> Result<(Solved, Round)> {
     let start = Instant::now();
-    let mut rounds: Vec<Round> = Vec::new();
-    let mut form_factors =
+    let form_factors =
         FormFactors::cast_checkpointed(scene, tracer, &mut patches, cast, checkpoint, progress)?;
-    loop {
-        let before = rounds.last().map_or(0.0, |round| round.elapsed);
-        let casting = start.elapsed().as_secs_f64() - before;
-        let solution = solve(&form_factors, &patches, options, progress)?;
-        let error_bars = ErrorBars::of(&form_factors, &patches, &solution).expect("rays were cast");
-        let rays = form_factors.hits().map_or(0, |hits| hits.rays()) as f64;
-        rounds.push(Round {
-            rays: rays / patches.len() as f64,
-            error: relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas()),
-            elapsed: start.elapsed().as_secs_f64(),
-            casting,
-        });
-        let solved = Solved { patches, form_factors, solution, error_bars };
-        tell(&solved, &rounds)?;
-        let Some(rays) = plan.next(&rounds) else { return Ok((solved, rounds)) };
-        Solved { patches, form_factors, .. } = solved;
-        form_factors = form_factors.cast_more(scene, tracer, &mut patches, rays, progress)?;
+    round(start, 0.0, patches, form_factors, options, progress)
+}
+
+/// Goes on from the first round for as long as `next` says how many rays a patch there shall be after one more, which is told
+/// the solution and all rounds so far; returns the last solution. What `next` does counts to no round.
+///
+/// # Errors
+/// As [`solve()`], and what `next` returns.
+pub fn refine(
+    scene: &Scene,
+    tracer: &Tracer,
+    (mut solved, first): (Solved, Round),
+    options: &SolveOptions,
+    mut next: impl FnMut(&Solved, &[Round]) -> Result<Option<f64>>,
+    progress: &Progress,
+) -> Result<(Solved, Vec<Round>)> {
+    let mut rounds = vec![first];
+    while let Some(rays) = next(&solved, &rounds)? {
+        let (start, before) = (Instant::now(), rounds.last().map_or(0.0, |round| round.elapsed));
+        let Solved { mut patches, form_factors, .. } = solved;
+        let form_factors = form_factors.cast_more(scene, tracer, &mut patches, rays, progress)?;
+        let last;
+        (solved, last) = round(start, before, patches, form_factors, options, progress)?;
+        rounds.push(last);
     }
+    Ok((solved, rounds))
+}
+
+/// What comes after casting, in a round that began at `start`, `before` seconds after the first did.
+fn round(
+    start: Instant,
+    before: f64,
+    patches: Patches,
+    form_factors: FormFactors,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<(Solved, Round)> {
+    let casting = start.elapsed().as_secs_f64();
+    let solution = solve(&form_factors, &patches, options, progress)?;
+    let error_bars = ErrorBars::of(&form_factors, &patches, &solution).expect("rays were cast");
+    let rays = form_factors.hits().map_or(0, |hits| hits.rays()) as f64;
+    let round = Round {
+        rays: rays / patches.len() as f64,
+        error: relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas()),
+        elapsed: before + start.elapsed().as_secs_f64(),
+        casting,
+    };
+    Ok((Solved { patches, form_factors, solution, error_bars }, round))
 }
 
 #[cfg(test)]
@@ -169,6 +220,46 @@ mod tests {
         // 4 seconds for the last round, 5 left: a quarter more.
         assert_eq!(plan.next(&[round(64.0, 0.1, 1.0), round(256.0, 0.05, 5.0)]), Some(320.0));
         assert_eq!(plan.next(&[round(64.0, 0.1, 1.0), round(256.0, 0.05, 6.0)]), None);
+    }
+
+    /// On a clock by which rounds take `cost` seconds for each of their rays a patch, and what comes after them `after` times as
+    /// long, all ends in time; and no time is left in which another round could have ended.
+    #[test]
+    fn what_comes_after_the_last_round_ends_in_time_too() {
+        for (seconds, cost, after) in
+            [(1.0, 1e-3, 0.0), (1.0, 1e-3, 0.5), (1.0, 1e-3, 5.0), (30.0, 1e-2, 1.0), (3.0, 2e-3, 2.0)]
+        {
+            let plan = Plan { seconds: Some(seconds), after, ..Plan::default() };
+            let mut rounds = vec![round(64.0, 0.1, 64.0 * cost)];
+            while let Some(rays) = plan.next(&rounds) {
+                rounds.push(round(rays, 0.1, rounds.last().unwrap().elapsed + rays * cost));
+            }
+            let last = rounds.last().unwrap();
+            let end = |rays: f64| last.elapsed + after * rays * cost;
+            assert!(end(last.rays) <= seconds + 1e-12, "{rounds:?}");
+            let more = LEAST_GROWTH * last.rays;
+            assert!(end(more) + more * cost > seconds - 1e-12, "{rounds:?}");
+        }
+    }
+
+    #[test]
+    fn small_steps_go_on_until_the_error_is_reached_or_the_time_is_up() {
+        let last = round(64.0, 0.02, 8.0);
+        let plan = |error, seconds| Plan { error, seconds, ..Plan::default() };
+        assert!(plan(Some(0.01), None).goes_on(&last, 1e9) && !plan(Some(0.02), None).goes_on(&last, 0.0));
+        assert!(plan(None, Some(10.0)).goes_on(&last, 2.0) && !plan(None, Some(10.0)).goes_on(&last, 2.1));
+        assert!(!plan(Some(0.02), Some(10.0)).goes_on(&last, 1.0));
+        assert!(!Plan::default().goes_on(&last, 0.0));
+    }
+
+    #[test]
+    fn sweeps_start_where_a_matrix_missed_and_there_is_time() {
+        let plan = |error, seconds| Plan { error, seconds, ..Plan::default() };
+        let rounds = [round(64.0, 0.1, 0.5), round(100.0, 0.02, 1.0)];
+        assert!(plan(Some(0.01), None).starts_anew(&rounds) && !plan(Some(0.02), None).starts_anew(&rounds));
+        assert!(plan(None, Some(6.1)).starts_anew(&rounds) && !plan(None, Some(5.9)).starts_anew(&rounds));
+        assert!(!plan(Some(0.02), Some(60.0)).starts_anew(&rounds));
+        assert!(!Plan::default().starts_anew(&rounds));
     }
 
     #[test]

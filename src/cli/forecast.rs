@@ -2,9 +2,10 @@
 
 use radiosity::{
     Error, Result, Scene,
-    accuracy::memory::Memory,
+    accuracy::{memory::Memory, survey::Survey},
     form_factor::Estimator,
     patch::{Patches, Subdivision},
+    trace::Tracer,
 };
 
 use super::summary;
@@ -33,10 +34,18 @@ pub struct Work<'a> {
     pub options: [&'static str; 2],
 }
 
+/// Rays that tell how much of the scene is seen from behind.
+const LOOKING: u64 = 10_000;
+
+/// How many times the patches of the fronts those are that the rays will find, backs too.
+pub fn with_backs(scene: &Scene, tracer: &Tracer, seed: u64) -> f64 {
+    1.0 + Survey::of(scene, tracer, LOOKING, seed).back_area
+}
+
 /// The options that say how many patches and rays there are, for most commands.
 pub const USUAL: [&str; 2] = ["--patches", "--rays"];
 
-/// Bytes for one solution.
+/// Bytes for one solution, of patches with all backs counted in.
 pub fn bytes(scene: &Scene, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
     move |patches, rays| Memory::of(scene, patches, rays, estimator).peak()
 }
@@ -53,6 +62,11 @@ impl Limit {
         let owner = if self.given { "--memory allows" } else { "this machine has" };
         let [need, limit] = [bytes, self.bytes].map(summary::memory);
         (!(bytes <= self.bytes)).then(|| format!("about {need} of memory, {owner} {limit}"))
+    }
+
+    /// Whether someone said it.
+    pub fn is_given(self) -> bool {
+        self.given
     }
 
     /// Whether so much is allowed.
@@ -160,7 +174,7 @@ fn round_down(x: f64) -> f64 {
 }
 
 /// As `--memory` reads it, not less.
-fn exact(bytes: f64) -> String {
+pub fn exact(bytes: f64) -> String {
     format!("{}MiB", (bytes / f64::from(1 << 20)).ceil())
 }
 

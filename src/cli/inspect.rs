@@ -154,7 +154,7 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
                 f.patches,
                 f.rays,
                 summary::memory(f.bytes),
-                if limit.allows(f.bytes) { "" } else { ", which is refused" },
+                if limit.allows(f.bytes) { "" } else { ", more than is allowed" },
                 time(f.seconds)
             ),
         );

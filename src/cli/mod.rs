@@ -15,6 +15,7 @@ mod render;
 mod sampling;
 mod solve;
 mod summary;
+mod sweeps;
 mod tradeoff;
 mod validate;
 mod watch;
@@ -62,7 +63,8 @@ struct Common {
     /// Use so many threads; all processors unless told. The result is the same for any number
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
-    /// Refuse at once what would take more memory, as in 500MB or 4GiB [default: what this machine has]
+    /// Refuse at once what would take more memory, as in 500MB or 4GiB; what `solve` has no room for a matrix for, it solves
+    /// without one [default: what this machine has]
     #[arg(long, value_name = "SIZE", value_parser = forecast::size)]
     memory: Option<f64>,
 }

@@ -1,25 +1,29 @@
 //! How long `solve` samples, and on which patches.
 
-use std::{sync::Arc, time::Instant};
+use std::{io, sync::Arc, time::Instant};
 
 use radiosity::{
-    Result, Scene,
+    Error, Result, Scene,
     accuracy::{
         adaptive,
         discretisation::Discretisation,
-        refinement::{FIRST_RAYS, Plan, Round, refine},
+        refinement::{FIRST_RAYS, Plan, Round, begin, refine},
         solved::Solved,
     },
     form_factor::{CastOptions, Checkpoint, Estimator},
-    output::report::Seconds,
+    output::{
+        ply::{self, PlyOptions},
+        report::Seconds,
+    },
     patch::{Patches, Subdivision},
+    solve::{Light, stochastic_jacobi::StochasticSolution},
     trace::Tracer,
 };
 
 use super::{
     forecast::{self, Work},
     pipeline::blame,
-    solve::SolveArgs,
+    solve::{Errors, SolveArgs},
     watch::Watch,
 };
 
@@ -47,11 +51,53 @@ pub struct Sampling<'a> {
     pub watch: &'a Watch,
     /// Where rays are kept.
     pub checkpoint: Option<Arc<Checkpoint>>,
+    /// How many patches there will be for one of a front, where memory is limited.
+    pub with_backs: f64,
+}
+
+/// The light, with its sampling errors.
+pub enum Answer {
+    Matrix(Box<Solved>),
+    /// Without one.
+    Sweeps(Box<Patches>, Box<StochasticSolution>),
+}
+
+impl Answer {
+    pub fn patches(&self) -> &Patches {
+        match self {
+            Answer::Matrix(solved) => &solved.patches,
+            Answer::Sweeps(patches, _) => patches,
+        }
+    }
+
+    pub fn light(&self) -> Light<'_> {
+        match self {
+            Answer::Matrix(solved) => (&solved.solution).into(),
+            Answer::Sweeps(_, solution) => (&**solution).into(),
+        }
+    }
+
+    /// Of irradiance.
+    pub fn standard_error(&self) -> &[f64] {
+        match self {
+            Answer::Matrix(solved) => &solved.error_bars.standard_error,
+            Answer::Sweeps(_, solution) => &solution.standard_error,
+        }
+    }
+}
+
+/// Patches that were chosen by the light,
+struct SmallPatches {
+    patches: Patches,
+    /// the error that they leave, where that can be told,
+    floor: Option<f64>,
+    /// and the first round with them.
+    first: Option<(Solved, Round)>,
 }
 
 /// What came of it.
 pub struct Sampled {
-    pub solved: Solved,
+    pub answer: Answer,
     pub rounds: Vec<Round>,
     /// Who chose the patches.
     pub chosen: String,
@@ -66,10 +112,10 @@ impl Sampling<'_> {
         let rays = if in_rounds { FIRST_RAYS } else { f64::from(args.cast.rays()) };
         let (subdivision, mut chosen) = args.cast.subdivision();
         let (mut target, mut floor) = (wanted, None);
-        let mut adapted = None;
+        let (mut adapted, mut first) = (None, None);
         if in_rounds && args.cast.given_subdivision().is_none() {
             let small;
-            (small, floor) = self.small_enough(wanted, start)?;
+            SmallPatches { patches: small, floor, first } = self.small_enough(wanted, start)?;
             let adaptive = small.is_restricted();
             chosen =
                 if adaptive { "smaller where light varies" } else { "as small as they should be" }.into();
@@ -81,65 +127,127 @@ impl Sampling<'_> {
         }
         let forecast = || Patches::forecast(self.scene, &subdivision);
         let count = adapted.as_ref().map_or_else(forecast, |patches: &Patches| patches.fronts() as f64);
-        let bytes = forecast::bytes(self.scene, args.estimator());
-        if let Some(warning) = args.common.limit().check(&self.work(count, rays, &bytes))? {
-            self.watch.warn(&warning);
-        }
+        let bytes = self.bytes(args.estimator());
+        let with_matrix = self.holds_matrix(&self.work(count, rays, &bytes))?;
         let cut = || adapted.unwrap_or_else(|| Patches::subdivide(self.scene, &subdivision));
         let (patches, subdivide) = self.watch.stage("patches", || Ok(cut()))?;
         times.subdivide = subdivide;
-        let before = start.elapsed().as_secs_f64();
+        let cast =
+            CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
+        let usable = with_matrix && cast.estimator == Estimator::Pooled;
+        let first = first.filter(|_| usable);
+        let before = start.elapsed().as_secs_f64() - first.as_ref().map_or(0.0, |(_, round)| round.elapsed);
         let plan = Plan {
             error: target,
             seconds: args.time.map(|seconds| seconds - before),
-            most_rays: in_rounds.then(|| args.common.limit().most_rays(count, &bytes)),
+            most_rays: (in_rounds && with_matrix).then(|| args.common.limit().most_rays(count, &bytes)),
+            ..Plan::default()
         };
-        let cast =
-            CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
-        let tell = |solved: &Solved, rounds: &[Round]| {
-            if !in_rounds {
-                return Ok(());
+        let (answer, rounds) = match with_matrix {
+            // Where the patches were chosen by the light, it was said what they leave.
+            true => self.by_matrix(patches, first, &cast, plan, wanted.filter(|_| floor.is_none()), times)?,
+            false => self.sweep(patches, rays, &plan, times)?,
+        };
+        Ok(Sampled { answer, rounds, chosen })
+    }
+
+    /// Casts and solves for as long as the plan says, from the first round if there is one. Says if the patches are too large for
+    /// an error of `wanted`.
+    fn by_matrix(
+        &self,
+        patches: Patches,
+        first: Option<(Solved, Round)>,
+        cast: &CastOptions,
+        mut plan: Plan,
+        wanted: Option<f64>,
+        times: &mut Seconds,
+    ) -> Result<(Answer, Vec<Round>)> {
+        let next = |solved: &Solved, rounds: &[Round]| {
+            if plan == Plan::default() {
+                return Ok(None);
             }
-            if let (1, Some(wanted), None) = (rounds.len(), wanted, floor) {
+            if let (1, Some(wanted)) = (rounds.len(), wanted) {
                 self.warn_of_patches(solved, wanted)?;
             }
             self.tell(&plan, rounds);
-            Ok(())
+            if let (1, Some(seconds), Some(_)) = (rounds.len(), plan.seconds, plan.next(rounds)) {
+                let takes = self.seconds_after(solved)?;
+                plan.after = takes / rounds[0].elapsed;
+                plan.seconds = Some(seconds - takes);
+            }
+            Ok(plan.next(rounds))
         };
-        let ((solved, rounds), _) = self.watch.stage("rays", || self.refine(patches, &cast, &plan, tell))?;
+        let ((solved, rounds), _) = self.watch.stage("rays", || {
+            let first = first.map_or_else(|| self.begin(patches, cast), Ok)?;
+            let (options, progress) = (self.args.solve_options(), self.watch.progress());
+            refine(self.scene, self.tracer, first, &options, next, progress)
+                .map_err(|error| self.blame(error))
+        })?;
+        let all = rounds.last().map_or(0.0, |round| round.elapsed);
         times.form_factors = rounds.iter().map(|round| round.casting).sum();
-        times.solve = rounds.last().map_or(0.0, |round| round.elapsed) - times.form_factors;
-        Ok(Sampled { solved, rounds, chosen })
+        times.solve = all - times.form_factors;
+        if !self.goes_on_without_matrix(&plan, &rounds, solved.patches.fronts() as f64) {
+            return Ok((Answer::Matrix(Box::new(solved)), rounds));
+        }
+        // What was cast cannot be used: sweeps meet other light.
+        let Solved { patches, .. } = solved;
+        let plan = Plan { most_rays: None, seconds: plan.seconds.map(|seconds| seconds - all), ..plan };
+        let swept = self.sweep(patches, FIRST_RAYS, &plan, times)?;
+        times.form_factors += all;
+        Ok(swept)
+    }
+
+    /// Bytes with a matrix for so many patches of fronts.
+    fn bytes(&self, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
+        let (bytes, with_backs) = (forecast::bytes(self.scene, estimator), self.with_backs);
+        move |fronts, rays| bytes(with_backs * fronts, rays)
     }
 
     fn work<'a>(&'a self, patches: f64, rays: f64, bytes: &'a dyn Fn(f64, f64) -> f64) -> Work<'a> {
         Work { scene: self.scene, patches, rays, bytes, options: forecast::USUAL }
     }
 
-    fn refine(
-        &self,
-        patches: Patches,
-        cast: &CastOptions,
-        plan: &Plan,
-        tell: impl FnMut(&Solved, &[Round]) -> Result<()>,
-    ) -> Result<(Solved, Vec<Round>)> {
+    fn begin(&self, patches: Patches, cast: &CastOptions) -> Result<(Solved, Round)> {
         let (options, progress) = (self.args.solve_options(), self.watch.progress());
-        let file = self.checkpoint.clone();
-        refine(self.scene, self.tracer, patches, cast, &options, plan, tell, file, progress)
-            .map_err(|error| blame(&self.args.scene.path, error))
+        begin(self.scene, self.tracer, patches, cast, &options, self.checkpoint.clone(), progress)
+            .map_err(|error| self.blame(error))
     }
 
-    /// Patches small enough for a wanted error, or for the time there is, smaller where light varies; and the error that they
-    /// leave, where that can be told.
-    fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<(Patches, Option<f64>)> {
+    fn blame(&self, error: Error) -> Error {
+        blame(&self.args.scene.path, error)
+    }
+
+    /// How long all takes that comes after the last round, were this the last: it is done for once.
+    fn seconds_after(&self, solved: &Solved) -> Result<f64> {
+        let start = Instant::now();
+        Errors::of(&self.args.solve_options(), self.tracer, solved, self.watch.progress())?;
+        if let Some(path) = &self.args.output {
+            let (patches, light) = (&solved.patches, &solved.solution);
+            let options = PlyOptions {
+                standard_errors: Some(&solved.error_bars.standard_error),
+                ..PlyOptions::default()
+            };
+            ply::encode(&mut io::sink(), self.scene, patches, light, &options)
+                .map_err(|error| Error::io(path, error))?;
+        }
+        Ok(start.elapsed().as_secs_f64())
+    }
+
+    /// Patches small enough for a wanted error, or for the time there is, smaller where light varies.
+    fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<SmallPatches> {
         let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
         let (options, progress) = (self.args.solve_options(), self.watch.progress());
-        let (limit, bytes) = (self.args.common.limit(), forecast::bytes(self.scene, Estimator::Pooled));
+        let (limit, bytes) = (self.args.common.limit(), self.bytes(Estimator::Pooled));
         let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
         let mut floor = None;
+        if !limit.allows(bytes(patches.fronts() as f64, FIRST_RAYS)) {
+            // Not even to look where light varies.
+            return Ok(SmallPatches { patches, floor: None, first: None });
+        }
+        let mut first = None;
         for _ in 0..MOST_CUTS {
-            let (solved, _) = self.refine(patches.clone(), &cast, &Plan::default(), |_, _| Ok(()))?;
-            let Solved { patches: solved, form_factors, solution, .. } = &solved;
+            let (solved, _) = first.insert(self.begin(patches.clone(), &cast)?);
+            let Solved { patches: solved, form_factors, solution, .. } = &*solved;
             floor =
                 Discretisation::of(form_factors, solved, solution, &options, progress)?.map(|d| d.relative);
             let growth = match (wanted, floor) {
@@ -162,6 +270,7 @@ impl Sampling<'_> {
                 break;
             }
             patches = finer;
+            first = None;
         }
         if let (Some(wanted), Some(floor)) = (wanted, floor)
             && floor > wanted
@@ -172,7 +281,7 @@ impl Sampling<'_> {
                 100.0 * floor
             ));
         }
-        Ok((patches, floor))
+        Ok(SmallPatches { patches, floor, first })
     }
 
     /// Says that the patches someone chose are too large for the error that he wants.
@@ -190,7 +299,7 @@ impl Sampling<'_> {
     }
 
     /// Tells how far a round came.
-    fn tell(&self, plan: &Plan, rounds: &[Round]) {
+    pub fn tell(&self, plan: &Plan, rounds: &[Round]) {
         let [.., round] = rounds else { return };
         let mut line = format!(
             "round {}: {:.0} rays a patch, error {:.3} %, {:.2} s",

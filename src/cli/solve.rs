@@ -8,7 +8,7 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use radiosity::{
-    Error, Result, Scene,
+    Error, Progress, Result, Scene,
     accuracy::{
         bias, discretisation::Discretisation, error_bars::relative_rms, refinement::Round, solved::Solved,
     },
@@ -20,15 +20,16 @@ use radiosity::{
         ply::{self, PlyOptions},
         report::{ErrorReport, OptionsReport, RoundReport, Seconds, SolveReport, peak_bytes, seconds},
     },
-    solve::{SolveOptions, Solver},
+    solve::{SolveOptions, Solver, stochastic_jacobi},
     tone::Exposure,
+    trace::Tracer,
 };
 
 use super::{
-    Common, Outcome,
+    Common, Outcome, forecast,
     options::{CastArgs, SceneArgs, below_one, percent, seconds_given, stops},
     outputs, pipeline,
-    sampling::{Sampled, Sampling},
+    sampling::{Answer, Sampled, Sampling},
     summary, to_stderr, to_stdout,
     watch::Watch,
 };
@@ -44,18 +45,19 @@ pub struct SolveArgs {
     pub scene: SceneArgs,
     /// Write a coloured mesh, binary PLY
     #[arg(short, long, value_name = "OUT.ply")]
-    output: Option<PathBuf>,
+    pub output: Option<PathBuf>,
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
     #[command(flatten)]
     pub cast: CastArgs,
-    /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel
+    /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel, and stochastic-jacobi where
+    /// memory does not hold a matrix: it casts new rays for each iteration and needs none
     #[arg(long, value_enum, default_value_t = SolverName::Auto)]
     solver: SolverName,
-    /// Relative residual to reach
-    #[arg(long, value_name = "T", default_value_t = SolveOptions::default().tolerance, value_parser = below_one)]
-    tolerance: f64,
+    /// Relative residual to reach [default: 1e-10]
+    #[arg(long, value_name = "T", value_parser = below_one)]
+    tolerance: Option<f64>,
     /// Form factors from the rays of both patches, reciprocal and closed, or from the rays of one: the baseline
     #[arg(long, value_enum, default_value_t = EstimatorName::Pooled)]
     estimator: EstimatorName,
@@ -88,6 +90,7 @@ enum SolverName {
     Southwell,
     Cg,
     Direct,
+    StochasticJacobi,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -104,16 +107,35 @@ impl SolveArgs {
         }
     }
 
+    /// How to solve where there is a matrix.
     pub fn solve_options(&self) -> SolveOptions {
         let solver = match self.solver {
-            SolverName::Auto => Solver::Auto,
+            SolverName::Auto | SolverName::StochasticJacobi => Solver::Auto,
             SolverName::Jacobi => Solver::Jacobi,
             SolverName::GaussSeidel => Solver::GaussSeidel,
             SolverName::Southwell => Solver::Southwell,
             SolverName::Cg => Solver::ConjugateGradient,
             SolverName::Direct => Solver::Direct,
         };
-        SolveOptions { solver, tolerance: self.tolerance, ..SolveOptions::default() }
+        let default = SolveOptions::default();
+        SolveOptions { solver, tolerance: self.tolerance.unwrap_or(default.tolerance), ..default }
+    }
+
+    /// Whether no matrix is wanted.
+    pub fn without_matrix(&self) -> bool {
+        matches!(self.solver, SolverName::StochasticJacobi)
+    }
+
+    /// The first of the options given that nothing but a matrix can honour.
+    pub fn needs_matrix(&self) -> Option<&'static str> {
+        [
+            (!matches!(self.solver, SolverName::Auto | SolverName::StochasticJacobi), "--solver"),
+            (matches!(self.estimator, EstimatorName::OneWay), "--estimator"),
+            (self.tolerance.is_some(), "--tolerance"),
+            (self.checkpoint.is_some(), "--checkpoint"),
+        ]
+        .into_iter()
+        .find_map(|(given, name)| given.then_some(name))
     }
 
     /// Refuses combinations that would only fail after hours.
@@ -124,17 +146,27 @@ impl SolveArgs {
                 hint: Some("use --estimator pooled or --solver gauss-seidel".into()),
             });
         }
-        Ok(())
+        match self.needs_matrix().filter(|_| self.without_matrix()) {
+            None => Ok(()),
+            Some(option) => Err(Error::Usage {
+                message: format!(
+                    "{option} is of no use with --solver {}: it keeps no form factors",
+                    stochastic_jacobi::NAME
+                ),
+                hint: Some(format!("leave out {option}, or take another solver")),
+            }),
+        }
     }
 }
 
 /// What was computed.
 struct Computed {
     scene: Scene,
-    solved: Solved,
+    answer: Answer,
     rounds: Vec<Round>,
     chosen: String,
-    energy: EnergyLedger,
+    /// Of a matrix; sweeps keep their own.
+    energy: Option<EnergyLedger>,
     error: ErrorReport,
     discretisation: Option<Discretisation>,
 }
@@ -168,10 +200,8 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     let watch = Watch::new(args.common.quiet);
     let mut times = Seconds::default();
     let computed = compute(args, &files, &watch, start, &mut times)?;
-    let Computed { scene, solved, energy, .. } = &computed;
-    let Solved { patches, form_factors, solution, .. } = solved;
-
-    let exposure = exposure::of_radiosity(patches, &solution.radiosity).brighter(args.exposure);
+    let (patches, light) = (computed.answer.patches(), computed.answer.light());
+    let exposure = exposure::of_radiosity(patches, light.radiosity).brighter(args.exposure);
     watch.begin_writing();
     let mut pending = Vec::new();
     let written;
@@ -179,17 +209,7 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
         watch.stage("writing", || mesh.map(|file| write_mesh(file, &computed, exposure)).transpose())?;
     pending.extend(written);
 
-    let options = OptionsReport {
-        rays_per_patch: computed.rounds.last().map_or(0.0, |round| round.rays),
-        estimator: if form_factors.estimator() == Estimator::Pooled { "pooled" } else { "one-way" },
-        tolerance: args.tolerance,
-        seed: args.seed,
-        white: exposure.white(),
-    };
-    let file = args.scene.path.display().to_string();
-    let mut report = SolveReport::new(&file, scene, patches, form_factors, solution, energy, options);
-    report.error = computed.error;
-    report.rounds = computed.rounds.iter().map(round_report).collect();
+    let mut report = report_of(args, &computed, exposure);
     times.total = seconds(start.elapsed());
     report.seconds = times;
     report.peak_bytes = peak_bytes();
@@ -203,7 +223,7 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
         let names = outputs::names(&[&args.output, &args.report]);
         to_stdout(&summary::table(&report, patches, &computed.chosen, args.exposure, &names));
     }
-    Ok(verdict(args, &report, energy.rounding()))
+    Ok(verdict(args, &report, &computed))
 }
 
 fn compute(
@@ -215,29 +235,85 @@ fn compute(
 ) -> Result<Computed> {
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
     let checkpoint = args.checkpoint.as_ref().map(|path| open(path, &scene, args, watch)).transpose()?;
-    let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch, checkpoint };
-    let Sampled { solved, rounds, chosen } = sampling.run(start, times)?;
-    let options = args.solve_options();
-    let ((energy, error, discretisation), seconds) = watch.stage("errors", || {
-        let Solved { patches, form_factors, solution, .. } = &solved;
-        let energy = EnergyLedger::of(form_factors, patches, solution);
-        let progress = watch.progress();
-        let change = Discretisation::of(form_factors, patches, solution, &options, progress)?;
+    let with_backs =
+        if args.common.limit().is_given() { forecast::with_backs(&scene, &tracer, args.seed) } else { 1.0 };
+    let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch, checkpoint, with_backs };
+    let Sampled { answer, rounds, chosen } = sampling.run(start, times)?;
+    let target = args.error.map(|percent| percent / 100.0);
+    let rms_relative = rounds.last().map(|round| round.error);
+    let error = ErrorReport { rms_relative, target, ..ErrorReport::default() };
+    let Answer::Matrix(solved) = &answer else {
+        return Ok(Computed { scene, answer, rounds, chosen, energy: None, error, discretisation: None });
+    };
+    let (errors, seconds) =
+        watch.stage("errors", || Errors::of(&args.solve_options(), &tracer, solved, watch.progress()))?;
+    times.solve += seconds;
+    let Errors { energy, bias, discretisation, solver } = errors;
+    let error = ErrorReport {
+        bias_relative: bias,
+        discretisation_relative: discretisation.as_ref().map(|d| d.relative),
+        solver_relative: solver,
+        ..error
+    };
+    Ok(Computed { scene, answer, rounds, chosen, energy: Some(energy), error, discretisation })
+}
+
+/// What is told of a solution once no more rays are cast.
+pub struct Errors {
+    energy: EnergyLedger,
+    /// Relative to the mean irradiance, as is the bound on what the solver left.
+    bias: Option<f64>,
+    solver: Option<f64>,
+    discretisation: Option<Discretisation>,
+}
+
+impl Errors {
+    pub fn of(
+        options: &SolveOptions,
+        tracer: &Tracer,
+        solved: &Solved,
+        progress: &Progress,
+    ) -> Result<Errors> {
+        let Solved { patches, form_factors, solution, .. } = solved;
         let unit = vec![1.0; solution.irradiance.len()];
         // One W/m2 relative to the mean irradiance; zero in the dark.
         let unit = relative_rms(&unit, &solution.irradiance, form_factors.areas());
-        let error = ErrorReport {
-            rms_relative: rounds.last().map(|round| round.error),
-            bias_relative: bias::relative(form_factors, &tracer, patches, solution, &options, progress)?,
-            discretisation_relative: change.as_ref().map(|d| d.relative),
-            solver_relative: Some(solution.error_bound * unit).filter(|x| x.is_finite() && unit > 0.0),
-            target: args.error.map(|percent| percent / 100.0),
-            ..ErrorReport::default()
-        };
-        Ok((energy, error, change))
-    })?;
-    times.solve += seconds;
-    Ok(Computed { scene, solved, rounds, chosen, energy, error, discretisation })
+        Ok(Errors {
+            energy: EnergyLedger::of(form_factors, patches, solution),
+            discretisation: Discretisation::of(form_factors, patches, solution, options, progress)?,
+            bias: bias::relative(form_factors, tracer, patches, solution, options, progress)?,
+            solver: Some(solution.error_bound * unit).filter(|x| x.is_finite() && unit > 0.0),
+        })
+    }
+}
+
+/// All figures but times and memory.
+fn report_of(args: &SolveArgs, computed: &Computed, exposure: Exposure) -> SolveReport {
+    let Computed { scene, answer, rounds, energy, .. } = computed;
+    let mut options = OptionsReport {
+        rays_per_patch: rounds.last().map_or(0.0, |round| round.rays),
+        estimator: "sweeps",
+        tolerance: None,
+        seed: args.seed,
+        white: exposure.white(),
+    };
+    let file = args.scene.path.display().to_string();
+    let mut report = match (answer, energy) {
+        (Answer::Matrix(solved), Some(energy)) => {
+            let Solved { patches, form_factors, solution, .. } = &**solved;
+            options.estimator =
+                if form_factors.estimator() == Estimator::Pooled { "pooled" } else { "one-way" };
+            options.tolerance = Some(args.solve_options().tolerance);
+            SolveReport::new(&file, scene, patches, form_factors, solution, energy, options)
+        }
+        (Answer::Sweeps(patches, solution), _) => {
+            SolveReport::of_sweeps(&file, scene, patches, solution, options)
+        }
+        (Answer::Matrix(_), None) => unreachable!("a matrix has its energy added up"),
+    };
+    report.error = computed.error;
+    report.rounds = rounds.iter().map(round_report).collect();
+    report
 }
 
 /// Opens a checkpoint and says what is in it.
@@ -261,22 +337,29 @@ fn round_report(round: &Round) -> RoundReport {
 }
 
 fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Result<Pending> {
-    let Computed { scene, solved: Solved { patches, solution, error_bars, .. }, discretisation, .. } =
-        computed;
+    let Computed { scene, answer, discretisation, .. } = computed;
     let options = PlyOptions {
-        standard_errors: Some(&error_bars.standard_error),
+        standard_errors: Some(answer.standard_error()),
         discretisation: discretisation.as_ref().map(|d| &d.change[..]),
         exposure: Some(exposure),
         ..PlyOptions::default()
     };
-    file.write(|out| ply::encode(out, scene, patches, solution, &options))
+    file.write(|out| ply::encode(out, scene, answer.patches(), answer.light(), &options))
 }
 
 /// Whether form factors are shares, and the energy balances. Form factors from one side never do: that is what they are there to show.
-fn verdict(args: &SolveArgs, report: &SolveReport, rounding: f64) -> Outcome {
-    let (imbalance, allowed) = (report.energy.imbalance, ROUNDING + args.tolerance + 64.0 * rounding);
-    let strays = report.form_factors.out_of_range;
+/// Without a matrix what the rays miss has to be within its error.
+fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outcome {
+    let rounding = computed.energy.as_ref().map_or(0.0, EnergyLedger::rounding);
+    let allowed = ROUNDING + args.solve_options().tolerance + 64.0 * rounding;
+    let (imbalance, strays) = (report.energy.imbalance, report.form_factors.out_of_range);
     match args.estimator {
+        _ if !report.solve.converged => Outcome::CheckFailed(format!(
+            "{}: the energy does not balance: rays miss {} of what is emitted, with a standard error of {}",
+            report.scene.file,
+            summary::small(report.energy.sampled_imbalance),
+            summary::small(report.energy.sampled_imbalance_error)
+        )),
         _ if strays > 0 => {
             Outcome::CheckFailed(format!("{}: {strays} form factors are outside 0 to 1", report.scene.file))
         }

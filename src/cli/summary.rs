@@ -30,22 +30,29 @@ pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, 
     let mean = factors.rays as f64 / scene.patches as f64;
     let escaped = 100.0 * factors.escaped_fraction;
     row("rays", format!("{} ({mean:.0} a patch), {escaped:.2} % escaped", factors.rays));
-    let (bytes, rate) = (memory(factors.bytes as f64), factors.rays as f64 / seconds.form_factors.max(1e-6));
-    row(
-        "form factors",
-        format!(
-            "{} non-zeros, {bytes}, {}, {:.2e} rays/s",
-            factors.non_zeros, report.options.estimator, rate
-        ),
-    );
-    let bound = solve.error_bound.map_or("without a bound".into(), |b| format!("within {b:.1e} W/m2"));
-    row(
-        "solver",
-        format!(
-            "{}, {} iterations, residual {:.1e}, {bound}",
-            solve.solver, solve.iterations, solve.residual
-        ),
-    );
+    // Sweeps are both.
+    let casting = seconds.form_factors + if solve.residual.is_none() { seconds.solve } else { 0.0 };
+    let (bytes, rate) = (memory(factors.bytes as f64), factors.rays as f64 / casting.max(1e-6));
+    match solve.residual {
+        Some(residual) => {
+            let estimator = report.options.estimator;
+            let non_zeros = factors.non_zeros;
+            row("form factors", format!("{non_zeros} non-zeros, {bytes}, {estimator}, {rate:.2e} rays/s"));
+            let bound =
+                solve.error_bound.map_or("without a bound".into(), |b| format!("within {b:.1e} W/m2"));
+            row(
+                "solver",
+                format!(
+                    "{}, {} iterations, residual {residual:.1e}, {bound}",
+                    solve.solver, solve.iterations
+                ),
+            );
+        }
+        None => {
+            row("form factors", format!("none kept, {rate:.2e} rays/s"));
+            row("solver", format!("{}, {} sweeps without a matrix", solve.solver, solve.iterations));
+        }
+    }
     let channels =
         if scene.channels == 1 { vec![("", 0)] } else { vec![(" red", 0), (" green", 1), (" blue", 2)] };
     for (name, c) in channels {
@@ -55,13 +62,11 @@ pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, 
             format!("emitted {emitted:.6e} W, absorbed {absorbed:.6e} W, escaped {escaped:.6e} W"),
         );
     }
-    row(
-        "imbalance",
-        format!(
-            "{:.1e} of what is emitted: solver {:.1e}, reciprocity {:.1e}",
-            energy.imbalance, energy.solver_part, energy.reciprocity_part
-        ),
-    );
+    let parts = match (energy.sampled_imbalance, energy.sampled_imbalance_error) {
+        (Some(sampled), Some(error)) => format!("{sampled:+.1e} as sampled, standard error {error:.1e}"),
+        _ => format!("solver {}, reciprocity {}", small(energy.solver_part), small(energy.reciprocity_part)),
+    };
+    row("imbalance", format!("{:.1e} of what is emitted: {parts}", energy.imbalance));
     let ErrorReport { rms_relative, bias_relative, discretisation_relative, solver_relative, .. } =
         report.error;
     let percent = |x: Option<f64>| x.map_or("unknown".into(), |x| format!("{:.2} %", 100.0 * x));
@@ -220,6 +225,11 @@ fn finish(mut text: String, report: &SamplingReport, written: &str) -> String {
     row(&mut text, "seconds", &seconds);
     row(&mut text, "wrote", written);
     text
+}
+
+/// A figure by its order of magnitude.
+pub fn small(x: Option<f64>) -> String {
+    x.map_or("unknown".into(), |x| format!("{x:.1e}"))
 }
 
 /// A number of bytes for people.

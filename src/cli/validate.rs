@@ -15,7 +15,7 @@ use super::{
     Common, Outcome,
     forecast::{self, Work},
     options::{CastArgs, SceneArgs},
-    outputs, pipeline, to_stdout,
+    outputs, pipeline, summary, to_stdout,
     watch::Watch,
 };
 
@@ -113,14 +113,23 @@ fn table(report: &ValidationReport) -> String {
     line(
         "energy imbalance",
         format!(
-            "{:.1e} (solver {:.1e}, reciprocity {:.1e})",
-            energy.imbalance, energy.solver_part, energy.reciprocity_part
+            "{:.1e} (solver {}, reciprocity {})",
+            energy.imbalance,
+            summary::small(energy.solver_part),
+            summary::small(energy.reciprocity_part)
         ),
     );
     for (name, deviation) in
         [("row sums", report.row_sum_deviation), ("reciprocity", report.reciprocity_deviation)]
     {
-        line(name, format!("off by {:.1e} as cast, {:.1e} repaired", deviation.before, deviation.after));
+        line(
+            name,
+            format!(
+                "off by {} as cast, {} repaired",
+                summary::small(deviation.before),
+                summary::small(deviation.after)
+            ),
+        );
     }
     line("allowance for patch size", format!("{:.2} % RMS", 100.0 * report.discretisation_relative));
     for c in &report.comparisons {

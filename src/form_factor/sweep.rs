@@ -3,11 +3,17 @@
 //! Where lamps are few shadow rays bring their light, a ratio estimate as in `shadow`, and hemisphere rays
 //! what the patches reflect; else hemisphere rays bring all. Memory is in proportion to the patches, not to the rays.
 
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicU64, Ordering},
+};
+
 use rayon::prelude::*;
 
 use super::{
     hemisphere::REPLICATES,
     shadow::{self, Footprint, Found, Sources},
+    siblings::siblings,
 };
 use crate::{
     Progress, Result,
@@ -42,6 +48,28 @@ impl<const C: usize> Arrived<C> {
         }
         self.escaped += other.escaped;
         self.kernel += other.kernel;
+    }
+}
+
+/// How many rays were cast, and what became of them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Hemisphere rays.
+    pub hemisphere: u64,
+    /// Of them those that left the scene, or met the back of what is no unknown,
+    pub escaped: u64,
+    /// and those that met a back.
+    pub backs: u64,
+    /// Shadow rays.
+    pub shadow: u64,
+}
+
+impl Tally {
+    pub(crate) fn add(&mut self, other: Tally) {
+        self.hemisphere += other.hemisphere;
+        self.escaped += other.escaped;
+        self.backs += other.backs;
+        self.shadow += other.shadow;
     }
 }
 
@@ -101,6 +129,11 @@ impl<'a> Sweeper<'a> {
         self.patches
     }
 
+    /// Neighbours in the plane: runs of up to 16 patches of one triangle's side, in the order of the patches.
+    pub(crate) fn siblings(&self) -> Vec<Range<usize>> {
+        siblings(self.tracer, self.patches)
+    }
+
     /// Area of each patch.
     pub(crate) fn areas(&self) -> &[f64] {
         &self.areas
@@ -129,20 +162,23 @@ impl<'a> Sweeper<'a> {
     pub(crate) fn sweep<const C: usize>(
         &self,
         radiosity: &[[f64; C]],
-        hemisphere: std::ops::Range<u32>,
-        shadow: std::ops::Range<u32>,
+        hemisphere: Range<u32>,
+        shadow: Range<u32>,
         progress: &Progress,
-    ) -> Result<Vec<Arrived<C>>> {
+    ) -> Result<(Vec<Arrived<C>>, Tally)> {
         let emission = self.patches.emission().as_chunks::<C>().0;
         let (lamps, scale) = (self.has_lamps(), self.tracer.scale());
+        let backs = AtomicU64::new(0);
         let cast = |i: usize| {
             if i.is_multiple_of(1024) {
                 progress.check()?;
             }
             let (from, seed) = (Footprint::new(self.tracer, self.patches, i), mix(&[self.seed, i as u64]));
             let mut came = Arrived::NOTHING;
+            let mut behind = 0;
             for index in hemisphere.clone() {
                 let hit = closest(self.tracer, &from, index, seed);
+                behind += u64::from(hit.is_some_and(|hit| !hit.front));
                 let patch = hit.and_then(|hit| self.patches.at(hit.triangle, hit.barycentric, hit.front));
                 let Some(j) = patch.map(|j| j as usize) else {
                     came.escaped += 1.0;
@@ -151,6 +187,9 @@ impl<'a> Sweeper<'a> {
                 for c in 0..C {
                     came.met[c] += radiosity[j][c] - if lamps { emission[j][c] } else { 0.0 };
                 }
+            }
+            if behind > 0 {
+                backs.fetch_add(behind, Ordering::Relaxed);
             }
             if lamps && self.mean_kernels[i] > 0.0 {
                 let mut links = Vec::new();
@@ -176,7 +215,19 @@ impl<'a> Sweeper<'a> {
             }
             Ok(came)
         };
-        (0..self.patches.len()).into_par_iter().with_min_len(64).map(cast).collect()
+        let n = self.patches.len();
+        let arrived: Vec<Arrived<C>> =
+            (0..n).into_par_iter().with_min_len(64).map(cast).collect::<Result<_>>()?;
+        let lit = |kernel: &&f64| lamps && **kernel > 0.0;
+        let tally = Tally {
+            hemisphere: n as u64 * u64::from(hemisphere.end - hemisphere.start),
+            // Whole numbers: exact in any order.
+            escaped: arrived.par_iter().map(|came| came.escaped as u64).sum(),
+            backs: backs.into_inner(),
+            shadow: self.mean_kernels.iter().filter(lit).count() as u64
+                * u64::from(shadow.end - shadow.start),
+        };
+        Ok((arrived, tally))
     }
 }
 

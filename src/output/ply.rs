@@ -30,7 +30,7 @@ use crate::{
     Result,
     patch::Patches,
     scene::Scene,
-    solve::Solution,
+    solve::Light,
     tone::{Exposure, rgb},
 };
 
@@ -62,14 +62,15 @@ impl Default for PlyOptions<'_> {
 ///
 /// # Panics
 /// When the sizes disagree.
-pub fn write(
+pub fn write<'a>(
     path: &Path,
     scene: &Scene,
     patches: &Patches,
-    solution: &Solution,
+    light: impl Into<Light<'a>>,
     options: &PlyOptions<'_>,
 ) -> Result<()> {
-    OutputFile::new(path, &[])?.write(|out| encode(out, scene, patches, solution, options))?.commit()
+    let light = light.into();
+    OutputFile::new(path, &[])?.write(|out| encode(out, scene, patches, light, options))?.commit()
 }
 
 /// Writes the solution to `out`, which should be buffered.
@@ -79,21 +80,22 @@ pub fn write(
 ///
 /// # Panics
 /// When the sizes disagree.
-pub fn encode(
+pub fn encode<'a>(
     mut out: &mut dyn Write,
     scene: &Scene,
     patches: &Patches,
-    solution: &Solution,
+    light: impl Into<Light<'a>>,
     options: &PlyOptions<'_>,
 ) -> io::Result<()> {
     let values = patches.channels() * patches.len();
-    assert_eq!((solution.radiosity.len(), solution.irradiance.len()), (values, values), "sizes disagree");
+    let light = light.into();
+    assert_eq!((light.radiosity.len(), light.irradiance.len()), (values, values), "sizes disagree");
     let errors = [options.standard_errors, options.discretisation];
     assert!(errors.iter().flatten().all(|e| e.len() == values), "sizes disagree");
 
     let mesh = PatchMesh::new(scene, patches, options.crease);
-    let exposure = options.exposure.unwrap_or_else(|| exposure::of_radiosity(patches, &solution.radiosity));
-    let radiosity = vertex_colors::at_vertices(scene, patches, &mesh, &solution.radiosity);
+    let exposure = options.exposure.unwrap_or_else(|| exposure::of_radiosity(patches, light.radiosity));
+    let radiosity = vertex_colors::at_vertices(scene, patches, &mesh, light.radiosity);
     let header = header(
         exposure,
         mesh.positions().len(),
@@ -121,8 +123,8 @@ pub fn encode(
             triangle: scene.triangles[patches.triangle(i)].source as i32,
             back: u8::from(!patches.is_front(i)),
             area: share * patches.area(i),
-            irradiance: single(positive(of(&solution.irradiance))),
-            radiosity: single(positive(of(&solution.radiosity))),
+            irradiance: single(positive(of(light.irradiance))),
+            radiosity: single(positive(of(light.radiosity))),
             error: options.standard_errors.map_or([f32::NAN; 3], |e| single(of(e))),
             discretisation: options.discretisation.map_or([0.0; 3], |e| single(of(e))),
         }

@@ -16,7 +16,10 @@ use crate::{
     form_factor::{self, FormFactors, hemisphere},
     patch::Patches,
     scene::Scene,
-    solve::Solution,
+    solve::{
+        Solution,
+        stochastic_jacobi::{self, StochasticSolution},
+    },
     tone::rgb,
 };
 
@@ -79,7 +82,7 @@ pub struct FormFactorsReport {
     pub escaped_fraction: f64,
     /// Rays that hit the back of a surface.
     pub back_hits: u64,
-    /// Form factors outside 0 to 1: none, or something is wrong.
+    /// Those outside 0 to 1: none, or something is wrong.
     pub out_of_range: usize,
     /// Largest |sum of a row + its escaped share - 1|.
     pub row_sum_deviation: BeforeAfter,
@@ -87,13 +90,13 @@ pub struct FormFactorsReport {
     pub reciprocity_deviation: BeforeAfter,
 }
 
-/// A figure of the rays as cast, and of the form factors in use.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+/// A figure of the rays as cast, and of the form factors in use; `null` without form factors.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct BeforeAfter {
     /// As cast.
-    pub before: f64,
+    pub before: Option<f64>,
     /// In use.
-    pub after: f64,
+    pub after: Option<f64>,
 }
 
 /// The solver and how far it went.
@@ -103,11 +106,12 @@ pub struct SolverReport {
     pub solver: &'static str,
     /// Its iterations.
     pub iterations: usize,
-    /// Σ A |Be + ρ E - B| / Σ A Be of the worst channel.
-    pub residual: f64,
+    /// Σ A |Be + ρ E - B| / Σ A Be of the worst channel; `null` without a system that it could be of.
+    pub residual: Option<f64>,
     /// No patch's radiosity is farther from the exact solution of the system; `null` where nothing bounds it.
     pub error_bound: Option<f64>,
-    /// Whether the tolerance was reached.
+    /// Whether the tolerance was reached; without a system, whether what the rays miss in energy is no more than
+    /// their error.
     pub converged: bool,
 }
 
@@ -122,10 +126,14 @@ pub struct EnergyReport {
     pub escaped: [f64; 3],
     /// (emitted - absorbed - escaped) / emitted of the worst channel.
     pub imbalance: f64,
-    /// The part of the imbalance that the solver's residual makes.
-    pub solver_part: f64,
-    /// The part that form factors make which are not reciprocal.
-    pub reciprocity_part: f64,
+    /// The part of the imbalance that the solver's residual makes; `null` without a system.
+    pub solver_part: Option<f64>,
+    /// The part that form factors make which are not reciprocal; `null` without them.
+    pub reciprocity_part: Option<f64>,
+    /// Without a matrix: the imbalance of what the rays say, before it is scaled so that none remains.
+    pub sampled_imbalance: Option<f64>,
+    /// Its standard error.
+    pub sampled_imbalance_error: Option<f64>,
 }
 
 /// Estimated errors; `null` where they were not estimated.
@@ -194,10 +202,10 @@ pub struct Seconds {
 pub struct OptionsReport {
     /// Rays asked for, a patch.
     pub rays_per_patch: f64,
-    /// `pooled` or `one-way`.
+    /// `pooled` or `one-way`; `sweeps` without a matrix.
     pub estimator: &'static str,
-    /// Relative residual demanded.
-    pub tolerance: f64,
+    /// Relative residual demanded; `null` without a matrix.
+    pub tolerance: Option<f64>,
     /// Seed of the rays.
     pub seed: u64,
     /// Radiosity shown as white in the mesh, W/m².
@@ -222,12 +230,50 @@ impl SolveReport {
             solve: SolverReport {
                 solver: solution.solver.name(),
                 iterations: solution.iterations,
-                residual: solution.residual,
+                residual: Some(solution.residual),
                 error_bound: finite(solution.error_bound),
                 converged: true,
             },
             energy: EnergyReport::of(energy),
             error: ErrorReport::default(),
+            rounds: Vec::new(),
+            seconds: Seconds::default(),
+            peak_bytes: None,
+            options,
+        }
+    }
+
+    /// Collects the figures of a solution without a matrix.
+    pub fn of_sweeps(
+        file: &str,
+        scene: &Scene,
+        patches: &Patches,
+        solution: &StochasticSolution,
+        options: OptionsReport,
+    ) -> SolveReport {
+        let tally = solution.tally;
+        SolveReport {
+            version: env!("CARGO_PKG_VERSION"),
+            scene: SceneReport::of(file, scene, patches),
+            form_factors: FormFactorsReport {
+                rays: tally.hemisphere + tally.shadow,
+                non_zeros: 0,
+                bytes: 0,
+                escaped_fraction: tally.escaped as f64 / tally.hemisphere.max(1) as f64,
+                back_hits: tally.backs,
+                out_of_range: 0,
+                row_sum_deviation: BeforeAfter::default(),
+                reciprocity_deviation: BeforeAfter::default(),
+            },
+            solve: SolverReport {
+                solver: stochastic_jacobi::NAME,
+                iterations: solution.sweeps as usize,
+                residual: None,
+                error_bound: None,
+                converged: solution.is_balanced(),
+            },
+            energy: EnergyReport::of_sweeps(solution),
+            error: ErrorReport { rms_relative: Some(solution.reached.error), ..ErrorReport::default() },
             rounds: Vec::new(),
             seconds: Seconds::default(),
             peak_bytes: None,
@@ -283,7 +329,7 @@ impl FormFactorsReport {
 
 impl From<form_factor::BeforeAfter> for BeforeAfter {
     fn from(figure: form_factor::BeforeAfter) -> Self {
-        BeforeAfter { before: figure.before, after: figure.after }
+        BeforeAfter { before: Some(figure.before), after: Some(figure.after) }
     }
 }
 
@@ -295,8 +341,25 @@ impl EnergyReport {
             absorbed: rgb(&energy.absorbed),
             escaped: rgb(&energy.escaped),
             imbalance: energy.imbalance(),
-            solver_part: energy.relative_solver_part(),
-            reciprocity_part: energy.relative_reciprocity_part(),
+            solver_part: Some(energy.relative_solver_part()),
+            reciprocity_part: Some(energy.relative_reciprocity_part()),
+            sampled_imbalance: None,
+            sampled_imbalance_error: None,
+        }
+    }
+
+    /// Collects the figures of a solution without a matrix.
+    fn of_sweeps(solution: &StochasticSolution) -> Self {
+        let (imbalance, error) = solution.worst_imbalance();
+        EnergyReport {
+            emitted: rgb(&solution.emitted),
+            absorbed: rgb(&solution.absorbed),
+            escaped: rgb(&solution.escaped),
+            imbalance: solution.balanced_to(),
+            solver_part: None,
+            reciprocity_part: None,
+            sampled_imbalance: Some(imbalance),
+            sampled_imbalance_error: Some(error),
         }
     }
 }

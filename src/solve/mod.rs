@@ -4,6 +4,7 @@
 //! true relative residual of what they return, and a certified bound on its distance from the exact solution of the
 //! discrete system. Not converging is an error, never a silent result.
 
+mod batches;
 pub mod conjugate_gradient;
 pub mod direct;
 pub mod gauss_seidel;
@@ -16,6 +17,7 @@ use crate::{
     form_factor::{Estimator, FormFactors, row},
     patch::Patches,
 };
+use stochastic_jacobi::StochasticSolution;
 
 /// Which algorithm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -114,6 +116,27 @@ pub struct Solution {
     /// No patch's radiosity is farther than this from the exact solution of the discrete system, W/m². Infinite where
     /// a patch reflects everything and loses nothing.
     pub error_bound: f64,
+}
+
+/// The light on every patch, however it was found: what files show.
+#[derive(Debug, Clone, Copy)]
+pub struct Light<'a> {
+    /// Radiosity B, W/m²; interleaved channels.
+    pub radiosity: &'a [f64],
+    /// Irradiance E, W/m².
+    pub irradiance: &'a [f64],
+}
+
+impl<'a> From<&'a Solution> for Light<'a> {
+    fn from(solution: &'a Solution) -> Self {
+        Light { radiosity: &solution.radiosity, irradiance: &solution.irradiance }
+    }
+}
+
+impl<'a> From<&'a StochasticSolution> for Light<'a> {
+    fn from(solution: &'a StochasticSolution) -> Self {
+        Light { radiosity: &solution.radiosity, irradiance: &solution.irradiance }
+    }
 }
 
 /// Solves B = Be + ρ F B.

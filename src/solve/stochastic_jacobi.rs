@@ -4,17 +4,23 @@
 //!
 //! One sweep is a noisy product: E = F_s B, B ← Be + ρ E. Since the product is linear in B and the rays of a sweep are
 //! independent of the light they meet, the mean of the sweeps has no error but noise, once the first bounces are over. What
-//! a sweep brings is averaged in 16 batches. Their spread tells the standard error; because light that one sweep overestimates is
-//! reflected in the next, batches are correlated, and by how much is read off neighbouring batches of all patches together.
+//! a sweep brings is averaged in 16 batches. Their spread tells the standard error, with how they depend on each other read off
+//! runs of batches of all patches together.
 
+use std::ops::Range;
+
+use nalgebra::{SVector, Vector2};
 use rayon::prelude::*;
 
-use super::Radiometry;
+use super::{
+    Radiometry,
+    batches::{BATCHES, Batches, balancing},
+};
 use crate::{
     Error, Progress, Result,
     form_factor::{
         ordered_sum,
-        sweep::{Arrived, Sweeper},
+        sweep::{Arrived, Sweeper, Tally},
     },
 };
 
@@ -22,9 +28,7 @@ use crate::{
 const FIRST_SWEEPS: u32 = 16;
 /// with so many hemisphere rays and shadow rays of each patch. They come from a far part of the sequences.
 const FIRST_RAYS: [u32; 2] = [4, 2];
-const FAR: u32 = 1 << 15;
-/// Batches that the counted sweeps are averaged in.
-const BATCHES: usize = 16;
+const FAR: u64 = (1 << 32) - (1 << 16);
 /// Hemisphere rays that a sweep has at least, where there are enough.
 const LEAST_RAYS: f64 = 4.0;
 /// Share of all rays that are shadow rays.
@@ -32,11 +36,31 @@ const SHADOW: f64 = 0.25;
 /// Weight of the newest sweep in the light that the next one meets: less noise is carried on, and later.
 const NEWEST: f64 = 0.5;
 
+/// An imbalance of energy within so many standard errors is taken for noise. Of 9 to 16 batches, more is one case in 950 to
+/// 6,300 (Student's t distribution with 8 to 15 degrees of freedom).
+const NOISE: f64 = 5.0;
+/// Share of the energy that rounding may lose beside it.
+const ROUNDING: f64 = 1e-9;
+
+/// The name used on the command line and in reports.
+pub const NAME: &str = "stochastic-jacobi";
+
 /// How to sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StochasticOptions {
     /// Mean number of rays a patch, the first sweeps not counted.
     pub rays: f64,
+}
+
+/// How far the sweeps have come.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reached {
+    /// Rays a patch, the first sweeps not counted.
+    pub rays: f64,
+    /// Area-weighted root mean square of the standard error of irradiance, relative to its mean.
+    pub error: f64,
+    /// Share of the rays so far that the next batch adds.
+    pub next: f64,
 }
 
 /// The light on every patch, with its statistical errors; `channels` interleaved values each.
@@ -48,22 +72,49 @@ pub struct StochasticSolution {
     pub radiosity: Vec<f64>,
     /// Irradiance E, W/m².
     pub irradiance: Vec<f64>,
-    /// Standard error of the irradiance, W/m².
+    /// Standard error of the irradiance, W/m²; rather too large.
     pub standard_error: Vec<f64>,
     /// Sweeps, the first ones counted.
     pub sweeps: u32,
-    /// Rays of each patch, all sweeps together; fewer where no lamp is in front.
-    pub rays: u32,
+    /// Their rays.
+    pub tally: Tally,
+    /// Rays a patch and error of those sweeps that count.
+    pub reached: Reached,
     /// Σ A Be, W.
     pub emitted: Vec<f64>,
     /// Σ A (1 - ρ) E, W.
     pub absorbed: Vec<f64>,
     /// What left the scene, W.
     pub escaped: Vec<f64>,
-    /// (emitted - absorbed - escaped) / emitted of each channel: of statistical nature, unlike that of a matrix.
+    /// (emitted - absorbed - escaped) / emitted of each channel as the rays say, of statistical nature: before all that arrives
+    /// and escapes is scaled so that none remains.
     pub imbalance: Vec<f64>,
     /// Its standard error.
     pub imbalance_error: Vec<f64>,
+}
+
+impl StochasticSolution {
+    /// Whether what the rays miss in energy is no more in any channel than its own noise and the sampling error of patches: what
+    /// makes it balance moves no patch by more than it is uncertain by anyway. If not, something was never sampled, or the sweeps
+    /// have not settled.
+    pub fn is_balanced(&self) -> bool {
+        let both = self.imbalance.iter().zip(&self.imbalance_error);
+        let allowed = |error: f64| ROUNDING + NOISE * error + self.reached.error;
+        both.into_iter().all(|(imbalance, &error)| imbalance.abs() <= allowed(error))
+    }
+
+    /// The imbalance of the channel where it is worst, and its standard error.
+    pub fn worst_imbalance(&self) -> (f64, f64) {
+        let both = self.imbalance.iter().copied().zip(self.imbalance_error.iter().copied());
+        both.fold((0.0, 0.0), |worst: (f64, f64), one| if one.0.abs() > worst.0.abs() { one } else { worst })
+    }
+
+    /// (emitted - absorbed - escaped) / emitted of the worst channel, once it was balanced.
+    pub fn balanced_to(&self) -> f64 {
+        let powers = self.emitted.iter().zip(&self.absorbed).zip(&self.escaped);
+        let left = powers.filter(|((emitted, _), _)| **emitted > 0.0).map(|((b, a), e)| (b - a - e) / b);
+        left.fold(0.0, |worst: f64, x| if x.abs() > worst.abs() { x } else { worst })
+    }
 }
 
 /// Solves B = Be + ρ F B for the patches of the sweeper.
@@ -79,17 +130,32 @@ pub fn solve<'a>(
     options: &StochasticOptions,
     progress: &Progress,
 ) -> Result<StochasticSolution> {
+    solve_while(sweeper, radiometry, options, |_| false, progress)
+}
+
+/// As [`solve`], and then for as long as `more` says so, batch by batch. Whenever there are 16 batches, they become 8 that are
+/// twice as long; so the answer is the mean of 9 to 16, and each adds at most an eighth to the rays before.
+///
+/// # Errors
+/// As [`solve`].
+///
+/// # Panics
+/// As [`solve`].
+pub fn solve_while<'a>(
+    sweeper: &Sweeper<'_>,
+    radiometry: impl Into<Radiometry<'a>>,
+    options: &StochasticOptions,
+    more: impl FnMut(&Reached) -> bool,
+    progress: &Progress,
+) -> Result<StochasticSolution> {
     let radiometry = radiometry.into();
     let n = sweeper.areas().len() * radiometry.channels;
     assert_eq!((radiometry.emission.len(), radiometry.reflectance.len()), (n, n), "sizes disagree");
     match radiometry.channels {
-        1 => Iteration::<1>::new(sweeper, radiometry).run(options, progress),
-        _ => Iteration::<3>::new(sweeper, radiometry).run(options, progress),
+        1 => Iteration::<1>::new(sweeper, radiometry).run(options, more, progress),
+        _ => Iteration::<3>::new(sweeper, radiometry).run(options, more, progress),
     }
 }
-
-/// The mean irradiance of each batch.
-type Batches<const C: usize> = [[f32; BATCHES]; C];
 
 struct Iteration<'a, const C: usize> {
     sweeper: &'a Sweeper<'a>,
@@ -101,81 +167,112 @@ struct Iteration<'a, const C: usize> {
     /// All that came by shadow rays, and in the present batch.
     whole: Vec<Arrived<C>>,
     batch: Vec<Arrived<C>>,
+    batches: Batches<'a, C>,
+    tally: Tally,
+    sweeps: u32,
 }
 
 impl<'a, const C: usize> Iteration<'a, C> {
     fn new(sweeper: &'a Sweeper<'a>, radiometry: Radiometry<'a>) -> Self {
         let (emission, n) = (radiometry.emission.as_chunks::<C>().0, sweeper.areas().len());
+        let reflectance = radiometry.reflectance.as_chunks().0;
         Iteration {
             sweeper,
             emission,
-            reflectance: radiometry.reflectance.as_chunks().0,
+            reflectance,
             radiosity: emission.to_vec(),
             indirect: vec![[0.0; C]; n],
             whole: vec![Arrived::NOTHING; n],
             batch: vec![Arrived::NOTHING; n],
+            batches: Batches::new(sweeper.areas(), emission, reflectance),
+            tally: Tally::default(),
+            sweeps: 0,
         }
     }
 
-    fn run(mut self, options: &StochasticOptions, progress: &Progress) -> Result<StochasticSolution> {
+    fn run(
+        mut self,
+        options: &StochasticOptions,
+        mut more: impl FnMut(&Reached) -> bool,
+        progress: &Progress,
+    ) -> Result<StochasticSolution> {
         let lamps = self.sweeper.has_lamps();
         let of_batch = options.rays / BATCHES as f64;
         let hemisphere = of_batch * if lamps { 1.0 - SHADOW } else { 1.0 };
         let sweeps = (hemisphere / LEAST_RAYS).floor().max(1.0);
         let each = |rays: f64| (rays / sweeps).round().max(1.0) as u32;
         let rays = [each(hemisphere), if lamps { each(of_batch * SHADOW) } else { 0 }];
-        let sweeps = sweeps as u32;
-        let n = self.radiosity.len();
-        let all = FIRST_SWEEPS + BATCHES as u32 * sweeps;
-        progress.begin(u64::from(all) * n as u64);
+        let mut sweeps = sweeps as u64;
+        let steps = |sweeps: u64| sweeps * self.emission.len() as u64;
+        progress.begin(steps(u64::from(FIRST_SWEEPS) + BATCHES as u64 * sweeps));
 
         for sweep in 0..FIRST_SWEEPS {
-            self.sweep(FAR + sweep, FIRST_RAYS, 1.0 / (1.0 + f64::from(sweep)).min(1.0 / NEWEST), progress)?;
+            let first = FIRST_RAYS.map(|rays| (FAR + u64::from(sweep * rays)) as u32);
+            self.sweep(first, FIRST_RAYS, 1.0 / (1.0 + f64::from(sweep)).min(1.0 / NEWEST), progress)?;
             self.balance(FIRST_RAYS[0])?;
         }
         // Shadow rays know nothing of other patches' light: all of them count.
         self.whole.iter_mut().for_each(|whole| (whole.met, whole.escaped) = ([0.0; C], 0.0));
-        let mut batches: Vec<Batches<C>> = vec![[[0.0; BATCHES]; C]; n];
-        let mut escaped = [[0.0; BATCHES]; C];
-        for batch in 0..BATCHES {
-            self.batch.fill(Arrived::NOTHING);
-            for sweep in 0..sweeps {
-                // What left is told by the light that this sweep starts from.
-                let before: Vec<f64> = self.batch.iter().map(|came| came.escaped).collect();
-                let leaving = self.radiosity.clone();
-                self.sweep(batch as u32 * sweeps + sweep, rays, NEWEST, progress)?;
-                let areas = self.sweeper.areas();
-                for c in 0..C {
-                    let of_patch = |i: usize| areas[i] * leaving[i][c] * (self.batch[i].escaped - before[i]);
-                    escaped[c][batch] += ordered_sum(n, of_patch) / f64::from(rays[0] * sweeps);
-                }
+        let (mut counted, mut first) = (0, true);
+        loop {
+            self.fill_batch(counted..counted + sweeps, rays, progress)?;
+            counted += sweeps;
+            if first && !self.batches.are_full() {
+                continue;
             }
-            let many = f64::from(rays[0] * sweeps);
-            batches.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, batches)| {
-                let [mut direct, indirect] = self.sweeper.irradiance(i, &self.batch[i], many);
-                if self.batch[i].kernel == 0.0 {
-                    [direct, _] = self.sweeper.irradiance(i, &self.whole[i], many);
-                }
-                for c in 0..C {
-                    batches[c][batch] = (direct[c] + indirect[c]) as f32;
-                }
-            });
+            first = false;
+            let so_far = (counted * u64::from(rays[0] + rays[1])) as f64;
+            let next = if self.batches.are_full() { 2 * sweeps } else { sweeps } as f64 / counted as f64;
+            let reached = Reached { rays: so_far, error: self.batches.error(), next };
+            if !more(&reached) {
+                return Ok(self.finish((counted * u64::from(rays[0])) as f64, reached));
+            }
+            if self.batches.are_full() {
+                self.batches.pair();
+                sweeps *= 2;
+                progress.begin(steps(BATCHES as u64 / 2 * sweeps));
+            }
         }
-        let of_patch = FIRST_SWEEPS * (FIRST_RAYS[0] + FIRST_RAYS[1] * u32::from(lamps))
-            + BATCHES as u32 * sweeps * (rays[0] + rays[1]);
-        let counted = BATCHES as u32 * sweeps * rays[0];
-        Ok(self.finish(&batches, &escaped, f64::from(counted), [all, of_patch]))
     }
 
-    /// Casts the sweep of this number, and lets the patches reflect what comes.
-    fn sweep(&mut self, number: u32, rays: [u32; 2], newest: f64, progress: &Progress) -> Result<()> {
-        let [hemisphere, shadow] = rays.map(|rays| {
-            // The first sweeps' numbers are far, and their indices no further.
-            let first = if number < FAR { number * rays } else { FAR + (number - FAR) * rays };
-            first..first + rays
-        });
-        let came = self.sweeper.sweep(&self.radiosity, hemisphere, shadow, progress)?;
-        let sweeper = self.sweeper;
+    /// One more batch: the sweeps of these numbers.
+    fn fill_batch(&mut self, numbers: Range<u64>, rays: [u32; 2], progress: &Progress) -> Result<()> {
+        let many = (numbers.end - numbers.start) as f64 * f64::from(rays[0]);
+        self.batch.fill(Arrived::NOTHING);
+        let mut escaped = SVector::<f64, C>::zeros();
+        for number in numbers {
+            // Sequences end before the far part; who gets there begins them again.
+            let first = rays.map(|rays| (number * u64::from(rays) % FAR) as u32);
+            escaped += self.sweep(first, rays, NEWEST, progress)? / many;
+        }
+        let (sweeper, whole, came) = (self.sweeper, &self.whole, &self.batch);
+        let arrived = |i: usize| {
+            let [direct, indirect] = sweeper.irradiance(i, &came[i], many);
+            let [known, _] = sweeper.irradiance(i, &whole[i], many);
+            let direct = if came[i].kernel == 0.0 { known } else { direct };
+            std::array::from_fn(|c| direct[c] + indirect[c])
+        };
+        self.batches.push(arrived, escaped.into());
+        Ok(())
+    }
+
+    /// Casts a sweep whose hemisphere rays and shadow rays have these indices and those that follow, and lets the patches
+    /// reflect what comes. Returns the power that escaped, times the number of hemisphere rays.
+    fn sweep(
+        &mut self,
+        first: [u32; 2],
+        rays: [u32; 2],
+        newest: f64,
+        progress: &Progress,
+    ) -> Result<SVector<f64, C>> {
+        let [hemisphere, shadow] = [0, 1].map(|k| first[k]..first[k] + rays[k]);
+        let (came, tally) = self.sweeper.sweep(&self.radiosity, hemisphere, shadow, progress)?;
+        self.tally.add(tally);
+        self.sweeps += 1;
+        let (sweeper, areas) = (self.sweeper, self.sweeper.areas());
+        // By the light that this sweep started from.
+        let left = |i: usize| areas[i] * came[i].escaped * SVector::from(self.radiosity[i]);
+        let escaped = ordered_sum(came.len(), left);
         let patches = self.radiosity.par_iter_mut().zip(&mut self.indirect).zip(&mut self.whole);
         patches.zip(&mut self.batch).zip(&came).enumerate().with_min_len(1024).for_each(
             |(i, ((((radiosity, indirect), whole), batch), came))| {
@@ -190,7 +287,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
             },
         );
         progress.advance(came.len() as u64);
-        Ok(())
+        Ok(escaped)
     }
 
     /// Scales what is reflected so that the energy balances: the light that all patches share, slowest to settle, is right at
@@ -230,72 +327,55 @@ impl<'a, const C: usize> Iteration<'a, C> {
         std::array::from_fn(|c| (direct[c] + self.indirect[i][c]).max(0.0))
     }
 
-    fn finish(
-        self,
-        batches: &[Batches<C>],
-        escaped: &[[f64; BATCHES]; C],
-        counted: f64,
-        [sweeps, rays]: [u32; 2],
-    ) -> StochasticSolution {
-        let (n, areas) = (batches.len(), self.sweeper.areas());
-        let many = BATCHES as f64;
-        let correlated = correlation(batches, areas);
-        let error = |values: &[f64; BATCHES]| {
-            let mean = values.iter().sum::<f64>() / many;
-            let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
-            correlated * (squares / (many * (many - 1.0))).sqrt()
-        };
+    /// Σ A Be of a channel.
+    fn emitted(&self, c: usize) -> f64 {
+        let areas = self.sweeper.areas();
+        ordered_sum(areas.len(), |i| areas[i] * self.emission[i][c])
+    }
+
+    fn finish(self, counted: f64, reached: Reached) -> StochasticSolution {
         // Ratios of whole sums, which are less biased than those of batches.
-        let irradiance: Vec<[f64; C]> = (0..n)
-            .map(|i| {
-                let [direct, indirect] = self.sweeper.irradiance(i, &self.whole[i], counted);
-                std::array::from_fn(|c| direct[c] + indirect[c])
-            })
-            .collect();
-        let of_channel = |value: &dyn Fn(usize) -> f64| (0..C).map(value).collect::<Vec<f64>>();
-        let emitted = of_channel(&|c| ordered_sum(n, |i| areas[i] * self.emission[i][c]));
-        let absorbed_in = |c: usize, k: usize| {
-            ordered_sum(n, |i| areas[i] * (1.0 - self.reflectance[i][c]) * f64::from(batches[i][c][k]))
+        let sampled = |i: usize| {
+            let [direct, indirect] = self.sweeper.irradiance(i, &self.whole[i], counted);
+            std::array::from_fn::<f64, C, _>(|c| direct[c] + indirect[c])
         };
-        let imbalances: Vec<[f64; BATCHES]> =
-            (0..C).map(|c| std::array::from_fn(|k| emitted[c] - absorbed_in(c, k) - escaped[c][k])).collect();
-        let absorbed =
-            of_channel(&|c| ordered_sum(n, |i| areas[i] * (1.0 - self.reflectance[i][c]) * irradiance[i][c]));
-        let left = of_channel(&|c| escaped[c].iter().sum::<f64>() / many);
-        let relative = |c: usize, power: f64| if emitted[c] > 0.0 { power / emitted[c] } else { 0.0 };
+        let (n, areas) = (self.radiosity.len(), self.sweeper.areas());
+        let mut irradiance: Vec<[f64; C]> = (0..n).map(sampled).collect();
+        let (mut emitted, mut absorbed, mut escaped) = (vec![], vec![], vec![]);
+        let mut imbalance = vec![];
+        for c in 0..C {
+            let sent = self.emitted(c);
+            // What escapes is told by all rays together and the mean light: summed over sweeps it is too much, since of one
+            // sequence the rays that follow on many that met light are rather those that escape.
+            let lost = |i: usize| {
+                let (e, rho) = (irradiance[i][c], self.reflectance[i][c]);
+                let escaping = self.whole[i].escaped / counted;
+                areas[i] * Vector2::new((1.0 - rho) * e, escaping * (self.emission[i][c] + rho * e))
+            };
+            let [kept, left]: [f64; 2] = ordered_sum(n, lost).into();
+            let scale = balancing(sent, kept + left);
+            irradiance.iter_mut().for_each(|e| e[c] *= scale);
+            let relative = |power: f64| if sent > 0.0 { power / sent } else { 0.0 };
+            imbalance.push(relative(sent - kept - left));
+            emitted.push(sent);
+            absorbed.push(scale * kept);
+            escaped.push(scale * left);
+        }
+        let (standard_error, imbalance_error) = self.batches.errors(&self.sweeper.siblings());
         let radiosity = irradiance.iter().zip(self.emission).zip(self.reflectance);
         StochasticSolution {
             channels: C,
             radiosity: radiosity.flat_map(|((e, be), rho)| (0..C).map(|c| be[c] + rho[c] * e[c])).collect(),
-            standard_error: batches.iter().flatten().map(|b| error(&b.map(f64::from))).collect(),
+            standard_error,
             irradiance: irradiance.into_flattened(),
-            sweeps,
-            rays,
-            imbalance: of_channel(&|c| relative(c, emitted[c] - absorbed[c] - left[c])),
-            absorbed,
-            escaped: left,
-            imbalance_error: of_channel(&|c| relative(c, error(&imbalances[c]))),
+            sweeps: self.sweeps,
+            tally: self.tally,
+            reached,
             emitted,
+            absorbed,
+            escaped,
+            imbalance,
+            imbalance_error,
         }
     }
-}
-
-/// The standard error of the mean of the batches over what it would be, were they independent.
-fn correlation<const C: usize>(batches: &[Batches<C>], areas: &[f64]) -> f64 {
-    let (mut own, mut next) = (0.0, 0.0);
-    for (batches, area) in batches.iter().zip(areas) {
-        for values in batches {
-            let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / BATCHES as f64;
-            let d = values.map(|v| f64::from(v) - mean);
-            own += area * d.iter().map(|d| d * d).sum::<f64>() / (BATCHES - 1) as f64;
-            next += area * d.windows(2).map(|d| d[0] * d[1]).sum::<f64>() / (BATCHES - 1) as f64;
-        }
-    }
-    if !(own > 0.0) {
-        return 1.0;
-    }
-    // Deviations from their own mean are correlated by -1 / K.
-    let lag = (next / own + 1.0 / BATCHES as f64).min(0.9);
-    // As of a chain whose correlation falls geometrically.
-    ((1.0 + lag) / (1.0 - lag)).max(0.1).sqrt()
 }

@@ -1,0 +1,197 @@
+//! Batches of sweeps: their spread tells the standard error of their mean.
+
+use std::{f64::consts::LN_2, ops::Range};
+
+use nalgebra::{SVector, Vector2};
+use rayon::prelude::*;
+
+use crate::form_factor::{magnitude, ordered_sum};
+
+/// Batches at most.
+pub(super) const BATCHES: usize = 16;
+/// How often their number can be halved.
+const LEVELS: usize = BATCHES.ilog2() as usize;
+/// The variance of a run of batches falls with this power of its length, at least and at most: more slowly than that of
+/// independent ones where light lingers, faster where the parts of a sequence complement each other.
+const RATES: (f64, f64) = (0.5, 3.0);
+
+/// A factor for every batch and channel.
+type Scales<const C: usize> = [[f64; BATCHES]; C];
+
+/// The mean irradiance of each patch in up to 16 batches.
+pub(super) struct Batches<'a, const C: usize> {
+    areas: &'a [f64],
+    emission: &'a [[f64; C]],
+    reflectance: &'a [[f64; C]],
+    /// All light is divided by this, so that single precision and squares hold it.
+    unit: f64,
+    irradiance: Vec<[[f32; BATCHES]; C]>,
+    /// The power that escaped.
+    escaped: [[f64; BATCHES]; C],
+    filled: usize,
+}
+
+impl<'a, const C: usize> Batches<'a, C> {
+    pub(super) fn new(areas: &'a [f64], emission: &'a [[f64; C]], reflectance: &'a [[f64; C]]) -> Self {
+        Batches {
+            areas,
+            emission,
+            reflectance,
+            unit: magnitude(emission.as_flattened()),
+            irradiance: vec![[[0.0; BATCHES]; C]; areas.len()],
+            escaped: [[0.0; BATCHES]; C],
+            filled: 0,
+        }
+    }
+
+    pub(super) fn are_full(&self) -> bool {
+        self.filled == BATCHES
+    }
+
+    /// One more, of which this arrived at each patch and escaped from all.
+    pub(super) fn push(&mut self, arrived: impl Fn(usize) -> [f64; C] + Sync, escaped: [f64; C]) {
+        let (batch, unit) = (self.filled, self.unit);
+        self.irradiance.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, of)| {
+            for (of, arrived) in of.iter_mut().zip(arrived(i)) {
+                of[batch] = (arrived / unit) as f32;
+            }
+        });
+        self.escaped.iter_mut().zip(escaped).for_each(|(of, escaped)| of[batch] = escaped / unit);
+        self.filled += 1;
+    }
+
+    /// Makes one batch of every two.
+    pub(super) fn pair(&mut self) {
+        self.filled /= 2;
+        let filled = self.filled;
+        for of in &mut self.escaped {
+            (0..filled).for_each(|k| of[k] = 0.5 * (of[2 * k] + of[2 * k + 1]));
+        }
+        self.irradiance.par_iter_mut().with_min_len(1024).for_each(|batches| {
+            for of in batches {
+                (0..filled).for_each(|k| of[k] = 0.5 * (of[2 * k] + of[2 * k + 1]));
+            }
+        });
+    }
+
+    /// What all that arrives and escapes in each batch has to be scaled with for its energy to balance.
+    fn scales(&self) -> Scales<C> {
+        std::array::from_fn(|c| {
+            let absorbed = |i: usize| {
+                let share = self.areas[i] * (1.0 - self.reflectance[i][c]);
+                SVector::<f64, BATCHES>::from(self.irradiance[i][c].map(|e| share * f64::from(e)))
+            };
+            let absorbed = ordered_sum(self.areas.len(), absorbed);
+            let emitted =
+                ordered_sum(self.areas.len(), |i| self.areas[i] * (self.emission[i][c] / self.unit));
+            std::array::from_fn(|k| balancing(emitted, absorbed[k] + self.escaped[c][k]))
+        })
+    }
+
+    /// The irradiance of patch `i` in each batch, all of them scaled.
+    fn balanced(&self, i: usize, scales: &Scales<C>) -> [[f64; BATCHES]; C] {
+        std::array::from_fn(|c| std::array::from_fn(|k| scales[c][k] * f64::from(self.irradiance[i][c][k])))
+    }
+
+    /// Area-weighted root mean square of the standard error of the mean of all batches, relative to the mean irradiance.
+    pub(super) fn error(&self) -> f64 {
+        let scales = self.scales();
+        let stratified = self.stratification(&scales);
+        let sums = ordered_sum(self.areas.len(), |i| {
+            let mut sums = Vector2::zeros();
+            for values in self.balanced(i, &scales) {
+                let [mean, error] = mean_and_error(&values[..self.filled]);
+                sums[0] += self.areas[i] * (stratified * error).powi(2);
+                sums[1] += self.areas[i] * mean;
+            }
+            sums
+        });
+        let [squares, mean]: [f64; 2] = sums.into();
+        let weight = C as f64 * ordered_sum(self.areas.len(), |i| self.areas[i]);
+        if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
+    }
+
+    /// Standard errors of the mean of all batches: of irradiance, patch by patch, and of the imbalance relative to what is
+    /// emitted, in each channel.
+    pub(super) fn errors(&self, siblings: &[Range<usize>]) -> (Vec<f64>, Vec<f64>) {
+        let scales = self.scales();
+        let stratified = self.stratification(&scales);
+        let variances = |i: usize| {
+            self.balanced(i, &scales).map(|values| mean_and_error(&values[..self.filled])[1].powi(2))
+        };
+        let own: Vec<[f64; C]> =
+            (0..self.areas.len()).into_par_iter().with_min_len(1024).map(variances).collect();
+        // The variance of a patch or the mean of its siblings, which know of rare paths too, whatever is larger: light that
+        // shadow rays brought is carried on in all later batches, so that what it is off by does not show in their spread.
+        let mut standard_error = Vec::with_capacity(C * own.len());
+        for siblings in siblings {
+            let many = siblings.len() as f64;
+            let mean: [f64; C] =
+                std::array::from_fn(|c| own[siblings.clone()].iter().map(|v| v[c]).sum::<f64>() / many);
+            for v in &own[siblings.clone()] {
+                standard_error.extend((0..C).map(|c| self.unit * stratified * v[c].max(mean[c]).sqrt()));
+            }
+        }
+        // What arrives and escapes in a batch is 1 / scale of what is emitted.
+        let of_imbalance = scales.map(|scales| {
+            let [_, error] = mean_and_error(&scales.map(|scale| 1.0 - 1.0 / scale)[..self.filled]);
+            stratified * error
+        });
+        (standard_error, of_imbalance.into())
+    }
+
+    /// The standard error of the mean of the batches over what it would be, were they independent.
+    ///
+    /// Batches are parts of one sequence and complement each other; but light that one overestimates is reflected in the
+    /// next. By how much either counts is told as for the error bars of a matrix, by half the differences of neighbouring runs
+    /// of b batches: where the variance of a run is v b^-α, their mean square is v b^-α (1 - 2^-α). A line through their
+    /// logarithms gives both.
+    fn stratification(&self, scales: &Scales<C>) -> f64 {
+        let sums = ordered_sum(self.areas.len(), |i| self.half_differences(i, scales));
+        let levels = self.filled.ilog2() as usize;
+        if !(0..=levels).all(|k| sums[if k < levels { k } else { LEVELS }] > 0.0) {
+            return 1.0;
+        }
+        // Least squares of ln D on log2 b, each level with as much weight as it has differences.
+        let points = || (0..levels).map(|k| (k as f64, sums[k].ln(), 0.5f64.powi(k as i32)));
+        let weight: f64 = points().map(|(_, _, w)| w).sum();
+        let (x, y) = points().fold((0.0, 0.0), |(x, y), (k, d, w)| (x + w * k / weight, y + w * d / weight));
+        let slope = points().map(|(k, d, w)| w * (k - x) * (d - y)).sum::<f64>()
+            / points().map(|(k, _, w)| w * (k - x).powi(2)).sum::<f64>();
+        let rate = (-slope / LN_2).clamp(RATES.0, RATES.1);
+        let all = (y + rate * (x * LN_2 - (self.filled as f64).ln())).exp() / (1.0 - 0.5f64.powf(rate));
+        (all / sums[LEVELS]).sqrt()
+    }
+
+    /// Of patch `i`, times its area: the mean squares of half the differences of neighbouring runs of 1, 2, 4 and 8 batches, and
+    /// last the variance of the mean of all, were they independent.
+    fn half_differences(&self, i: usize, scales: &Scales<C>) -> SVector<f64, { LEVELS + 1 }> {
+        let mut sums = SVector::zeros();
+        for mut runs in self.balanced(i, scales) {
+            let [_, error] = mean_and_error(&runs[..self.filled]);
+            sums[LEVELS] += self.areas[i] * error.powi(2);
+            for level in 0..LEVELS {
+                let pairs = self.filled >> (level + 1);
+                for k in 0..pairs {
+                    let (p, q) = (runs[2 * k], runs[2 * k + 1]);
+                    sums[level] += self.areas[i] * (0.5 * (p - q)).powi(2) / pairs as f64;
+                    runs[k] = 0.5 * (p + q);
+                }
+            }
+        }
+        sums
+    }
+}
+
+/// What brings a sum of powers to what is emitted.
+pub(super) fn balancing(emitted: f64, lost: f64) -> f64 {
+    if emitted > 0.0 && lost > 0.0 { emitted / lost } else { 1.0 }
+}
+
+/// The mean of independent values, and its standard error.
+fn mean_and_error(values: &[f64]) -> [f64; 2] {
+    let many = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / many;
+    let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    [mean, (squares / (many * (many - 1.0))).sqrt()]
+}
