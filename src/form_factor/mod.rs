@@ -5,6 +5,7 @@
 //! the closed forms that all of it is tested against.
 
 mod allocation;
+pub mod between_polygons;
 mod calibration;
 mod checkpoint;
 pub mod closure;

@@ -1,0 +1,284 @@
+//! View factors between all pairs of a few hundred or thousand polygons, as heat transfer wants them: each accurate by
+//! itself, where a lighting solution wants but their sums.
+//!
+//! What two polygons would exchange if nothing stood between them is known: by Gauss-Legendre products where they are apart,
+//! by [closed forms](super::exact) where they are near. Only the visible share of it is sampled, by rays between points
+//! of both, weighted by the kernel (a ratio estimator; Cochran, *Sampling Techniques*, ch. 6): where all see each other
+//! nothing is left to chance. Rays go to pairs in proportion to their standard deviations, which is what lowers the sum of
+//! variances most (Neyman, 1934), in rounds that each learn from the ones before.
+
+use std::f32::consts::PI;
+
+use glam::{DVec3, Vec3A};
+use rayon::prelude::*;
+
+use super::exact::{exchange_area_to, nodes};
+use super::{FormFactors, Matrix, ordered_sum};
+use crate::{
+    Progress, Result,
+    scene::{Material, Scene},
+    trace::{
+        Tracer,
+        sampling::{mix, sobol_4d, square_to_triangle},
+    },
+};
+
+/// How accurate view factors are wanted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ViewFactorOptions {
+    /// RMS error over all pairs that independent samples would have. These are stratified, and have less.
+    pub error: f64,
+    /// Whether the polygons enclose a room: then rows sum to one exactly, else what is missing from them escapes.
+    pub enclosed: bool,
+    /// The same seed gives the same bytes, whatever the number of threads.
+    pub seed: u64,
+}
+
+impl Default for ViewFactorOptions {
+    /// 10⁻⁴, enclosed, seed 0.
+    fn default() -> Self {
+        ViewFactorOptions { error: 1e-4, enclosed: true, seed: 0 }
+    }
+}
+
+/// Points keep this share of a polygon's size from its edges: rounding would carry them through the adjoining wall.
+const INSET: f32 = 1e-5;
+
+/// The most rays of a pair in the first round.
+static FIRST: std::sync::LazyLock<f64> =
+    std::sync::LazyLock::new(|| std::env::var("FIRST").map_or(8.0, |v| v.parse().unwrap()));
+
+/// By how many rays a pair may grow in a round, as a multiple of what it had.
+static GROWTH: std::sync::LazyLock<f64> =
+    std::sync::LazyLock::new(|| std::env::var("GROWTH").map_or(4.0, |v| v.parse().unwrap()));
+
+/// What counts for a pair whose rays all met the same: as if so many more had been both free and blocked.
+static DOUBTS: std::sync::LazyLock<f32> =
+    std::sync::LazyLock::new(|| std::env::var("DOUBT").map_or(0.1, |v| v.parse().unwrap()));
+
+/// Distances of centres, in sums of radii, up to which closed forms are needed, and beyond which the fewest points do.
+const NEAR: f64 = 1.1;
+const FAR: f64 = 2.0;
+
+struct Polygon {
+    corners: Vec<DVec3>,
+    origin: Vec3A,
+    edges: [Vec3A; 2],
+    normal: DVec3,
+    area: f64,
+    centre: DVec3,
+    radius: f64,
+    /// Points with weights that sum to the area, four and nine of a parallelogram.
+    nodes: [Vec<(Vec3A, f32)>; 2],
+}
+
+impl Polygon {
+    fn new(corners: Vec<DVec3>) -> Polygon {
+        let [a, b] = [corners[1] - corners[0], corners[corners.len() - 1] - corners[0]];
+        let double_area = a.cross(b);
+        let centre = corners.iter().sum::<DVec3>() / corners.len() as f64;
+        Polygon {
+            origin: corners[0].as_vec3a(),
+            edges: [a, b].map(|e| e.as_vec3a()),
+            normal: double_area.normalize(),
+            area: double_area.length() * if corners.len() == 3 { 0.5 } else { 1.0 },
+            radius: corners.iter().map(|p| p.distance(centre)).fold(0.0, f64::max),
+            centre,
+            nodes: [2, 3]
+                .map(|n| nodes(&corners, n).iter().map(|&(p, w)| (p.as_vec3a(), w as f32)).collect()),
+            corners,
+        }
+    }
+
+    fn triangles(&self) -> impl Iterator<Item = [DVec3; 3]> + '_ {
+        (2..self.corners.len()).map(|k| [self.corners[0], self.corners[k - 1], self.corners[k]])
+    }
+
+    fn point(&self, u: f32, v: f32) -> Vec3A {
+        let [a, b] = if self.corners.len() == 3 {
+            let [_, b, c] = square_to_triangle(u, v);
+            [b, c].map(|x| INSET / 3.0 + (1.0 - INSET) * x)
+        } else {
+            [u, v].map(|x| INSET / 2.0 + (1.0 - INSET) * x)
+        };
+        self.origin + self.edges[0] * a + self.edges[1] * b
+    }
+
+    /// Whether it is wholly, and whether it is partly, in front of another's plane.
+    fn in_front(&self, of: &Polygon) -> (bool, bool) {
+        let slack = 1e-9 * of.radius;
+        let height = |p: &DVec3| (*p - of.corners[0]).dot(of.normal);
+        (self.corners.iter().all(|p| height(p) >= -slack), self.corners.iter().any(|p| height(p) > slack))
+    }
+}
+
+/// Two polygons that would see each other if nothing stood between them.
+#[derive(Clone, Copy)]
+struct Pair {
+    i: u32,
+    j: u32,
+    /// A_i F_ij if nothing did.
+    unoccluded: f32,
+    rays: u32,
+    wanted: u32,
+    /// Sums of the kernels of all rays, of the free ones.
+    kernels: f32,
+    free: f32,
+}
+
+impl Pair {
+    fn visible(&self) -> f32 {
+        if self.kernels > 0.0 { self.free / self.kernels } else { 0.0 }
+    }
+
+    /// Standard deviation of a sample of the visible share.
+    fn deviation(&self) -> f64 {
+        let rays = self.rays as f32;
+        #[allow(non_snake_case)]
+        let DOUBT = *DOUBTS;
+        let share = (self.visible() * rays + DOUBT) / (rays + 2.0 * DOUBT);
+        f64::from((share * (1.0 - share)).sqrt())
+    }
+}
+
+/// View factors between convex polygons: triangles and parallelograms, each by its corners, counter-clockwise where it is
+/// seen. They see each other from that side, and block each other from both.
+///
+/// # Errors
+/// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
+///
+/// # Panics
+/// When a polygon is neither triangle nor parallelogram, or has no area.
+pub fn view_factors(
+    polygons: &[Vec<DVec3>],
+    options: &ViewFactorOptions,
+    progress: &Progress,
+) -> Result<FormFactors> {
+    let t0 = std::time::Instant::now();
+    let in_file: Vec<Polygon> = polygons.iter().map(|p| Polygon::new(p.clone())).collect();
+    // What has nothing behind it blocks nothing.
+    let blocks = |p: &&Polygon| in_file.iter().any(|q| !q.in_front(p).0);
+    let blockers: Vec<&Polygon> = in_file.par_iter().filter(blocks).collect();
+    let triangles: Vec<([DVec3; 3], u32)> =
+        blockers.iter().flat_map(|p| p.triangles()).map(|t| (t, 0)).collect();
+    let tracer = Tracer::new(&Scene::new(&triangles, vec![Material::new("polygons", [0.0; 3], [0.0; 3])]));
+    let (centre, scale) = (tracer.to_file(Vec3A::ZERO), tracer.scale());
+    let polygons: Vec<Polygon> =
+        polygons.iter().map(|p| Polygon::new(p.iter().map(|&v| (v - centre) / scale).collect())).collect();
+    let t1 = std::time::Instant::now();
+    let mut pairs: Vec<Pair> = (0..polygons.len())
+        .into_par_iter()
+        .flat_map_iter(|i| {
+            let polygons = &polygons;
+            (i + 1..polygons.len()).filter_map(move |j| {
+                let unoccluded = unoccluded(&polygons[i], &polygons[j]) as f32;
+                let pair = Pair {
+                    i: i as u32,
+                    j: j as u32,
+                    unoccluded,
+                    rays: 0,
+                    wanted: 0,
+                    kernels: 0.0,
+                    free: 0.0,
+                };
+                (unoccluded > 0.0).then_some(pair)
+            })
+        })
+        .collect();
+    let t2 = std::time::Instant::now();
+    let n = polygons.len() as f64;
+    let weight = |pair: &Pair| {
+        let [a, b] = [pair.i, pair.j].map(|k| polygons[k as usize].area);
+        f64::from(pair.unoccluded) * (1.0 / (a * a) + 1.0 / (b * b)).sqrt()
+    };
+    let mut total = 0u64;
+    loop {
+        let sum = ordered_sum(pairs.len(), |k| weight(&pairs[k]) * pairs[k].deviation());
+        let step = sum / (n * options.error).powi(2);
+        let more: u64 = pairs
+            .par_iter_mut()
+            .map(|pair| {
+                let most = if pair.rays == 0 { *FIRST } else { (1.0 + *GROWTH) * f64::from(pair.rays) };
+                pair.wanted = (weight(pair) * pair.deviation() * step).min(most).ceil() as u32;
+                u64::from(pair.wanted.saturating_sub(pair.rays))
+            })
+            .sum();
+        if more as f64 <= 0.05 * total as f64 {
+            break;
+        }
+        total += more;
+        pairs.par_iter_mut().for_each(|pair| cast(pair, &polygons, &tracer, options.seed));
+        progress.check()?;
+    }
+    let t3 = std::time::Instant::now();
+    let mut starts = vec![0; polygons.len() + 1];
+    let seen: Vec<&Pair> = pairs.iter().filter(|pair| pair.free > 0.0).collect();
+    seen.iter().for_each(|pair| starts[pair.i as usize + 1] += 1);
+    for i in 0..polygons.len() {
+        starts[i + 1] += starts[i];
+    }
+    let exchange = seen.iter().map(|pair| pair.unoccluded * pair.visible()).collect();
+    let matrix = Matrix::new(
+        (polygons.len(), polygons.len()),
+        starts,
+        seen.iter().map(|pair| pair.j).collect(),
+        exchange,
+    );
+    let areas: Vec<f64> = polygons.iter().map(|p| p.area).collect();
+    let escaped = if options.enclosed { vec![0.0; areas.len()] } else { todo!() };
+    let r = FormFactors::from_exchange(matrix, areas, escaped);
+    if std::env::var("V").is_ok() {
+        eprintln!(
+            "setup {:?} unoccluded {:?} ({} pairs) rays {:?} ({total}) close {:?}",
+            t1 - t0,
+            t2 - t1,
+            pairs.len(),
+            t3 - t2,
+            t3.elapsed()
+        );
+    }
+    Ok(r)
+}
+
+/// What two polygons would exchange if nothing stood between them.
+fn unoccluded(p: &Polygon, q: &Polygon) -> f64 {
+    let ((p_all, p_any), (q_all, q_any)) = (p.in_front(q), q.in_front(p));
+    if !p_any || !q_any {
+        return 0.0;
+    }
+    let ratio = p.centre.distance(q.centre) / (p.radius + q.radius);
+    if !(p_all && q_all && ratio > NEAR) {
+        return exchange_area_to(&p.corners, &q.corners, 2.0, 1e-3);
+    }
+    let (n, m) = (p.normal.as_vec3a(), q.normal.as_vec3a());
+    let theirs = &q.nodes[usize::from(ratio < FAR)];
+    let from = |&(x, w): &(Vec3A, f32)| w * theirs.iter().map(|&(y, v)| v * kernel(y - x, n, m)).sum::<f32>();
+    f64::from(p.nodes[usize::from(ratio < FAR)].iter().map(from).sum::<f32>())
+}
+
+/// cos cos / (pi r²) over a distance between two unit normals that face each other.
+#[inline]
+fn kernel(d: Vec3A, n: Vec3A, m: Vec3A) -> f32 {
+    let r2 = d.length_squared();
+    d.dot(n) * -d.dot(m) / (PI * r2 * r2)
+}
+
+/// Casts the rays that a pair wants more of.
+fn cast(pair: &mut Pair, polygons: &[Polygon], tracer: &Tracer, seed: u64) {
+    let [p, q] = [pair.i, pair.j].map(|k| &polygons[k as usize]);
+    let (n, m) = (p.normal.as_vec3a(), q.normal.as_vec3a());
+    let seed = mix(&[seed, u64::from(pair.i), u64::from(pair.j)]);
+    for index in pair.rays..pair.wanted.max(pair.rays) {
+        let [s, t, u, v] = sobol_4d(index, seed);
+        let (from, to) = (p.point(s, t), q.point(u, v));
+        let d = to - from;
+        if d.dot(n) > 0.0 && d.dot(m) < 0.0 {
+            let kernel = kernel(d, n, m);
+            pair.kernels += kernel;
+            if tracer.visible(Tracer::leave(from, n), Tracer::leave(to, m)) {
+                pair.free += kernel;
+            }
+        }
+    }
+    pair.rays = pair.rays.max(pair.wanted);
+}
