@@ -56,6 +56,9 @@ const GROWTH: f64 = 4.0;
 /// What counts for a pair whose rays all met the same: as if so many more had been both free and blocked.
 const DOUBT: f32 = 0.1;
 
+/// Points of a pair's sequence before a new one begins.
+const SEQUENCE: u32 = 1 << 12;
+
 /// No further round is worth it for a smaller share of the rays cast.
 const ENOUGH: f64 = 0.05;
 
@@ -71,6 +74,7 @@ const RADII: f64 = 2.0;
 /// A polygon in unit space, or in the file's.
 struct Polygon {
     corners: Vec<DVec3>,
+    /// The first corner, for rays to start from.
     origin: Vec3A,
     edges: [Vec3A; 2],
     normal: DVec3,
@@ -93,11 +97,13 @@ impl Polygon {
         }
         let double_area = a.cross(b);
         assert!(double_area.length() > 0.0, "a polygon has no area");
+        let normal = double_area.normalize();
         let centre = corners.iter().sum::<DVec3>() / corners.len() as f64;
         Polygon {
-            origin: corners[0].as_vec3a(),
+            // Off the surface once for the rounding of the origin, and once for that of what is added to it.
+            origin: Tracer::leave(Tracer::leave(corners[0].as_vec3a(), normal.as_vec3a()), normal.as_vec3a()),
             edges: [a, b].map(|e| e.as_vec3a()),
-            normal: double_area.normalize(),
+            normal,
             area: double_area.length() * if corners.len() == 3 { 0.5 } else { 1.0 },
             radius: corners.iter().map(|p| p.distance(centre)).fold(0.0, f64::max),
             centre,
@@ -245,7 +251,7 @@ fn sample(
         let [a, b] = [pair.i, pair.j].map(|k| polygons[k as usize].area);
         f64::from(pair.unoccluded) * (1.0 / (a * a) + 1.0 / (b * b)).sqrt()
     };
-    let n = polygons.len() as f64;
+    let (n, sequence) = (polygons.len() as f64, sequence());
     let mut rays = 0;
     loop {
         let sum = ordered_sum(pairs.len(), |k| weight(&pairs[k]) * pairs[k].deviation());
@@ -262,7 +268,7 @@ fn sample(
             return Ok((rays, ordered_sum(pairs.len(), |k| variance(&pairs[k])).sqrt() / n));
         }
         rays += more;
-        pairs.par_iter_mut().for_each(|pair| cast(pair, polygons, tracer, options.seed));
+        pairs.par_iter_mut().for_each(|pair| cast(pair, polygons, tracer, &sequence, options.seed));
         progress.check()?;
     }
 }
@@ -298,22 +304,34 @@ fn kernel(d: Vec3A, n: Vec3A, m: Vec3A) -> f32 {
     d.dot(n) * -d.dot(m) / (PI * r2 * r2)
 }
 
+/// Points of one scrambled Sobol sequence, as fractions of 2³². Pairs shift its digits, each in its own way, which keeps what is
+/// even about it (digital shift; Dick and Pillichshammer, *Digital Nets and Sequences*, sec. 4.4).
+fn sequence() -> Vec<[u32; 4]> {
+    (0..SEQUENCE).map(|index| sobol_4d(index, 0).map(|x| (x * 2f32.powi(32)) as u32)).collect()
+}
+
 /// Casts the rays that a pair wants more of.
-fn cast(pair: &mut Pair, polygons: &[Polygon], tracer: &Tracer, seed: u64) {
+fn cast(pair: &mut Pair, polygons: &[Polygon], tracer: &Tracer, sequence: &[[u32; 4]], seed: u64) {
     let [p, q] = [pair.i, pair.j].map(|k| &polygons[k as usize]);
     let (n, m) = (p.normal.as_vec3a(), q.normal.as_vec3a());
-    let seed = mix(&[seed, u64::from(pair.i), u64::from(pair.j)]);
-    for index in pair.rays..pair.wanted.max(pair.rays) {
-        let [s, t, u, v] = sobol_4d(index, seed);
-        let (from, to) = (p.point(s, t), q.point(u, v));
-        let d = to - from;
-        if d.dot(n) > 0.0 && d.dot(m) < 0.0 {
-            let kernel = kernel(d, n, m);
-            pair.kernels += kernel;
-            if tracer.visible(Tracer::leave(from, n), Tracer::leave(to, m)) {
-                pair.free += kernel;
+    let start = pair.rays;
+    pair.rays = pair.rays.max(pair.wanted);
+    for block in start / SEQUENCE..pair.rays.div_ceil(SEQUENCE) {
+        let shift = [0, 1].map(|k| mix(&[seed, u64::from(pair.i), u64::from(pair.j), u64::from(block), k]));
+        let range = start.max(block * SEQUENCE)..pair.rays.min((block + 1) * SEQUENCE);
+        for index in range {
+            let digits = sequence[(index % SEQUENCE) as usize];
+            let shifted =
+                |k: usize| (digits[k] ^ (shift[k / 2] >> (32 * (k % 2))) as u32) as f32 * 2f32.powi(-32);
+            let (from, to) = (p.point(shifted(0), shifted(1)), q.point(shifted(2), shifted(3)));
+            let d = to - from;
+            if d.dot(n) > 0.0 && d.dot(m) < 0.0 {
+                let kernel = kernel(d, n, m);
+                pair.kernels += kernel;
+                if tracer.visible(from, to) {
+                    pair.free += kernel;
+                }
             }
         }
     }
-    pair.rays = pair.rays.max(pair.wanted);
 }
