@@ -1,7 +1,7 @@
 //! View factors of a closed room with 20 boxes, of 504 and 2016 quadrilaterals: `cargo bench --bench view_factors`. With
 //! `-- --write FOLDER` the rooms and the reference are written as text, for other programs to be measured with.
 //!
-//! The reference has a tenth of the error. Hemisphere rays from two triangles a quadrilateral, which share no estimator with
+//! The reference has a fifth of the error. Hemisphere rays from two triangles a quadrilateral, which share no estimator with
 //! it, are its check.
 
 mod scenes;
