@@ -163,3 +163,31 @@ fn the_number_of_threads_does_not_matter() {
     let one = run(1);
     assert!(one == run(2) && one == run(5), "different bytes");
 }
+
+#[test]
+fn few_polygons_lose_what_they_do_not_exchange() {
+    assert!(compute(&[], 1e-3, false).form_factors.is_empty());
+    let alone = compute(&[square(2.0, 0.0, true)], 1e-3, false).form_factors;
+    assert_eq!((alone.non_zeros(), alone.escaped()), (0, &[1.0][..]));
+    // Of very different sizes, one of them a triangle that is out of sight of the room's coordinates.
+    let far = vec![dvec3(-1e4, -1e4, 1e4), dvec3(0.0, 1e4, 1e4), dvec3(1e4, -1e4, 1e4)];
+    let polygons = [square(1.0, 0.0, true), square(0.5, 0.25, true), square(0.5, 0.25, false), far];
+    let form_factors = compute(&polygons, 1e-3, false).form_factors;
+    // The triangle's plane is 10⁴ away: from there all but the small square is a point that sees the same.
+    let up = exact_from_a_point(&polygons[3]);
+    assert!((form_factors.get(1, 3) - up).abs() < 1e-4, "{} not {up}", form_factors.get(1, 3));
+    assert!(form_factors.get(0, 2) > 0.0 && form_factors.get(2, 3) == 0.0);
+}
+
+/// From the origin, facing up.
+fn exact_from_a_point(polygon: &[DVec3]) -> f64 {
+    radiosity::form_factor::exact::point_to_polygon(DVec3::ZERO, DVec3::Z, polygon)
+}
+
+#[test]
+#[should_panic(expected = "no parallelogram")]
+fn other_quadrilaterals_are_refused() {
+    let mut odd = square(1.0, 0.0, true);
+    odd[2] *= 1.1;
+    compute(&[odd], 1e-3, false);
+}
