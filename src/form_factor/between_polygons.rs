@@ -29,7 +29,7 @@ use crate::{
 /// How accurate view factors are wanted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ViewFactorOptions {
-    /// RMS error over all pairs that independent samples would have. These are stratified, and had 0.4 to 0.6 of it in rooms of
+    /// RMS error over all pairs that independent samples would have. These are stratified, and had 0.2 to 0.6 of it in rooms of
     /// 500 and 2000 polygons. Below about 10⁻⁵ what is unoccluded is known no better.
     pub error: f64,
     /// Whether the polygons enclose a room: then rows sum to one exactly, else what is missing from them escapes.
