@@ -2,8 +2,8 @@
 
 #![allow(dead_code, reason = "every benchmark is a program of its own and uses some of these")]
 
-use glam::{DVec3, dvec3};
-use radiosity::{Scene, scene::Material};
+use glam::{DQuat, DVec3, dvec3};
+use radiosity::{Scene, scene::Material, trace::sampling::mix};
 
 /// A scene and how the tables call it.
 #[derive(Clone, Copy)]
@@ -109,4 +109,38 @@ fn icosphere(level: u32) -> Vec<[DVec3; 3]> {
         faces = faces.into_iter().flat_map(cut).collect();
     }
     faces
+}
+
+/// The quadrilaterals of a closed room with 20 boxes that float in it, turned about the vertical: six walls of 8 × 8 and six
+/// sides a box make 504; each cut in `cuts` × `cuts`. They face where light is.
+pub fn room_with_boxes(cuts: u32) -> Vec<[DVec3; 4]> {
+    let size = dvec3(5.0, 4.0, 2.5);
+    let mut quads = Vec::new();
+    add_box(size / 2.0, size / 2.0, 0.0, -1.0, 8 * cuts, &mut quads);
+    for i in 0..20 {
+        let random = |k: u64| mix(&[i, k]) as f64 / u64::MAX as f64;
+        let cell = dvec3((i % 5) as f64 + 0.5, (i / 5) as f64 + 0.5, 0.5);
+        let half = dvec3(0.1 + 0.2 * random(0), 0.1 + 0.2 * random(1), 0.1 + 0.6 * random(2));
+        let height = half.z + 0.05 + (size.z - 2.0 * half.z - 0.1) * random(3);
+        add_box(cell.with_z(height), half, 1.5 * random(4), 1.0, cuts, &mut quads);
+    }
+    quads
+}
+
+/// The six sides of a box, cut into n × n each; outwards with side 1, inwards with side -1.
+fn add_box(centre: DVec3, half: DVec3, turn: f64, side: f64, n: u32, quads: &mut Vec<[DVec3; 4]>) {
+    let turned = DQuat::from_rotation_z(turn);
+    for wall in 0..6 {
+        let (axis, sign) = (wall / 2, if wall % 2 == 0 { -1.0 } else { 1.0 });
+        // a × b points along the axis.
+        let (a, b) = (DVec3::AXES[(axis + 1) % 3], DVec3::AXES[(axis + 2) % 3] * sign * side);
+        for k in 0..n * n {
+            let at = |u: u32, v: u32| {
+                let [u, v] = [u, v].map(|w| 2.0 * f64::from(w) / f64::from(n) - 1.0);
+                centre + turned * ((DVec3::AXES[axis] * sign + a * u + b * v) * half)
+            };
+            let (u, v) = (k % n, k / n);
+            quads.push([at(u, v), at(u + 1, v), at(u + 1, v + 1), at(u, v + 1)]);
+        }
+    }
 }

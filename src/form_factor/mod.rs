@@ -2,10 +2,12 @@
 //!
 //! Rays measure them ([`hemisphere`]), both directions of a pair are pooled into one symmetric exchange area
 //! S_ij = A_i F_ij ([`reciprocity`]), and a diagonal scaling makes every row sum to one ([`closure`]). [`exact`] holds
-//! the closed forms that all of it is tested against.
+//! the closed forms that all of it is tested against. [`between_polygons`] is for who wants view factors, each accurate by
+//! itself, and no light.
 
 mod allocation;
 mod assembly;
+pub mod between_polygons;
 mod blocks;
 mod calibration;
 mod checkpoint;

@@ -44,6 +44,15 @@ impl Tile {
         tile
     }
 
+    /// The runs as row, columns, values.
+    fn runs(&self) -> impl Iterator<Item = (u16, &[u16], &[f32])> {
+        self.runs.iter().scan(0, |start, &[row, length]| {
+            let range = *start..*start + usize::from(length);
+            *start = range.end;
+            Some((row, &self.columns[range.clone()], &self.values[range]))
+        })
+    }
+
     fn entries(&self) -> impl Iterator<Item = Entry> + '_ {
         let rows = self.runs.iter().flat_map(|&[row, length]| std::iter::repeat_n(row, length.into()));
         rows.zip(&self.columns).zip(&self.values).map(|((row, &column), &value)| (row, column, value))
@@ -190,33 +199,29 @@ impl Symmetric {
             return self.diagonal.get(i).copied().unwrap_or(0.0);
         }
         let ((a, row), (b, column)) = (self.blocks.of(i.min(j)), self.blocks.of(i.max(j)));
-        let tile = &self.tiles[self.blocks.tile((a, b))];
-        let mut end = 0;
-        for &[of, length] in &tile.runs {
-            let start = end;
-            end += usize::from(length);
-            if u32::from(of) == row
-                && let Ok(k) = tile.columns[start..end].binary_search(&(column as u16))
-            {
-                return tile.values[start + k];
-            }
-        }
-        0.0
+        let runs = self.tiles[self.blocks.tile((a, b))].runs();
+        let entry = |(_, columns, values): (u16, &[u16], &[f32])| {
+            Some(values[columns.binary_search(&(column as u16)).ok()?])
+        };
+        runs.filter(|&(of, ..)| u32::from(of) == row).find_map(entry).unwrap_or(0.0)
     }
 
-    /// The entries of row `i` as (j, s), sorted. Goes through all tiles that the row is in.
+    /// The entries of row `i` as (j, s), sorted. Goes through the runs of all tiles that the row is in.
     pub(super) fn row(&self, i: usize) -> Vec<(usize, f32)> {
-        let (block, _) = self.blocks.of(i);
-        let mut row: Vec<(usize, f32)> = self.diagonal().filter(|&(j, _)| j == i).collect();
+        let (block, place) = self.blocks.of(i);
+        let mut row: Vec<(usize, f32)> =
+            self.diagonal.get(i).filter(|&&s| s != 0.0).map(|&s| (i, s)).into_iter().collect();
         for other in 0..self.blocks.count() {
-            let at = (block.min(other), block.max(other));
-            let start = |block: usize| self.blocks.range(block).start;
-            for (r, c, s) in self.tiles[self.blocks.tile(at)].entries() {
-                let (p, q) = (start(at.0) + usize::from(r), start(at.1) + usize::from(c));
-                if p == i {
-                    row.push((q, s));
-                } else if q == i {
-                    row.push((p, s));
+            let start = self.blocks.range(other).start;
+            let tile = &self.tiles[self.blocks.tile((block.min(other), block.max(other)))];
+            for (of, columns, values) in tile.runs() {
+                if block <= other && u32::from(of) == place {
+                    row.extend(columns.iter().zip(values).map(|(&c, &s)| (start + usize::from(c), s)));
+                }
+                if block >= other
+                    && let Ok(k) = columns.binary_search(&(place as u16))
+                {
+                    row.push((start + usize::from(of), values[k]));
                 }
             }
         }

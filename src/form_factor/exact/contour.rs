@@ -140,7 +140,8 @@ mod tests {
         for (height, lean) in [(2.6, 0.0), (4.0, 0.3), (7.0, -0.2)] {
             let q = [dvec3(0.2, 0.0, height), dvec3(0.3, 1.1, height + lean), dvec3(1.2, 0.1, height - 0.1)];
             let m = (q[1] - q[0]).cross(q[2] - q[0]).normalize();
-            let by_points = cubature::exchange_if_far(&p, DVec3::Z, &q, m, 3.0).expect("far enough");
+            let by_points =
+                cubature::exchange_if_far((&p, DVec3::Z), (&q, m), 3.0, f64::EPSILON).expect("far enough");
             let by_contours = exchange(&p, &q);
             // The contours' sum cancels by the fourth power of the distance in perimeters, about 1e3.
             assert!((by_contours / by_points - 1.0).abs() < 1e-12, "{by_contours} and {by_points}");

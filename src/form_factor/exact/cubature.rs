@@ -39,19 +39,20 @@ fn newton_rule(n: usize) -> Vec<(f64, f64)> {
     (0..n).map(node).collect()
 }
 
-/// The points a side that a function needs whose nearest singularity is `ratio` half-lengths from an interval's centre.
+/// The points a side that a function needs whose nearest singularity is `ratio` half-lengths from an interval's centre, to be
+/// integrated to this relative precision.
 ///
 /// The error falls as rho^(-2n) with rho the sum of the half-axes of the Bernstein ellipse through the singularity
 /// (L. N. Trefethen, *Approximation Theory and Approximation Practice*, theorem 19.3); one point more pays for the
 /// constant.
-fn points_for(ratio: f64) -> usize {
+fn points_for(ratio: f64, precision: f64) -> usize {
     let rho = ratio + (ratio * ratio - 1.0).sqrt();
-    let n = (-f64::EPSILON.ln() / (2.0 * rho.ln())).ceil() as usize + 1;
+    let n = (-precision.ln() / (2.0 * rho.ln())).ceil() as usize + 1;
     n.clamp(2, MAX_POINTS)
 }
 
 /// Points of a convex polygon and their weights, which sum to its area.
-fn nodes(polygon: &[DVec3], n: usize) -> Vec<(DVec3, f64)> {
+pub(in crate::form_factor) fn nodes(polygon: &[DVec3], n: usize) -> Vec<(DVec3, f64)> {
     let rule = gauss_legendre(n);
     let o = polygon[0];
     let mut out = Vec::with_capacity(n * n * (polygon.len() - 2));
@@ -106,8 +107,10 @@ pub(super) fn point_if_far(p: DVec3, n: DVec3, polygon: &[DVec3], normal: DVec3,
     let (centre, radius) = ball(polygon);
     let d = centre.distance(p);
     (d >= far * radius).then(|| {
-        let sum: f64 =
-            nodes(polygon, points_for(d / radius)).iter().map(|&(q, w)| w * kernel(p, n, q, normal)).sum();
+        let sum: f64 = nodes(polygon, points_for(d / radius, f64::EPSILON))
+            .iter()
+            .map(|&(q, w)| w * kernel(p, n, q, normal))
+            .sum();
         sum.abs()
     })
 }
@@ -115,21 +118,26 @@ pub(super) fn point_if_far(p: DVec3, n: DVec3, polygon: &[DVec3], normal: DVec3,
 /// The exchange area of two convex polygons wholly in front of each other, if the smaller is `far` of its radii from
 /// the larger: over the smaller by points, over the larger by points too if that is far away as well, by Lambert's
 /// formula otherwise.
-pub(super) fn exchange_if_far(p: &[DVec3], np: DVec3, q: &[DVec3], nq: DVec3, far: f64) -> Option<f64> {
+pub(super) fn exchange_if_far(
+    (p, np): (&[DVec3], DVec3),
+    (q, nq): (&[DVec3], DVec3),
+    far: f64,
+    precision: f64,
+) -> Option<f64> {
     let ((cp, rp), (cq, rq)) = (ball(p), ball(q));
     if rp > rq {
-        return exchange_if_far(q, nq, p, np, far);
+        return exchange_if_far((q, nq), (p, np), far, precision);
     }
     let d = distance(cp, q, nq);
     if d < far * rp {
         return None;
     }
-    let ours = nodes(p, points_for(d / rp));
+    let ours = nodes(p, points_for(d / rp, precision));
     let d = distance(cq, p, np);
     if d < far * rq {
         return Some(ours.iter().map(|&(x, w)| w * lambert(x, np, q)).sum());
     }
-    let theirs = nodes(q, points_for(d / rq));
+    let theirs = nodes(q, points_for(d / rq, precision));
     Some(
         ours.iter()
             .map(|&(x, w)| w * theirs.iter().map(|&(y, v)| v * kernel(x, np, y, nq)).sum::<f64>())

@@ -119,6 +119,11 @@ pub fn point_to_polygon(point: DVec3, normal: DVec3, polygon: &[DVec3]) -> f64 {
 ///
 /// If a polygon has fewer than 3 vertices or one that is not finite.
 pub fn polygon_exchange_area(p: &[DVec3], q: &[DVec3]) -> f64 {
+    exchange_area_to(p, q, FAR, f64::EPSILON)
+}
+
+/// As [`polygon_exchange_area`], with polygons as far away as told integrated by points to this relative precision.
+pub(in crate::form_factor) fn exchange_area_to(p: &[DVec3], q: &[DVec3], far: f64, precision: f64) -> f64 {
     assert_polygon(p);
     assert_polygon(q);
     let origin = p[0];
@@ -135,7 +140,7 @@ pub fn polygon_exchange_area(p: &[DVec3], q: &[DVec3]) -> f64 {
     let (ap, aq) = (area_vector(&p), area_vector(&q));
     let (np, nq) = (ap.normalize_or_zero(), aq.normalize_or_zero());
     let (Some(p), Some(q)) = (clip(&p, q[0], nq, slack), clip(&q, p[0], np, slack)) else { return 0.0 };
-    let exchange = cubature::exchange_if_far(&p, np, &q, nq, FAR).unwrap_or_else(|| {
+    let exchange = cubature::exchange_if_far((&p, np), (&q, nq), far, precision).unwrap_or_else(|| {
         let size = power_of_two_below(cubature::ball(&p).1.min(cubature::ball(&q).1));
         let scaled = |polygon: &[DVec3]| polygon.iter().map(|&v| v / size).collect::<Vec<_>>();
         contour::exchange(&scaled(&p), &scaled(&q)) * size * size

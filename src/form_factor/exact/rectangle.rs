@@ -95,7 +95,12 @@ impl AxisRectangle {
         if a.area() == 0.0 || b.area() == 0.0 {
             return 0.0;
         }
-        let far = cubature::exchange_if_far(&a.corners(), a.normal(), &b.corners(), b.normal(), FAR);
+        let far = cubature::exchange_if_far(
+            (&a.corners(), a.normal()),
+            (&b.corners(), b.normal()),
+            FAR,
+            f64::EPSILON,
+        );
         far.unwrap_or_else(|| {
             let sum = if a.axis == b.axis { parallel(&a, &b) } else { perpendicular(&a, &b) };
             sum.clamp(0.0, a.area().min(b.area()))
