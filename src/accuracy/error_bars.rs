@@ -13,7 +13,10 @@
 use rayon::prelude::*;
 
 use crate::{
-    form_factor::{FormFactors, hemisphere::REPLICATES, magnitude, replicates::Deviation},
+    form_factor::{
+        FormFactors, hemisphere::REPLICATES, magnitude, replicates::Deviation,
+        stratification::variance_of_all,
+    },
     solve::{Radiometry, Solution},
 };
 
@@ -117,12 +120,8 @@ fn smoothed_errors<const C: usize>(form_factors: &FormFactors, deviations: &[Dev
     errors
 }
 
-/// The standard error of the whole over what its parts would have, were they independent: at most 1.
-///
-/// The parts of a Sobol sequence complement each other. How well is told by the parts themselves: let D_b be the mean
-/// square of half the difference of two neighbouring runs of b parts. If the variance of a run is v b^-α (α = 1 when
-/// parts are independent), then D_b = v b^-α (1 - 2^-α); a line through ln D_b for b = 1, 2, 4, 8 gives α and v, and the
-/// variance of all 16. One patch could not tell, all for which `counts` holds can together.
+/// The standard error of the whole over what its parts would have, were they independent: at most 1. Told by all patches
+/// together for which `counts` holds.
 fn stratification<const C: usize>(
     deviations: &[Deviation<C>],
     areas: &[f64],
@@ -152,16 +151,7 @@ fn stratification<const C: usize>(
     if !(spread > 0.0) || halves.contains(&0.0) {
         return 1.0;
     }
-    // Least squares of ln D on level = log2 b, each level with as much weight as it has differences.
-    let points = || {
-        halves.iter().enumerate().map(|(level, half)| (level as f64, half.ln(), 0.5f64.powi(level as i32)))
-    };
-    let weight: f64 = points().map(|(_, _, w)| w).sum();
-    let (x, y) = points().fold((0.0, 0.0), |(x, y), (l, d, w)| (x + w * l / weight, y + w * d / weight));
-    let slope = points().map(|(l, d, w)| w * (l - x) * (d - y)).sum::<f64>()
-        / points().map(|(l, _, w)| w * (l - x).powi(2)).sum::<f64>();
-    let rate = (-slope / 2f64.ln()).clamp(RATES.0, RATES.1);
-    let all = (y - rate * 2f64.ln() * (LEVELS as f64 - x)).exp() / (1.0 - 0.5f64.powf(rate));
+    let all = variance_of_all(&halves, REPLICATES, RATES);
     (all / spread).sqrt().min(1.0)
 }
 

@@ -72,10 +72,13 @@ impl FormFactors {
             row_sum_deviation: BeforeAfter { before: closed.deviation_before, after: 0.0 },
             reciprocity_deviation: BeforeAfter::default(),
         };
-        form_factors.row_sum_deviation.after =
-            closure::deviation(form_factors.row_sums().into_iter(), &form_factors.escaped);
-        let after = form_factors.measure_reciprocity();
-        form_factors.reciprocity_deviation = BeforeAfter { before: after, after };
+        // Nobody asks it of what only tells how large an error is.
+        if precision <= closure::EXACT {
+            form_factors.row_sum_deviation.after =
+                closure::deviation(form_factors.row_sums().into_iter(), &form_factors.escaped);
+            let after = form_factors.measure_reciprocity();
+            form_factors.reciprocity_deviation = BeforeAfter { before: after, after };
+        }
         form_factors
     }
 

@@ -21,6 +21,7 @@ pub mod reciprocity;
 pub(crate) mod replicates;
 mod shadow;
 mod siblings;
+pub(crate) mod stratification;
 pub mod sweep;
 mod symmetric;
 

@@ -1,11 +1,11 @@
 //! Batches of sweeps: their spread tells the standard error of their mean.
 
-use std::{f64::consts::LN_2, ops::Range};
+use std::ops::Range;
 
 use nalgebra::{SVector, Vector2};
 use rayon::prelude::*;
 
-use crate::form_factor::{magnitude, ordered_sum};
+use crate::form_factor::{magnitude, ordered_sum, stratification::variance_of_all};
 
 /// Batches at most.
 pub(super) const BATCHES: usize = 16;
@@ -143,23 +143,14 @@ impl<'a, const C: usize> Batches<'a, C> {
     /// The standard error of the mean of the batches over what it would be, were they independent.
     ///
     /// Batches are parts of one sequence and complement each other; but light that one overestimates is reflected in the
-    /// next. By how much either counts is told as for the error bars of a matrix, by half the differences of neighbouring runs
-    /// of b batches: where the variance of a run is v b^-α, their mean square is v b^-α (1 - 2^-α). A line through their
-    /// logarithms gives both.
+    /// next.
     fn stratification(&self, scales: &Scales<C>) -> f64 {
         let sums = ordered_sum(self.areas.len(), |i| self.half_differences(i, scales));
         let levels = self.filled.ilog2() as usize;
         if !(0..=levels).all(|k| sums[if k < levels { k } else { LEVELS }] > 0.0) {
             return 1.0;
         }
-        // Least squares of ln D on log2 b, each level with as much weight as it has differences.
-        let points = || (0..levels).map(|k| (k as f64, sums[k].ln(), 0.5f64.powi(k as i32)));
-        let weight: f64 = points().map(|(_, _, w)| w).sum();
-        let (x, y) = points().fold((0.0, 0.0), |(x, y), (k, d, w)| (x + w * k / weight, y + w * d / weight));
-        let slope = points().map(|(k, d, w)| w * (k - x) * (d - y)).sum::<f64>()
-            / points().map(|(k, _, w)| w * (k - x).powi(2)).sum::<f64>();
-        let rate = (-slope / LN_2).clamp(RATES.0, RATES.1);
-        let all = (y + rate * (x * LN_2 - (self.filled as f64).ln())).exp() / (1.0 - 0.5f64.powf(rate));
+        let all = variance_of_all(&sums.as_slice()[..levels], self.filled, RATES);
         (all / sums[LEVELS]).sqrt()
     }
 
