@@ -14,6 +14,7 @@ use radiosity::{
         adaptive::finer,
         error_bars::{T_QUANTILE, relative_rms},
         solved::Solved,
+        validation::averaged,
     },
     form_factor::CastOptions,
     monte_carlo::{Effort, PathOptions, PathTracer, Region},
@@ -65,15 +66,7 @@ impl Lab {
 
     /// Irradiance of the common patches.
     fn averaged(&self, solved: &Solved) -> Vec<f64> {
-        let channels = solved.solution.channels;
-        let mut sums = vec![0.0; self.common.len() * channels];
-        for j in 0..solved.patches.fronts() {
-            let (overlapped, share) = solved.patches.overlap(&self.common, j);
-            for q in overlapped.flat_map(|i| (0..channels).map(move |c| (i, c))) {
-                sums[q.0 * channels + q.1] += share * solved.solution.irradiance[j * channels + q.1];
-            }
-        }
-        sums
+        averaged(&self.common, &solved.patches, &solved.solution.irradiance)
     }
 
     /// RMS error relative to the mean; of one solution, and without what its sampling adds if two are given.

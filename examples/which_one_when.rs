@@ -13,7 +13,7 @@ use std::{cell::RefCell, time::Instant};
 use glam::{DVec3, Vec3A, dvec3};
 use radiosity::{
     Progress, Result, Scene,
-    accuracy::validation::{ValidationOptions, light_traced},
+    accuracy::validation::{ValidationOptions, averaged, light_traced},
     form_factor::{CastOptions, FormFactors},
     monte_carlo::{
         Camera, Effort, Estimate, Film, LightOptions, LightTracer, PathOptions, PathTracer, Region,
@@ -135,7 +135,7 @@ impl<'a> Contest<'a> {
         let plain = error(&self.path_irradiance(false, t, 1)?);
         let light = error(&self.light_irradiance(t, 1)?);
         let (patches, solution) = self.solved(t)?;
-        let solved = error(&self.coarsened(&patches, &solution));
+        let solved = error(&averaged(&self.asked, &patches, &solution.irradiance));
         println!("| {name} | irradiance | {path} | {plain} | {light} | {solved} | |");
 
         let truth = [self.path_image(true, 5.0 * t, 1001)?, self.path_image(true, 5.0 * t, 1002)?];
@@ -217,21 +217,6 @@ impl<'a> Contest<'a> {
             let solution = solve(&matrix, &patches, &SolveOptions::default(), &self.progress)?;
             Ok((patches, solution))
         })
-    }
-
-    /// Irradiance of the patches asked for, from finer ones.
-    fn coarsened(&self, patches: &Patches, solution: &Solution) -> Vec<f64> {
-        let channels = solution.channels;
-        let mut mean = vec![0.0; self.areas.len() * channels];
-        for j in 0..patches.fronts() {
-            let (overlapped, share) = patches.overlap(&self.asked, j);
-            for i in overlapped {
-                for c in 0..channels {
-                    mean[i * channels + c] += share * solution.irradiance[j * channels + c];
-                }
-            }
-        }
-        mean
     }
 
     fn path_image(&self, next_event: bool, seconds: f64, seed: u64) -> Result<Vec<f64>> {

@@ -14,8 +14,12 @@ use rayon::prelude::*;
 
 use crate::{
     form_factor::{
-        FormFactors, hemisphere::REPLICATES, magnitude, replicates::Deviation,
-        stratification::variance_of_all,
+        FormFactors,
+        hemisphere::REPLICATES,
+        magnitude,
+        replicates::Deviation,
+        siblings::with_mean,
+        stratification::{half_differences, variance_of_all},
     },
     solve::{Radiometry, Solution},
 };
@@ -108,16 +112,7 @@ impl ErrorBars {
 fn smoothed_errors<const C: usize>(form_factors: &FormFactors, deviations: &[Deviation<C>]) -> Vec<f64> {
     let own: Vec<[f64; C]> =
         deviations.iter().map(|e| e.map(|c| standard_error_of(&c.map(f64::from)).powi(2))).collect();
-    let mut errors = Vec::with_capacity(C * own.len());
-    for siblings in form_factors.siblings() {
-        let many = siblings.len() as f64;
-        let mean: [f64; C] =
-            std::array::from_fn(|c| own[siblings.clone()].iter().map(|v| v[c]).sum::<f64>() / many);
-        for v in &own[siblings.clone()] {
-            errors.extend((0..C).map(|c| (0.5 * (v[c] + mean[c])).sqrt()));
-        }
-    }
-    errors
+    with_mean(form_factors.siblings(), &own, |own, mean| (0.5 * (own + mean)).sqrt())
 }
 
 /// The standard error of the whole over what its parts would have, were they independent: at most 1. Told by all patches
@@ -135,16 +130,8 @@ fn stratification<const C: usize>(
         for channel in &deviations[i] {
             let mut runs = channel.map(f64::from);
             spread += area * standard_error_of(&runs).powi(2);
-            let mut count = REPLICATES / 2;
-            for half in &mut halves {
-                let mut sum = 0.0;
-                for k in 0..count {
-                    let (p, q) = (runs[2 * k], runs[2 * k + 1]);
-                    sum += (0.5 * (p - q)).powi(2);
-                    runs[k] = 0.5 * (p + q);
-                }
-                *half += area * sum / count as f64;
-                count /= 2;
+            for (half, of_patch) in halves.iter_mut().zip(half_differences::<LEVELS>(&mut runs)) {
+                *half += area * of_patch;
             }
         }
     }

@@ -69,8 +69,7 @@ impl Plan {
     /// When there was no round yet.
     pub fn next(&self, rounds: &[Round]) -> Option<f64> {
         let last = rounds.last().expect("at least one round");
-        let reached = self.error.is_some_and(|target| last.error <= target);
-        if reached || (self.error.is_none() && self.seconds.is_none()) {
+        if !self.wants_more(last) {
             return None;
         }
         let mut growth = MOST_GROWTH;
@@ -89,22 +88,22 @@ impl Plan {
 
     /// Whether to go on after this round, where one may stop at any time: with what takes so many seconds.
     pub fn goes_on(&self, last: &Round, seconds: f64) -> bool {
-        let wanted = match self.error {
-            Some(target) => last.error > target,
-            None => self.seconds.is_some(),
-        };
-        wanted && self.seconds.is_none_or(|all| last.elapsed + seconds <= all)
+        self.wants_more(last) && self.seconds.is_none_or(|all| last.elapsed + seconds <= all)
     }
 
     /// Whether, after the last round that memory holds, it is worth to start anew without a matrix: where the error was not
     /// reached, and there is enough time for sweeps to come further.
     pub fn starts_anew(&self, rounds: &[Round]) -> bool {
         let Some(last) = rounds.last() else { return false };
-        let wanted = match self.error {
+        self.wants_more(last) && self.seconds.is_none_or(|all| all - last.elapsed > ANEW * last.elapsed)
+    }
+
+    /// Whether the error was not reached, or time alone decides.
+    fn wants_more(&self, last: &Round) -> bool {
+        match self.error {
             Some(target) => last.error > target,
             None => self.seconds.is_some(),
-        };
-        wanted && self.seconds.is_none_or(|all| all - last.elapsed > ANEW * last.elapsed)
+        }
     }
 
     /// Rays a patch that the error will take, as far as the rounds tell.

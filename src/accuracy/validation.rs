@@ -92,8 +92,12 @@ pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
     Estimates { irradiance, standard_error, allowance, mean }
 }
 
-/// Values of the patches of `fine`, interleaved channels each, averaged over the front patches of `coarse`.
-pub(super) fn averaged(coarse: &Patches, fine: &Patches, values: &[f64]) -> Vec<f64> {
+/// Values of the patches of `fine`, interleaved channels each, averaged over the front patches of `coarse`, which are cut from the
+/// same triangles.
+///
+/// # Panics
+/// When the sizes disagree.
+pub fn averaged(coarse: &Patches, fine: &Patches, values: &[f64]) -> Vec<f64> {
     weighted(coarse, fine, values, |share| share)
 }
 

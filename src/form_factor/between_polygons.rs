@@ -7,8 +7,6 @@
 //! nothing is left to chance. Rays go to pairs in proportion to their standard deviations, which is what lowers the sum of
 //! variances most (Neyman, 1934), in rounds that each learn from the ones before.
 
-use std::f32::consts::PI;
-
 use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
@@ -16,6 +14,7 @@ use super::{
     FormFactors, Matrix,
     exact::{exchange_area_to, nodes},
     ordered_sum,
+    shadow::kernel,
 };
 use crate::{
     Progress, Result,
@@ -296,13 +295,6 @@ fn unoccluded(p: &Polygon, q: &Polygon) -> f64 {
     let theirs = &q.nodes[usize::from(ratio < FAR)];
     let from = |&(x, w): &(Vec3A, f32)| w * theirs.iter().map(|&(y, v)| v * kernel(y - x, n, m)).sum::<f32>();
     f64::from(p.nodes[usize::from(ratio < FAR)].iter().map(from).sum::<f32>())
-}
-
-/// cos cos / (pi r²) over a distance between two unit normals that face each other.
-#[inline]
-fn kernel(d: Vec3A, n: Vec3A, m: Vec3A) -> f32 {
-    let r2 = d.length_squared();
-    d.dot(n) * -d.dot(m) / (PI * r2 * r2)
 }
 
 /// Points of one scrambled Sobol sequence, as fractions of 2³². Pairs shift its digits, each in its own way, which keeps what is

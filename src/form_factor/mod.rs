@@ -20,7 +20,7 @@ mod product;
 pub mod reciprocity;
 pub(crate) mod replicates;
 mod shadow;
-mod siblings;
+pub(crate) mod siblings;
 pub(crate) mod stratification;
 pub mod sweep;
 mod symmetric;

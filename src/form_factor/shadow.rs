@@ -193,6 +193,13 @@ impl Footprint {
     }
 }
 
+/// cos θ cos θ' / (π r²) over a path between two points whose unit normals face each other.
+#[inline]
+pub(super) fn kernel(path: Vec3A, from: Vec3A, to: Vec3A) -> f32 {
+    let squared = path.length_squared();
+    path.dot(from) * -path.dot(to) / (std::f32::consts::PI * squared * squared)
+}
+
 /// Sends the shadow rays of a patch with these indices, and appends those whose kernel is positive to `links`: of lamps
 /// all, else only those that arrive.
 pub(super) fn cast_patch(
@@ -209,12 +216,10 @@ pub(super) fn cast_patch(
         let to = &sources.footprints[source];
         let (p, q) = (from.point(x, y), to.point(u, v));
         let path = q - p;
-        let squared = path.length_squared();
-        let (cos_p, cos_q) = (from.normal.dot(path), -to.normal.dot(path));
-        if cos_p <= 0.0 || cos_q <= 0.0 {
+        if path.dot(from.normal) <= 0.0 || path.dot(to.normal) >= 0.0 {
             continue;
         }
-        let kernel = cos_p * cos_q / (std::f32::consts::PI * squared * squared);
+        let kernel = kernel(path, from.normal, to.normal);
         if kernel > 0.0 {
             let visible = tracer.visible(Tracer::leave(p, from.normal), Tracer::leave(q, to.normal));
             if visible || sources.are_lamps() {

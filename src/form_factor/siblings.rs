@@ -11,6 +11,23 @@ const MOST: usize = 16;
 /// The cosine between neighbours in a plane.
 const FLAT: f32 = 0.999;
 
+/// What `make` makes of every value and its mean over the siblings: `C` interleaved values a patch.
+pub(crate) fn with_mean<const C: usize>(
+    siblings: &[Range<usize>],
+    values: &[[f64; C]],
+    make: impl Fn(f64, f64) -> f64,
+) -> Vec<f64> {
+    let mut made = Vec::with_capacity(C * values.len());
+    for run in siblings {
+        let (values, many) = (&values[run.clone()], run.len() as f64);
+        let mean: [f64; C] = std::array::from_fn(|c| values.iter().map(|v| v[c]).sum::<f64>() / many);
+        for value in values {
+            made.extend((0..C).map(|c| make(value[c], mean[c])));
+        }
+    }
+    made
+}
+
 /// Runs of up to 16 patches, in the order of the patches: of one triangle's side, or of triangles that follow each other in
 /// the file, in one plane, and share a corner.
 pub(super) fn siblings(tracer: &Tracer, patches: &Patches) -> Vec<Range<usize>> {

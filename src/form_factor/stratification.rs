@@ -7,6 +7,21 @@
 
 use std::f64::consts::LN_2;
 
+/// D_1, D_2, D_4, …, of which the parts become the means of ever longer runs; zero where there is no longer run.
+pub(crate) fn half_differences<const LEVELS: usize>(parts: &mut [f64]) -> [f64; LEVELS] {
+    let mut pairs = parts.len();
+    std::array::from_fn(|_| {
+        pairs /= 2;
+        let mut sum = 0.0;
+        for k in 0..pairs {
+            let (p, q) = (parts[2 * k], parts[2 * k + 1]);
+            sum += (0.5 * (p - q)).powi(2);
+            parts[k] = 0.5 * (p + q);
+        }
+        sum / pairs.max(1) as f64
+    })
+}
+
 /// The variance of the mean of `parts`, from D_1, D_2, D_4, …, each with as much weight as it has differences; α stays between
 /// `rates`.
 pub(crate) fn variance_of_all(half_differences: &[f64], parts: usize, rates: (f64, f64)) -> f64 {
@@ -23,6 +38,13 @@ pub(crate) fn variance_of_all(half_differences: &[f64], parts: usize, rates: (f6
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn runs_differ_by_half_of_what_they_are_apart() {
+        // Half differences 1, 2, 0 and 3; of the means 2, 3, 5 and 8 then 0.5 and 1.5; of 2.5 and 6.5 then 2. The last is alone.
+        let found = half_differences::<4>(&mut [1.0, 3.0, 1.0, 5.0, 5.0, 5.0, 5.0, 11.0, 100.0]);
+        assert_eq!(found, [14.0 / 4.0, 2.5 / 2.0, 4.0, 0.0]);
+    }
 
     /// Where the variance of a run of b parts is 3 b^-α, that of all 16 is 3 · 16^-α.
     #[test]

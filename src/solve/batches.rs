@@ -5,7 +5,11 @@ use std::ops::Range;
 use nalgebra::{SVector, Vector2};
 use rayon::prelude::*;
 
-use crate::form_factor::{magnitude, ordered_sum, stratification::variance_of_all};
+use crate::form_factor::{
+    magnitude, ordered_sum,
+    siblings::with_mean,
+    stratification::{half_differences, variance_of_all},
+};
 
 /// Batches at most.
 pub(super) const BATCHES: usize = 16;
@@ -123,15 +127,8 @@ impl<'a, const C: usize> Batches<'a, C> {
             (0..self.areas.len()).into_par_iter().with_min_len(1024).map(variances).collect();
         // The variance of a patch or the mean of its siblings, which know of rare paths too, whatever is larger: light that
         // shadow rays brought is carried on in all later batches, so that what it is off by does not show in their spread.
-        let mut standard_error = Vec::with_capacity(C * own.len());
-        for siblings in siblings {
-            let many = siblings.len() as f64;
-            let mean: [f64; C] =
-                std::array::from_fn(|c| own[siblings.clone()].iter().map(|v| v[c]).sum::<f64>() / many);
-            for v in &own[siblings.clone()] {
-                standard_error.extend((0..C).map(|c| self.unit * stratified * v[c].max(mean[c]).sqrt()));
-            }
-        }
+        let error = |own: f64, mean: f64| self.unit * stratified * own.max(mean).sqrt();
+        let standard_error = with_mean(siblings, &own, error);
         // What arrives and escapes in a batch is 1 / scale of what is emitted.
         let of_imbalance = scales.map(|scales| {
             let [_, error] = mean_and_error(&scales.map(|scale| 1.0 - 1.0 / scale)[..self.filled]);
@@ -161,14 +158,8 @@ impl<'a, const C: usize> Batches<'a, C> {
         for mut runs in self.balanced(i, scales) {
             let [_, error] = mean_and_error(&runs[..self.filled]);
             sums[LEVELS] += self.areas[i] * error.powi(2);
-            for level in 0..LEVELS {
-                let pairs = self.filled >> (level + 1);
-                for k in 0..pairs {
-                    let (p, q) = (runs[2 * k], runs[2 * k + 1]);
-                    sums[level] += self.areas[i] * (0.5 * (p - q)).powi(2) / pairs as f64;
-                    runs[k] = 0.5 * (p + q);
-                }
-            }
+            let halves: [f64; LEVELS] = half_differences(&mut runs[..self.filled]);
+            halves.iter().enumerate().for_each(|(level, half)| sums[level] += self.areas[i] * half);
         }
         sums
     }
