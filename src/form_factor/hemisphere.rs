@@ -389,12 +389,11 @@ fn cast_patch(
     targets: &mut [u32],
     links: &mut Vec<Link>,
 ) {
-    for index in indices {
+    from.hemisphere_rays(indices, seed, |index, origin, direction, cosine| {
         let target = &mut targets[index as usize];
-        let (origin, direction, cosine) = from.hemisphere_ray(index, seed);
         let Some(hit) = tracer.closest(origin, direction) else {
             *target = ESCAPED;
-            continue;
+            return;
         };
         *target = patches.at(hit.triangle, hit.barycentric, hit.front).unwrap_or_else(|| {
             BACK | patches.at(hit.triangle, hit.barycentric, true).expect("fronts are patches")
@@ -409,7 +408,7 @@ fn cast_patch(
             }
             *target = LINKED;
         }
-    }
+    });
 }
 
 /// Triangles whose backs, no unknowns yet, were hit; in file order.

@@ -125,31 +125,46 @@ pub(super) struct Buckets {
 /// What the rays of one block met in another.
 #[derive(Default)]
 struct Bucket {
-    /// Places of the patch and of what it met, replicate by replicate.
+    /// Places of the patch and of what it met, part by part, and in each by the patch.
     pairs: Vec<u32>,
-    /// Where each replicate ends.
-    ends: [u32; REPLICATES],
+    /// Where each part ends.
+    ends: Vec<u32>,
 }
 
 impl Buckets {
     pub(super) fn new(hits: &Hits, blocks: Blocks) -> Buckets {
+        Self::in_parts(hits, blocks, 1, |i, _| hits.of(i))
+    }
+
+    /// Each replicate by itself.
+    pub(super) fn by_replicates(hits: &Hits, blocks: Blocks) -> Buckets {
+        Self::in_parts(hits, blocks, REPLICATES, |i, replicate| hits.of_replicate(i, replicate))
+    }
+
+    fn in_parts<'a>(
+        hits: &'a Hits,
+        blocks: Blocks,
+        parts: usize,
+        of: impl Fn(usize, usize) -> &'a [u32] + Sync,
+    ) -> Buckets {
         let of_block = |block: usize| {
             let mut lengths = vec![0; blocks.count()];
             let rays = |i: usize| hits.of(i).iter().map(|&j| j as usize).filter(|&j| j < LINKED as usize);
             for j in blocks.range(block).flat_map(rays) {
                 lengths[blocks.of(j).0] += 1;
             }
-            let empty = |length| Bucket { pairs: Vec::with_capacity(length), ends: [0; REPLICATES] };
+            let empty =
+                |length| Bucket { pairs: Vec::with_capacity(length), ends: Vec::with_capacity(parts) };
             let mut lists: Vec<Bucket> = lengths.into_iter().map(empty).collect();
-            for replicate in 0..REPLICATES {
+            for part in 0..parts {
                 for i in blocks.range(block) {
                     let row = blocks.of(i).1 << PLACE;
-                    for &j in hits.of_replicate(i, replicate).iter().filter(|&&j| j < LINKED) {
+                    for &j in of(i, part).iter().filter(|&&j| j < LINKED) {
                         let (other, column) = blocks.of(j as usize);
                         lists[other].pairs.push(row | column);
                     }
                 }
-                lists.iter_mut().for_each(|list| list.ends[replicate] = list.pairs.len() as u32);
+                lists.iter_mut().for_each(|list| list.ends.push(list.pairs.len() as u32));
             }
             lists
         };
@@ -161,7 +176,7 @@ impl Buckets {
         &self.lists[from * self.blocks.count() + to]
     }
 
-    /// What rays from one block met in another: place of the patch, place of what it met.
+    /// What rays from one block met in another: place of the patch, place of what it met. Of one part, by the patch.
     pub(super) fn list(&self, from: usize, to: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
         self.bucket(from, to).pairs.iter().map(|&pair| places(pair))
     }
@@ -185,30 +200,46 @@ fn places(pair: u32) -> (usize, usize) {
     ((pair >> PLACE) as usize, (pair & ((1 << PLACE) - 1)) as usize)
 }
 
+/// Row and column as one number.
+#[inline]
+fn key(row: usize, column: usize) -> u32 {
+    (row << PLACE | column) as u32
+}
+
+/// The keys of pairs that come by rows, in order.
+fn sorted(pairs: impl Iterator<Item = (usize, usize)>) -> Vec<u32> {
+    let mut keys: Vec<u32> = pairs.map(|(r, c)| key(r, c)).collect();
+    keys.chunk_by_mut(|x, y| x >> PLACE == y >> PLACE).for_each(<[u32]>::sort_unstable);
+    keys
+}
+
+/// The keys, in order, of pairs that come by columns: each has its place in its row as soon as it is known how many come before.
+fn transposed<P: Iterator<Item = (usize, usize)>>(pairs: impl Fn() -> P, blocks: Blocks) -> Vec<u32> {
+    let mut next = vec![0u32; blocks.rows() + 1];
+    pairs().for_each(|(_, row)| next[row + 1] += 1);
+    for row in 1..next.len() {
+        next[row] += next[row - 1];
+    }
+    let mut keys = vec![0; next[blocks.rows()] as usize];
+    for (column, row) in pairs() {
+        keys[next[row] as usize] = key(row, column);
+        next[row] += 1;
+    }
+    keys
+}
+
 /// The pooled exchange areas S_ij of all pairs without a source, and the largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) that
 /// the one-way estimates F_ij = h_ij / R_i of these have.
 pub(super) fn pool(hits: &Hits, buckets: &Buckets, densities: &Densities, areas: &[f64]) -> (Symmetric, f64) {
     let blocks = buckets.blocks;
     let (matrix, deviations) = Symmetric::from_tiles(blocks, |(a, b)| {
         let (start_a, start_b) = (blocks.range(a).start, blocks.range(b).start);
-        let key = |r: usize, c: usize| (r << PLACE | c) as u32;
-        let sorted = |keys: &mut dyn Iterator<Item = u32>| {
-            let mut keys: Vec<u32> = keys.collect();
-            keys.sort_unstable();
-            keys
-        };
         // By rays of the row, and by rays of the column. A flat patch does not see itself.
         let (out, back) = if a == b {
             let hits = || buckets.list(a, a);
-            (
-                sorted(&mut hits().filter(|(r, c)| r < c).map(|(r, c)| key(r, c))),
-                sorted(&mut hits().filter(|(r, c)| r > c).map(|(r, c)| key(c, r))),
-            )
+            (sorted(hits().filter(|(r, c)| r < c)), transposed(|| hits().filter(|(r, c)| r > c), blocks))
         } else {
-            (
-                sorted(&mut buckets.list(a, b).map(|(r, c)| key(r, c))),
-                sorted(&mut buckets.list(b, a).map(|(c, r)| key(r, c))),
-            )
+            (sorted(buckets.list(a, b)), transposed(|| buckets.list(b, a), blocks))
         };
         let mut deviation = 0f64;
         let mut entries = Vec::with_capacity(out.len() + back.len());

@@ -14,8 +14,12 @@ use super::{
     shadow::{Found, Link},
 };
 
-/// Patches of a block at most whose sums are made together: a megabyte of what rays add to anywhere.
-const ROWS: usize = 1 << 12;
+/// Patches of a block at most whose sums are made together: a megabyte of what rays add to anywhere,
+const MOST_ROWS: usize = 1 << 12;
+/// and at least: smaller ones are not worth a task.
+const LEAST_ROWS: usize = 1 << 7;
+/// Blocks that there should be at least, for threads to share.
+const ENOUGH_BLOCKS: usize = 16;
 
 /// What the estimate was made of, kept for the error bars.
 #[derive(Debug, Clone)]
@@ -161,7 +165,8 @@ impl Samples {
         make: impl Fn(Parts<C>) -> T + Sync,
     ) -> Vec<T> {
         let pooled = self.options.estimator == Estimator::Pooled;
-        let blocks = Blocks::of_rows(self.areas.len(), ROWS);
+        let rows = (self.areas.len() / ENOUGH_BLOCKS).clamp(LEAST_ROWS, MOST_ROWS);
+        let blocks = Blocks::of_rows(self.areas.len(), rows);
         let incoming = if pooled { Incoming::new(&self.hits, blocks) } else { Incoming::default() };
         let of_block = |block: usize| -> Vec<T> {
             let mut sums = vec![Sums::ZERO; blocks.range(block).len()];
@@ -206,7 +211,7 @@ impl Samples {
                         LINKED => sums.linked[replicate] += share,
                         ESCAPED => sums.escaped[replicate] += share,
                         j => {
-                            let (own, _) = self.counted(i, j as usize);
+                            let (own, _) = self.counted(i, j as usize, incoming);
                             sums.plain[replicate].add((many * own) as f32, &radiosity[j as usize]);
                         }
                     }
@@ -223,7 +228,7 @@ impl Samples {
             for (replicate, many) in incoming.many.iter().enumerate() {
                 for (r, c) in incoming.plain.of_replicate(other, block, replicate) {
                     let (i, j) = (start + r, blocks.range(block).start + c);
-                    let (_, exchange) = self.counted(i, j);
+                    let (_, exchange) = self.counted(i, j, incoming);
                     sums[c].plain[replicate].add(many[i] * exchange as f32, &radiosity[i]);
                 }
             }
@@ -241,17 +246,16 @@ impl Samples {
         }
     }
 
-    /// What a hemisphere ray of patch `i` that lands on `j` adds to the exchange area as each of the two rows counts it:
-    /// calibrated, but for what the rows resist that with.
+    /// What a hemisphere ray of patch `i` that lands on `j` adds to the exchange area as each of the two rows counts it.
     #[inline]
-    fn counted(&self, i: usize, j: usize) -> (f64, f64) {
-        let (own, incoming) = self.densities.one_sided(i, j, calibration::TRUST);
+    fn counted(&self, i: usize, j: usize, incoming: &Incoming) -> (f64, f64) {
+        let (own, coming) = self.densities.one_sided(i, j, calibration::TRUST);
         let pooled = self.densities.hit(i, j);
         let blend = |row: usize, calibrated: f64| {
-            let resistance = calibration::RESISTANCE / f64::from(self.hits.rays_of(row));
-            (calibrated + resistance * pooled) / (1.0 + resistance)
+            let [of_calibrated, of_pooled] = incoming.weights[row];
+            of_calibrated * calibrated + of_pooled * pooled
         };
-        (blend(i, own), blend(j, incoming))
+        (blend(i, own), blend(j, coming))
     }
 
     /// Deviations of the replicates of patch `i` from their mean: what the matrix makes of their sums.
@@ -318,11 +322,13 @@ struct Incoming {
     many: Vec<Vec<f32>>,
     /// The patch that each link comes from, and which of its links it is.
     links: Vec<Vec<(u32, u32)>>,
+    /// How far each row follows its calibration, and how far it resists that and stays as it was pooled.
+    weights: Vec<[f64; 2]>,
 }
 
 impl Incoming {
     fn new(hits: &Hits, blocks: Blocks) -> Incoming {
-        let plain = Buckets::new(hits, blocks);
+        let plain = Buckets::by_replicates(hits, blocks);
         let many = |replicate: usize| {
             let many = |i| hits.rays_of(i) as f32 / hits.of_replicate(i, replicate).len() as f32;
             (0..hits.len()).map(many).collect()
@@ -337,8 +343,16 @@ impl Incoming {
             }
             lists
         };
-        let links = (0..blocks.count()).into_par_iter().with_max_len(1).flat_map_iter(of_block).collect();
-        Incoming { plain, many: (0..REPLICATES).into_par_iter().map(many).collect(), links }
+        let weights = |i: usize| {
+            let resistance = calibration::RESISTANCE / f64::from(hits.rays_of(i));
+            [1.0, resistance].map(|share| share / (1.0 + resistance))
+        };
+        Incoming {
+            plain,
+            many: (0..REPLICATES).into_par_iter().map(many).collect(),
+            links: (0..blocks.count()).into_par_iter().with_max_len(1).flat_map_iter(of_block).collect(),
+            weights: (0..hits.len()).map(weights).collect(),
+        }
     }
 }
 

@@ -17,6 +17,8 @@
 //! where h is [how far](super::reciprocity) the latter are trusted. No term exceeds w / (h (R_i/A_i + R_j/A_j)), so that
 //! lamps close to walls need no special case.
 
+use std::ops::Range;
+
 use glam::Vec3A;
 use rayon::prelude::*;
 
@@ -25,7 +27,8 @@ use crate::{
     patch::Patches,
     trace::{
         Tracer,
-        sampling::{around, sobol_4d, square_to_cosine_hemisphere, square_to_triangle},
+        sampling::{cosine_hemisphere, square_to_triangle, tangents},
+        sobol::{LANES, Sobol, blocks},
     },
 };
 
@@ -176,13 +179,37 @@ impl Footprint {
         })
     }
 
-    /// A hemisphere ray of a sequence: where it starts, its direction, and the cosine of its angle with the normal.
+    /// Calls `ray(index, origin, direction, cosine of its angle with the normal)` for hemisphere rays of a sequence.
     #[inline]
-    pub(super) fn hemisphere_ray(&self, index: u32, seed: u64) -> (Vec3A, Vec3A, f32) {
-        // The first two dimensions are the better stratified.
-        let [u, v, x, y] = sobol_4d(index, seed);
-        let lifted = square_to_cosine_hemisphere(u, v);
-        (Tracer::leave(self.point(x, y), self.normal), around(self.normal, lifted), lifted.z)
+    pub(super) fn hemisphere_rays(
+        &self,
+        indices: Range<u32>,
+        seed: u64,
+        mut ray: impl FnMut(u32, Vec3A, Vec3A, f32),
+    ) {
+        let (sobol, [tangent, bitangent]) = (Sobol::new(seed), tangents(self.normal));
+        for (first, lanes) in blocks(indices) {
+            // The first two dimensions are the better stratified.
+            let [u, v, x, y] = sobol.points(first);
+            let (mut lifted, mut at) = ([[0.0; 3]; LANES], [[0.0; LANES]; 3]);
+            for lane in 0..LANES {
+                lifted[lane] = cosine_hemisphere(u[lane], v[lane]);
+                let b = square_to_triangle(x[lane], y[lane]);
+                for axis in 0..3 {
+                    let corner = |k: usize| self.corners[k][axis] * b[k];
+                    at[axis][lane] = corner(0) + corner(1) + corner(2);
+                }
+            }
+            for (axis, at) in at.iter_mut().enumerate() {
+                Tracer::leave_along(at, self.normal, axis);
+            }
+            for lane in lanes {
+                let [x, y, z] = lifted[lane];
+                let direction = tangent * x + bitangent * y + self.normal * z;
+                let origin = Vec3A::new(at[0][lane], at[1][lane], at[2][lane]);
+                ray(first + lane as u32, origin, direction, z);
+            }
+        }
     }
 
     /// The point of the patch for a point of the unit square.
@@ -206,25 +233,34 @@ pub(super) fn cast_patch(
     tracer: &Tracer,
     sources: &Sources,
     from: &Footprint,
-    indices: std::ops::Range<u32>,
+    indices: Range<u32>,
     seed: u64,
     links: &mut Vec<Link>,
 ) {
-    for index in indices {
-        let [x, y, u, v] = sobol_4d(index, seed);
-        let (source, u) = sources.choose(u);
-        let to = &sources.footprints[source];
-        let (p, q) = (from.point(x, y), to.point(u, v));
-        let path = q - p;
-        if path.dot(from.normal) <= 0.0 || path.dot(to.normal) >= 0.0 {
-            continue;
-        }
-        let kernel = kernel(path, from.normal, to.normal);
-        if kernel > 0.0 {
-            let visible = tracer.visible(Tracer::leave(p, from.normal), Tracer::leave(q, to.normal));
-            if visible || sources.are_lamps() {
-                let found = if visible { Found::Shadow } else { Found::Blocked };
-                links.push(Link { to: sources.patches[source], kernel, index, found });
+    let sobol = Sobol::new(seed);
+    for (first, lanes) in blocks(indices) {
+        let points = sobol.points(first);
+        for lane in lanes {
+            let [x, y, u, v] = points.map(|coordinates| coordinates[lane]);
+            let (source, u) = sources.choose(u);
+            let to = &sources.footprints[source];
+            let (p, q) = (from.point(x, y), to.point(u, v));
+            let path = q - p;
+            if path.dot(from.normal) <= 0.0 || path.dot(to.normal) >= 0.0 {
+                continue;
+            }
+            let kernel = kernel(path, from.normal, to.normal);
+            if kernel > 0.0 {
+                let visible = tracer.visible(Tracer::leave(p, from.normal), Tracer::leave(q, to.normal));
+                if visible || sources.are_lamps() {
+                    let found = if visible { Found::Shadow } else { Found::Blocked };
+                    links.push(Link {
+                        to: sources.patches[source],
+                        kernel,
+                        index: first + lane as u32,
+                        found,
+                    });
+                }
             }
         }
     }

@@ -103,9 +103,13 @@ impl<'a> Sweeper<'a> {
             let seen = (first..last).into_par_iter().with_min_len(32).map(|i| {
                 progress.check()?;
                 let (from, seed) = (Footprint::new(tracer, known, i), mix(&[seed, i as u64]));
-                let hits = (0..LOOKING).filter_map(|index| closest(tracer, &from, index, seed));
-                let unknown = hits.filter(|hit| known.at(hit.triangle, hit.barycentric, hit.front).is_none());
-                Ok(unknown.map(|hit| hit.triangle).collect::<Vec<u32>>())
+                let mut unknown = Vec::new();
+                from.hemisphere_rays(0..LOOKING, seed, |_, origin, direction, _| {
+                    let hit = tracer.closest(origin, direction);
+                    let is_unknown = |hit: &Hit| known.at(hit.triangle, hit.barycentric, hit.front).is_none();
+                    unknown.extend(hit.filter(is_unknown).map(|hit| hit.triangle));
+                });
+                Ok(unknown)
             });
             let seen: Vec<Vec<u32>> = seen.collect::<Result<_>>()?;
             let mut seen: Vec<u32> = seen.into_iter().flatten().collect();
@@ -176,18 +180,18 @@ impl<'a> Sweeper<'a> {
             let (from, seed) = (Footprint::new(self.tracer, self.patches, i), mix(&[self.seed, i as u64]));
             let mut came = Arrived::NOTHING;
             let mut behind = 0;
-            for index in hemisphere.clone() {
-                let hit = closest(self.tracer, &from, index, seed);
+            from.hemisphere_rays(hemisphere.clone(), seed, |_, origin, direction, _| {
+                let hit = self.tracer.closest(origin, direction);
                 behind += u64::from(hit.is_some_and(|hit| !hit.front));
                 let patch = hit.and_then(|hit| self.patches.at(hit.triangle, hit.barycentric, hit.front));
                 let Some(j) = patch.map(|j| j as usize) else {
                     came.escaped += 1.0;
-                    continue;
+                    return;
                 };
                 for c in 0..C {
                     came.met[c] += radiosity[j][c] - if lamps { emission[j][c] } else { 0.0 };
                 }
-            }
+            });
             if behind > 0 {
                 backs.fetch_add(behind, Ordering::Relaxed);
             }
@@ -229,10 +233,4 @@ impl<'a> Sweeper<'a> {
         };
         Ok((arrived, tally))
     }
-}
-
-/// What a hemisphere ray meets.
-fn closest(tracer: &Tracer, from: &Footprint, index: u32, seed: u64) -> Option<Hit> {
-    let (origin, direction, _) = from.hemisphere_ray(index, seed);
-    tracer.closest(origin, direction)
 }

@@ -6,6 +6,7 @@
 mod bvh;
 mod collapse;
 pub mod sampling;
+pub(crate) mod sobol;
 mod watertight;
 mod wide;
 
@@ -134,19 +135,24 @@ impl Tracer {
     /// relative to the largest coordinate (1), not to `p`: 14 roundings, each of at most 2⁻²⁴, and one ulp outward.
     #[inline]
     pub fn leave(p: Vec3A, normal: Vec3A) -> Vec3A {
+        let moved = p + Self::clearance(normal);
+        let outward = |axis: usize| one_ulp_towards(normal[axis], moved[axis]);
+        Vec3A::new(outward(0), outward(1), outward(2))
+    }
+
+    /// The same for some points by one coordinate.
+    #[inline]
+    pub(crate) fn leave_along<const N: usize>(points: &mut [f32; N], normal: Vec3A, axis: usize) {
+        let (clearance, towards) = (Self::clearance(normal)[axis], normal[axis]);
+        for x in points {
+            *x = one_ulp_towards(towards, *x + clearance);
+        }
+    }
+
+    #[inline]
+    fn clearance(normal: Vec3A) -> Vec3A {
         const OFFSET: f32 = 14.0 * 0.5 * f32::EPSILON;
-        let l1 = normal.abs().element_sum();
-        let moved = p + normal * (l1 * OFFSET);
-        let outward = |x: f32, n: f32| {
-            if n > 0.0 {
-                x.next_up()
-            } else if n < 0.0 {
-                x.next_down()
-            } else {
-                x
-            }
-        };
-        Vec3A::new(outward(moved.x, normal.x), outward(moved.y, normal.y), outward(moved.z, normal.z))
+        normal * (normal.abs().element_sum() * OFFSET)
     }
 
     /// The first triangle that the ray meets. The direction need not be of unit length, but not zero.
@@ -164,6 +170,18 @@ impl Tracer {
             return true;
         }
         self.kernel.is_free(&self.bvh, &PreparedRay::new(from, direction))
+    }
+}
+
+/// The next larger number where `towards` is positive, the next smaller one where it is negative.
+#[inline]
+fn one_ulp_towards(towards: f32, x: f32) -> f32 {
+    if towards > 0.0 {
+        x.next_up()
+    } else if towards < 0.0 {
+        x.next_down()
+    } else {
+        x
     }
 }
 
