@@ -98,17 +98,21 @@ impl ErrorBars {
             }
         }
         let strata: Vec<Strata> = deviations.iter().map(Strata::of).collect();
-        // What comes from all others' shadow rays is stratified otherwise than what a patch's own rays tell.
-        let [others, sources] = [false, true].map(|of_sources| {
-            let patches = (0..strata.len()).filter(|&i| form_factors.is_source(i) == of_sources);
-            patches.fold(Strata::default(), |sum, i| sum.plus(&strata[i], areas[i]))
-        });
+        let sum = |patches: &mut dyn Iterator<Item = usize>, weight: &dyn Fn(usize) -> f64| {
+            patches.fold(Strata::default(), |sum, i| sum.plus(&strata[i], weight(i)))
+        };
+        // What comes from all others' shadow rays is stratified otherwise than what a patch's own rays tell. Of two patches of a
+        // lamp luck would tell; another patch beside them keeps it within bounds.
+        let is_source = |i: &usize| form_factors.is_source(*i);
+        let others = sum(&mut (0..strata.len()).filter(|i| !is_source(i)), &|i| areas[i]);
+        let sources = sum(&mut (0..strata.len()).filter(is_source), &|i| areas[i]);
+        let many = (0..strata.len()).filter(is_source).count();
+        let sources = sources.beside(&others, 1.0 / many as f64);
         let mut standard_error = smoothed_errors(form_factors, &deviations);
         for family in form_factors.siblings() {
-            let typical = if form_factors.is_source(family.start) { &sources } else { &others };
-            let near = strata[family.clone()].iter().fold(Strata::default(), |sum, own| sum.plus(own, 1.0));
-            let prior = PRIOR / family.len() as f64 * near.spread / typical.spread;
-            let stratified = if prior > 0.0 { near.plus(typical, prior).factor() } else { 1.0 };
+            let typical = if is_source(&family.start) { &sources } else { &others };
+            let stratified =
+                sum(&mut family.clone(), &|_| 1.0).beside(typical, PRIOR / family.len() as f64).factor();
             for q in C * family.start..C * family.end {
                 standard_error[q] =
                     (unit * stratified * standard_error[q]).hypot(LEAST * solution.irradiance[q]);
@@ -159,6 +163,13 @@ impl Strata {
             spread: self.spread + weight * other.spread,
             halves: std::array::from_fn(|k| self.halves[k] + weight * other.halves[k]),
         }
+    }
+
+    /// This, and what is typical with so many times its weight.
+    fn beside(&self, typical: &Strata, share: f64) -> Strata {
+        let weight = share * self.spread / typical.spread;
+        // Where nothing spreads there is nothing to tell.
+        self.plus(typical, if weight.is_finite() { weight } else { 0.0 })
     }
 
     /// The standard error of the whole over what its parts would have, were they independent: at most 1.

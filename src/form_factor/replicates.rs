@@ -214,7 +214,7 @@ impl Samples {
             }
             let excess = excess_kernels(hits, i);
             for link in hits.links_of(i).iter().filter(|link| link.found != Found::Blocked) {
-                let exchange = densities.link(hits, i, link);
+                let exchange = densities.link_of_row(hits, i, i, link);
                 sums.add_link(exchange, &shares(hits, i, link, &excess), &radiosity[link.to as usize]);
             }
         }
@@ -235,7 +235,7 @@ impl Samples {
                 let i = i as usize;
                 let link = &hits.links_of(i)[k as usize];
                 let place = blocks.of(link.to as usize).1 as usize;
-                let exchange = densities.link(hits, i, link);
+                let exchange = densities.link_of_row(hits, link.to as usize, i, link);
                 sums[place].add_link(exchange, &shares(hits, i, link, &excess), &radiosity[i]);
             }
         }
@@ -290,7 +290,12 @@ impl Samples {
                     let d_closing = d_link_power - closing * d_links;
                     deviation.scale[k] = -ratio(d_links + area * (d_escaped + d_escaped_links), links) as f32;
                     let scale = ratio(area * (1.0 - share), links);
-                    (-closing * area * d_escaped, scale * d_closing - closing * area * d_escaped_links)
+                    // Where lamps are few, more of their own rays tell it; others' shadow rays go to what these light.
+                    let (own, others) = if self.hits.sources.are_lamps() { (1.0, 0.0) } else { (0.0, 1.0) };
+                    (
+                        own * scale * d_closing - closing * area * d_escaped,
+                        others * scale * d_closing - closing * area * d_escaped_links,
+                    )
                 } else {
                     let closing = ratio(plain_power, plain);
                     let d_closing = f64::from(sums.plain[k].power[c])
@@ -345,7 +350,8 @@ impl Incoming {
 /// The share of each replicate in a link from patch `i`: less than nothing where its kernels exceed their mean.
 #[inline]
 fn shares(hits: &Hits, i: usize, link: &Link, excess: &[f64; REPLICATES]) -> [f32; REPLICATES] {
-    let mut shares = excess.map(|excess| -excess);
+    let of_kernels = if link.found == Found::Hemisphere { 0.0 } else { -1.0 };
+    let mut shares = excess.map(|excess| of_kernels * excess);
     shares[hits.replicate(i, link)] += hits.weight(i, link);
     shares.map(|share| share as f32)
 }
