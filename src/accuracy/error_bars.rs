@@ -97,35 +97,27 @@ impl ErrorBars {
                 }
             }
         }
-        let strata: Vec<Strata> = deviations.iter().map(Strata::of).collect();
-        let sum = |patches: &mut dyn Iterator<Item = usize>, weight: &dyn Fn(usize) -> f64| {
-            patches.fold(Strata::default(), |sum, i| sum.plus(&strata[i], weight(i)))
-        };
+        let strata: Vec<Strata> = deviations.par_iter().with_min_len(256).map(Strata::of).collect();
         // What comes from all others' shadow rays is stratified otherwise than what a patch's own rays tell. Of two patches of a
         // lamp luck would tell; another patch beside them keeps it within bounds.
         let is_source = |i: &usize| form_factors.is_source(*i);
-        let others = sum(&mut (0..strata.len()).filter(|i| !is_source(i)), &|i| areas[i]);
-        let sources = sum(&mut (0..strata.len()).filter(is_source), &|i| areas[i]);
-        let many = (0..strata.len()).filter(is_source).count();
-        let sources = sources.beside(&others, 1.0 / many as f64);
+        let patches = 0..strata.len();
+        let others = Strata::sum(&strata, patches.clone().filter(|i| !is_source(i)), |i| areas[i]);
+        let sources = Strata::sum(&strata, patches.clone().filter(is_source), |i| areas[i])
+            .beside(&others, 1.0 / patches.filter(is_source).count() as f64);
         let mut standard_error = smoothed_errors(form_factors, &deviations);
         for family in form_factors.siblings() {
             let typical = if is_source(&family.start) { &sources } else { &others };
-            let stratified =
-                sum(&mut family.clone(), &|_| 1.0).beside(typical, PRIOR / family.len() as f64).factor();
+            let near = Strata::sum(&strata, family.clone(), |_| 1.0);
+            let stratified = near.beside(typical, PRIOR / family.len() as f64).factor();
             for q in C * family.start..C * family.end {
                 standard_error[q] =
                     (unit * stratified * standard_error[q]).hypot(LEAST * solution.irradiance[q]);
             }
         }
-        Some(ErrorBars {
-            channels: C,
-            standard_error,
-            of_mean: mean
-                .iter()
-                .map(|deviations| unit * others.factor() * standard_error_of(deviations))
-                .collect(),
-        })
+        let of_mean = |deviations| unit * others.factor() * standard_error_of(deviations);
+        let of_mean = mean.iter().map(of_mean).collect();
+        Some(ErrorBars { channels: C, standard_error, of_mean })
     }
 }
 
@@ -156,6 +148,10 @@ impl Strata {
             strata = strata.plus(&Strata { spread, halves: half_differences(&mut runs) }, 1.0);
         }
         strata
+    }
+
+    fn sum(strata: &[Strata], patches: impl Iterator<Item = usize>, weight: impl Fn(usize) -> f64) -> Strata {
+        patches.fold(Strata::default(), |sum, i| sum.plus(&strata[i], weight(i)))
     }
 
     fn plus(&self, other: &Strata, weight: f64) -> Strata {

@@ -111,17 +111,12 @@ impl Densities {
         weight * kernel / (TRUST * (self.hemisphere[i] + self.hemisphere[j]) * kernel + shadow)
     }
 
-    /// The same as the row of either of its patches counts it: where lamps are few, others get from them what their shadow rays
-    /// say.
+    /// What a link from patch `i` adds to what a row gets from all lamps together, where these are few and the row's patch is none:
+    /// its own shadow rays alone tell that.
     #[inline]
-    pub(super) fn link_of_row(&self, hits: &Hits, row: usize, i: usize, link: &Link) -> f64 {
-        if !hits.sources.are_lamps() || self.source[row] > 0.0 {
-            self.link(hits, i, link)
-        } else if row == i {
-            self.received(i, link)
-        } else {
-            0.0
-        }
+    pub(super) fn known(&self, hits: &Hits, row: usize, i: usize, link: &Link) -> Option<f64> {
+        let is_known = hits.sources.are_lamps() && self.source[row] == 0.0;
+        is_known.then(|| if row == i { self.received(i, link) } else { 0.0 })
     }
 
     /// What a shadow ray of patch `i` to one of few lamps adds to what it gets: a ratio estimate, all of them together.
