@@ -8,7 +8,7 @@
 //! The first term is summed from the rays of the replicate, its closure included; the second, the error that a patch
 //! inherits through the light of others, is a Neumann series. The spread of dE_k over the K replicates would give
 //! the standard error of their mean, sqrt(Σ dE_k² / (K (K - 1))), were they independent; they are parts of one sequence,
-//! and together better than that: see `stratification`.
+//! and together better than that, here more and there less: see `stratification`.
 
 use rayon::prelude::*;
 
@@ -33,6 +33,14 @@ const ENOUGH: f64 = 0.01;
 /// of scrambled nets where all is smooth (Owen, "Scrambled net variance for integrals of smooth functions", Annals of
 /// Statistics 25, 1997). Steeper ones are luck.
 const RATES: (f64, f64) = (1.0, 3.0);
+
+/// How many patches the mean of all counts as, beside a run of siblings, where it is told how much better the parts are together:
+/// it differs from place to place, but few patches tell it badly. In door-ajar, whose second room is lit by rare paths, the mean
+/// alone held 91 % of patches at 64 rays in 95 % intervals, and 92 % at 256; with 16 it is 94 %. With 4, others lose a percent.
+const PRIOR: f64 = 16.0;
+
+/// Lengths of runs: 1, 2, 4, ... replicates.
+const LEVELS: usize = REPLICATES.ilog2() as usize;
 
 /// The least relative standard error. Light that is known exactly is still stored in single precision, and shares in what the
 /// closure moves at the end: some millionths.
@@ -89,20 +97,27 @@ impl ErrorBars {
                 }
             }
         }
-        // What comes from all others' shadow rays is stratified otherwise than what a patch's own rays tell.
-        let is_source = |i: usize| form_factors.is_source(i);
-        let of_sources = stratification(&deviations, areas, is_source);
-        let of_others = stratification(&deviations, areas, |i| !is_source(i));
-        let standard_error =
-            smoothed_errors(form_factors, &deviations).into_iter().enumerate().map(|(q, error)| {
-                let stratified = if is_source(q / C) { of_sources } else { of_others };
-                (unit * stratified * error).hypot(LEAST * solution.irradiance[q])
-            });
-        Some(ErrorBars {
-            channels: C,
-            standard_error: standard_error.collect(),
-            of_mean: mean.iter().map(|deviations| unit * of_others * standard_error_of(deviations)).collect(),
-        })
+        let strata: Vec<Strata> = deviations.par_iter().with_min_len(256).map(Strata::of).collect();
+        // What comes from all others' shadow rays is stratified otherwise than what a patch's own rays tell. Of two patches of a
+        // lamp luck would tell; another patch beside them keeps it within bounds.
+        let is_source = |i: &usize| form_factors.is_source(*i);
+        let patches = 0..strata.len();
+        let others = Strata::sum(&strata, patches.clone().filter(|i| !is_source(i)), |i| areas[i]);
+        let sources = Strata::sum(&strata, patches.clone().filter(is_source), |i| areas[i])
+            .beside(&others, 1.0 / patches.filter(is_source).count() as f64);
+        let mut standard_error = smoothed_errors(form_factors, &deviations);
+        for family in form_factors.siblings() {
+            let typical = if is_source(&family.start) { &sources } else { &others };
+            let near = Strata::sum(&strata, family.clone(), |_| 1.0);
+            let stratified = near.beside(typical, PRIOR / family.len() as f64).factor();
+            for q in C * family.start..C * family.end {
+                standard_error[q] =
+                    (unit * stratified * standard_error[q]).hypot(LEAST * solution.irradiance[q]);
+            }
+        }
+        let of_mean = |deviations| unit * others.factor() * standard_error_of(deviations);
+        let of_mean = mean.iter().map(of_mean).collect();
+        Some(ErrorBars { channels: C, standard_error, of_mean })
     }
 }
 
@@ -115,31 +130,51 @@ fn smoothed_errors<const C: usize>(form_factors: &FormFactors, deviations: &[Dev
     with_mean(form_factors.siblings(), &own, |own, mean| (0.5 * (own + mean)).sqrt())
 }
 
-/// The standard error of the whole over what its parts would have, were they independent: at most 1. Told by all patches
-/// together for which `counts` holds.
-fn stratification<const C: usize>(
-    deviations: &[Deviation<C>],
-    areas: &[f64],
-    counts: impl Fn(usize) -> bool,
-) -> f64 {
-    const LEVELS: usize = REPLICATES.ilog2() as usize;
-    let mut halves = [0f64; LEVELS];
-    let mut spread = 0.0;
-    for i in (0..areas.len()).filter(|&i| counts(i)) {
-        let area = areas[i];
-        for channel in &deviations[i] {
+/// How well the parts of sequences complement each other: sums over patches and channels.
+#[derive(Debug, Clone, Copy, Default)]
+struct Strata {
+    /// Squares of the standard errors that the whole would have, were its parts independent.
+    spread: f64,
+    /// Mean squares of half the difference of neighbouring runs of each length.
+    halves: [f64; LEVELS],
+}
+
+impl Strata {
+    fn of<const C: usize>(deviation: &Deviation<C>) -> Strata {
+        let mut strata = Strata::default();
+        for channel in deviation {
             let mut runs = channel.map(f64::from);
-            spread += area * standard_error_of(&runs).powi(2);
-            for (half, of_patch) in halves.iter_mut().zip(half_differences::<LEVELS>(&mut runs)) {
-                *half += area * of_patch;
-            }
+            let spread = standard_error_of(&runs).powi(2);
+            strata = strata.plus(&Strata { spread, halves: half_differences(&mut runs) }, 1.0);
+        }
+        strata
+    }
+
+    fn sum(strata: &[Strata], patches: impl Iterator<Item = usize>, weight: impl Fn(usize) -> f64) -> Strata {
+        patches.fold(Strata::default(), |sum, i| sum.plus(&strata[i], weight(i)))
+    }
+
+    fn plus(&self, other: &Strata, weight: f64) -> Strata {
+        Strata {
+            spread: self.spread + weight * other.spread,
+            halves: std::array::from_fn(|k| self.halves[k] + weight * other.halves[k]),
         }
     }
-    if !(spread > 0.0) || halves.contains(&0.0) {
-        return 1.0;
+
+    /// This, and what is typical with so many times its weight.
+    fn beside(&self, typical: &Strata, share: f64) -> Strata {
+        let weight = share * self.spread / typical.spread;
+        // Where nothing spreads there is nothing to tell.
+        self.plus(typical, if weight.is_finite() { weight } else { 0.0 })
     }
-    let all = variance_of_all(&halves, REPLICATES, RATES);
-    (all / spread).sqrt().min(1.0)
+
+    /// The standard error of the whole over what its parts would have, were they independent: at most 1.
+    fn factor(&self) -> f64 {
+        if !(self.spread > 0.0) || self.halves.contains(&0.0) {
+            return 1.0;
+        }
+        (variance_of_all(&self.halves, REPLICATES, RATES) / self.spread).sqrt().min(1.0)
+    }
 }
 
 /// Area-weighted root mean square of `values`, interleaved channels a patch, relative to the area-weighted mean

@@ -20,10 +20,19 @@ const COMMON: f64 = 0.1;
 /// and 8 leave 0.50 %.
 const MOST_GROWTH: f64 = 8.0;
 
-/// The same for all patches, but shadow rays for those alone which lamps could reach.
+/// Whole numbers of rays for every replicate. Parts of one and of two rays would tell more variance than the whole has, by an
+/// eighth where they are equally many: on five scenes at 64 rays a patch error bars were a tenth to a fifth too long. Nets
+/// are better stratified too.
+const STEP: u32 = REPLICATES as u32;
+
+/// The same for all patches, but shadow rays for those alone which lamps could reach. Where variances decide on more rays, so
+/// many that each replicate has as many.
 pub(super) fn even(options: &CastOptions, rays: f64, sources: bool) -> impl Fn(usize, f64) -> Share {
     let shadow = if sources { options.shadow_share } else { 0.0 };
-    let whole = |rays: f64| (rays.round() as u32).max(REPLICATES as u32);
+    let whole = |rays: f64| {
+        let rays = rays.round() as u32;
+        (if options.looks_first() { rays / STEP * STEP } else { rays }).max(REPLICATES as u32)
+    };
     let (hemisphere, shadow) =
         (whole(rays * (1.0 - shadow)), if shadow > 0.0 { whole(rays * shadow) } else { 0 });
     move |_, kernel| Share { hemisphere, shadow: if kernel > 0.0 { shadow } else { 0 } }
@@ -62,7 +71,7 @@ pub(super) fn by_variance(
     let wanted = |i: usize, level: f64| -> [f64; 2] {
         std::array::from_fn(|kind| {
             let now = now(i)[kind];
-            (level * roots[i][kind]).clamp(now, MOST_GROWTH * now).round()
+            (level * roots[i][kind]).clamp(now, MOST_GROWTH * now)
         })
     };
     let sum = |level: f64| ordered_sum(areas.len(), |i| wanted(i, level).iter().sum::<f64>());
@@ -74,9 +83,21 @@ pub(super) fn by_variance(
         if sum(middle.exp() / scale) > rays { high = middle } else { low = middle }
     }
     let level = if scale > 0.0 { low.exp() / scale } else { 0.0 };
+    // What steps leave out or add is made good by the next patches.
+    let mut owed = [0.0; 2];
     (0..areas.len())
         .map(|i| {
-            let [hemisphere, shadow] = wanted(i, level).map(|rays| rays as u32);
+            let (now, wanted) = (now(i), wanted(i, level));
+            let [hemisphere, shadow] = std::array::from_fn(|kind| {
+                let mut rays = now[kind];
+                if wanted[kind] > rays {
+                    owed[kind] += wanted[kind] - rays;
+                    let steps = (owed[kind] / f64::from(STEP)).round().max(0.0);
+                    rays += steps * f64::from(STEP);
+                    owed[kind] -= steps * f64::from(STEP);
+                }
+                rays as u32
+            });
             Share { hemisphere, shadow }
         })
         .collect()

@@ -186,10 +186,10 @@ impl Assembled {
         if options.estimator == Estimator::Pooled {
             hits.withdraw_hidden(&relative);
         }
-        let densities = Densities::new(&hits, &relative, scale * (scale / mean));
+        let mut densities = Densities::new(&hits, &relative, scale * (scale / mean));
         let buckets = Buckets::new(&hits, Blocks::new(n));
         let (plain, one_way_deviation) = reciprocity::pool(&hits, &buckets, &densities, &relative);
-        let links = reciprocity::links(&hits, &densities);
+        let links = reciprocity::links(&hits, &mut densities);
         let share = |i: usize| {
             let escaped = hits.of(i).iter().filter(|&&j| j == ESCAPED).count();
             escaped as f64 / f64::from(hits.rays_of(i))

@@ -33,7 +33,7 @@ use crate::{Error, Result, patch::Patches, scene::Scene, trace::sampling::mix};
 
 /// Says what the file is; the line end is lost where it was transferred as text.
 const MAGIC: &[u8; 16] = b"radiosity rays\r\n";
-/// Counts changes of the file's format, and of which rays a seed stands for.
+/// Counts changes of the file's format, of which rays a seed stands for, and of what is kept of them.
 const FORMAT: u32 = 2;
 const HEADER: usize = 48;
 /// Looks, a twentieth of a second apart, for a lock to be free.

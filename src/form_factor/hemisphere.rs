@@ -400,8 +400,9 @@ fn cast_patch(
         });
         let j = (*target & !BACK) as usize;
         if sources.concern(i, if *target & BACK == 0 { j } else { usize::MAX }) {
-            // Lamps leave nothing to measure, but that backs were seen must be known.
-            if !sources.are_lamps() || !hit.front {
+            // Of what comes from few lamps nothing is left to measure, but how it divides among these their own rays tell; and
+            // that backs were seen must be known.
+            if !sources.are_lamps() || sources.contains(i) || !hit.front {
                 let cos = tracer.triangles()[hit.triangle as usize].normal.dot(direction).abs();
                 let kernel = cosine * cos / (std::f32::consts::PI * hit.t * hit.t);
                 links.push(Link { to: *target, kernel, index, found: Found::Hemisphere });

@@ -77,9 +77,12 @@ impl<const C: usize> Sums<C> {
 
     /// Adds a link, of which each replicate has a share.
     #[inline]
-    fn add_link(&mut self, exchange: f64, shares: &[f32; REPLICATES], radiosity: &[f32; C]) {
+    fn add_link(&mut self, link: &Exchange<C>, shares: &[f32; REPLICATES]) {
         for (links, share) in self.links.iter_mut().zip(shares) {
-            links.add(exchange as f32 * share, radiosity);
+            links.area += share * link.area;
+            for c in 0..C {
+                links.power[c] += share * link.power[c];
+            }
         }
     }
 }
@@ -168,10 +171,11 @@ impl Samples {
         let rows = (self.areas.len() / ENOUGH_BLOCKS).clamp(LEAST_ROWS, MOST_ROWS);
         let blocks = Blocks::of_rows(self.areas.len(), rows);
         let incoming = if pooled { Incoming::new(&self.hits, blocks) } else { Incoming::default() };
+        let of_lamps = self.per_brightness(radiosity);
         let of_block = |block: usize| -> Vec<T> {
             let mut sums = vec![Sums::ZERO; blocks.range(block).len()];
             if pooled {
-                self.pooled(block, &incoming, radiosity, &mut sums);
+                self.pooled(block, &incoming, radiosity, &of_lamps, &mut sums);
             } else {
                 self.one_way(blocks.range(block), radiosity, &mut sums);
             }
@@ -192,15 +196,42 @@ impl Samples {
         }
     }
 
+    /// Area and power of all sources over the same with their brightness.
+    fn per_brightness<const C: usize>(&self, radiosity: &[[f32; C]]) -> Exchange<C> {
+        let (mut sum, mut brightness) = (Exchange::ZERO, 0.0);
+        for i in self.hits.sources.patches().iter().map(|&i| i as usize) {
+            sum.add(self.areas[i] as f32, &radiosity[i]);
+            brightness += self.areas[i] * self.densities.brightness()[i];
+        }
+        let per = (1.0 / brightness.max(f64::MIN_POSITIVE)) as f32;
+        Exchange { area: sum.area * per, power: sum.power.map(|power| power * per) }
+    }
+
     /// Sums for the patches of a block: of their own rays and of those that come in.
     fn pooled<const C: usize>(
         &self,
         block: usize,
         incoming: &Incoming,
         radiosity: &[[f32; C]],
+        of_lamps: &Exchange<C>,
         sums: &mut [Sums<C>],
     ) {
         let (Samples { hits, densities, .. }, blocks) = (self, incoming.plain.blocks);
+        let of_link = |row: usize, i: usize, link: &Link| {
+            let from = if row == i { link.to as usize } else { i };
+            let exchange = densities.link(hits, i, link) as f32;
+            let mut sum = Exchange::ZERO;
+            sum.add(exchange, &radiosity[from]);
+            if let Some(known) = densities.known(hits, row, i, link) {
+                // All light of lamps together, which the matrix holds as it is known, not as its entries are told.
+                let more = (known as f32 - exchange) * densities.brightness()[from] as f32;
+                sum.area += more * of_lamps.area;
+                for c in 0..C {
+                    sum.power[c] += more * of_lamps.power[c];
+                }
+            }
+            sum
+        };
         for (i, sums) in blocks.range(block).zip(&mut *sums) {
             for replicate in 0..REPLICATES {
                 let targets = hits.of_replicate(i, replicate);
@@ -219,8 +250,7 @@ impl Samples {
             }
             let excess = excess_kernels(hits, i);
             for link in hits.links_of(i).iter().filter(|link| link.found != Found::Blocked) {
-                let exchange = densities.link(hits, i, link);
-                sums.add_link(exchange, &shares(hits, i, link, &excess), &radiosity[link.to as usize]);
+                sums.add_link(&of_link(i, i, link), &shares(hits, i, link, &excess));
             }
         }
         for other in 0..blocks.count() {
@@ -240,8 +270,8 @@ impl Samples {
                 let i = i as usize;
                 let link = &hits.links_of(i)[k as usize];
                 let place = blocks.of(link.to as usize).1 as usize;
-                let exchange = densities.link(hits, i, link);
-                sums[place].add_link(exchange, &shares(hits, i, link, &excess), &radiosity[i]);
+                let link_of_row = of_link(link.to as usize, i, link);
+                sums[place].add_link(&link_of_row, &shares(hits, i, link, &excess));
             }
         }
     }
@@ -294,7 +324,12 @@ impl Samples {
                     let d_closing = d_link_power - closing * d_links;
                     deviation.scale[k] = -ratio(d_links + area * (d_escaped + d_escaped_links), links) as f32;
                     let scale = ratio(area * (1.0 - share), links);
-                    (-closing * area * d_escaped, scale * d_closing - closing * area * d_escaped_links)
+                    // Where lamps are few, more of their own rays tell it; others' shadow rays go to what these light.
+                    let (own, others) = if self.hits.sources.are_lamps() { (1.0, 0.0) } else { (0.0, 1.0) };
+                    (
+                        own * scale * d_closing - closing * area * d_escaped,
+                        others * scale * d_closing - closing * area * d_escaped_links,
+                    )
                 } else {
                     let closing = ratio(plain_power, plain);
                     let d_closing = f64::from(sums.plain[k].power[c])
@@ -359,7 +394,8 @@ impl Incoming {
 /// The share of each replicate in a link from patch `i`: less than nothing where its kernels exceed their mean.
 #[inline]
 fn shares(hits: &Hits, i: usize, link: &Link, excess: &[f64; REPLICATES]) -> [f32; REPLICATES] {
-    let mut shares = excess.map(|excess| -excess);
+    let of_kernels = if link.found == Found::Hemisphere { 0.0 } else { -1.0 };
+    let mut shares = excess.map(|excess| of_kernels * excess);
     shares[hits.replicate(i, link)] += hits.weight(i, link);
     shares.map(|share| share as f32)
 }
