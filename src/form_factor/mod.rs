@@ -296,6 +296,12 @@ impl FormFactors {
         self.estimator
     }
 
+    /// The radiosity that they were calibrated with, interleaved channels, in a [`magnitude`] of emission: near the solution,
+    /// if that has the same emission. Empty where there is none.
+    pub(crate) fn expected(&self) -> &[f32] {
+        self.samples.as_ref().map_or(&[], |samples| &samples.radiosity)
+    }
+
     /// What every ray met, unless the form factors came from elsewhere.
     pub fn hits(&self) -> Option<&Hits> {
         self.samples.as_ref().map(|samples| &samples.hits)

@@ -20,20 +20,30 @@ use crate::{
 use rayon::prelude::*;
 
 /// By how much iterations in single precision reduce the residual at most: its rounding, times some hundreds.
-const SINGLE: f64 = 3e-5;
+const SINGLE: f64 = 3e-6;
+
+/// Patches that reflect less are expected to reflect nothing: what they do would be lost in the rounding of what they emit.
+const LEAST_REFLECTANCE: f64 = 1e-3;
 
 /// Iterates until the true residual is small. Recursive residuals drift from the true ones in ill-conditioned rooms
 /// (reflectances of 1 - 10⁻⁶ and up), so that convergence is judged by the true residual and restarted where needed.
 /// Returns the irradiance as well.
 pub(super) fn solve<const C: usize>(
     system: &System<C>,
-    start: &[f64],
+    start: Option<&[f64]>,
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<(Iterate<C>, Vec<[f64; C]>)> {
-    let mut radiosity = start.as_chunks().0.to_vec();
-    let mut irradiance = system.irradiance(&radiosity);
-    let mut residual = system.relative_residual(&radiosity, &irradiance);
+    let judged = |radiosity: Vec<[f64; C]>| {
+        let irradiance = system.irradiance(&radiosity);
+        let residual = system.relative_residual(&radiosity, &irradiance);
+        (radiosity, irradiance, residual)
+    };
+    let begin = start.map(|start| start.as_chunks().0.to_vec()).or_else(|| expected(system));
+    // What was expected may have been of other light.
+    let begin = begin.map(judged).filter(|&(.., residual)| residual < 1.0);
+    let (mut radiosity, mut irradiance, mut residual) =
+        begin.unwrap_or_else(|| judged(system.emission.to_vec()));
     let (mut iterations, mut single) = (0, true);
     // Negated, so that NaN ends it too.
     while !(residual <= options.tolerance) && iterations < options.max_iterations {
@@ -56,18 +66,33 @@ pub(super) fn solve<const C: usize>(
         let corrected = radiosity.par_iter().zip(&correction).with_min_len(SHORT);
         let corrected: Vec<[f64; C]> =
             corrected.map(|(b, d)| std::array::from_fn(|c| (b[c] + d[c]).max(0.0))).collect();
-        let arriving = system.irradiance(&corrected);
-        let now = system.relative_residual(&corrected, &arriving);
-        let stalled = !(now <= 0.5 * residual);
+        let corrected = judged(corrected);
+        let stalled = !(corrected.2 <= 0.5 * residual);
         // What single precision made worse is forgotten.
-        if now < residual || !single {
-            (radiosity, irradiance, residual) = (corrected, arriving, now);
+        if corrected.2 < residual || !single {
+            (radiosity, irradiance, residual) = corrected;
         }
         if stalled && !std::mem::take(&mut single) {
             break;
         }
     }
     Ok(((radiosity, iterations), irradiance))
+}
+
+/// What the form factors were calibrated with, if it is of as many channels: Be and ρ times something, since the rest of what
+/// leaves black patches would never be corrected.
+fn expected<const C: usize>(system: &System<C>) -> Option<Vec<[f64; C]>> {
+    let (known, n) = (system.form_factors.expected().as_chunks::<C>().0, system.emission.len());
+    let unit = magnitude(system.emission.as_flattened());
+    let of_patch = |i: usize| -> [f64; C] {
+        std::array::from_fn(|c| {
+            let (emitted, rho) = (system.emission[i][c], system.reflectance[i][c]);
+            let reflected = (f64::from(known[i][c]) * unit - emitted).max(0.0);
+            if rho > LEAST_REFLECTANCE { emitted + reflected } else { emitted }
+        })
+    };
+    let known_to_all = system.form_factors.expected().len() == n * C;
+    known_to_all.then(|| (0..n).into_par_iter().with_min_len(SHORT).map(of_patch).collect())
 }
 
 /// Solves for the correction that removes the present residual, down to `reduction` times it, with `most` iterations at most, in

@@ -214,7 +214,6 @@ impl<'a, const C: usize> System<'a, C> {
             Solver::Southwell => southwell::solve(self, options, progress)?,
             Solver::Direct => direct::solve(self)?,
             _ => {
-                let start = start.unwrap_or(self.emission.as_flattened());
                 let (iterate, irradiance) = conjugate_gradient::solve(self, start, options, progress)?;
                 return self.finish(solver, iterate, irradiance, options);
             }
