@@ -324,9 +324,10 @@ impl Symmetric {
                 };
                 // One check of bounds then does for both.
                 let z_second = &z_second[..y_second.len()];
-                for (&column, &s) in own.iter().zip(s) {
-                    let column = usize::from(column);
-                    pair(s, &z_row, &z_second[column], &mut sum, &mut y_second[column]);
+                let s = &s[..own.len()];
+                for k in 0..own.len() {
+                    let column = usize::from(own[k]);
+                    pair(s[k], &z_row, &z_second[column], &mut sum, &mut y_second[column]);
                 }
                 first[row] = sum;
             }
