@@ -164,7 +164,9 @@ pub(super) fn close(
         if newton && deviation < NEAR {
             newton = deviation <= PROGRESS * before;
             before = deviation;
-            if let Some(step) = newton.then(|| step(matrix, areas, &scale, &arriving, deviation)).flatten() {
+            if let Some(step) =
+                newton.then(|| step(matrix, areas, &scale, &arriving, deviation, precision)).flatten()
+            {
                 let scales = scale.par_iter_mut().zip(step).with_min_len(SHORT);
                 scales.for_each(|(scale, [step])| *scale *= 1.0 + f64::from(step));
                 continue;
@@ -185,6 +187,7 @@ fn step(
     scale: &[f64],
     arriving: &[f64],
     deviation: f64,
+    precision: f64,
 ) -> Option<Vec<[f32; 1]>> {
     const MOST: usize = 40;
     let n = areas.len();
@@ -199,8 +202,8 @@ fn step(
     let dot =
         |a: &[f32], b: &(dyn Fn(usize) -> f32 + Sync)| ordered_sum(n, |i| f64::from(a[i]) * f64::from(b(i)));
     let mut size = dot(&residual, &|i| direction[i]);
-    // No more than a step of Newton's method gains, or single precision can.
-    let enough = deviation.clamp(LEAST_STEP, 1e-1).powi(2) * size;
+    // No more than a step of Newton's method gains, or single precision can, or is asked for.
+    let enough = deviation.max(0.1 * precision / deviation).clamp(LEAST_STEP, 1e-1).powi(2) * size;
     for _ in 0..MOST {
         // Negated, so that NaN ends it too.
         if !(size > enough) {
