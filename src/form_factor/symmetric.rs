@@ -47,11 +47,16 @@ impl Tile {
         }
         let mut runs: Vec<_> = by_row.runs().collect();
         runs.sort_by_key(|&(row, columns, _)| (row >> NEAR, columns.len()));
-        Tile {
+        let mut tile = Tile {
             runs: runs.iter().map(|&(row, columns, _)| [row, columns.len() as u16]).collect(),
-            columns: runs.iter().flat_map(|&(_, columns, _)| columns).copied().collect(),
-            values: runs.iter().flat_map(|&(.., values)| values).copied().collect(),
+            columns: Vec::with_capacity(by_row.columns.len()),
+            values: Vec::with_capacity(by_row.values.len()),
+        };
+        for (_, columns, values) in runs {
+            tile.columns.extend_from_slice(columns);
+            tile.values.extend_from_slice(values);
         }
+        tile
     }
 
     /// The runs as row, columns, values.
