@@ -9,8 +9,8 @@
 //! have y = 0. Hestenes and Stiefel 1952; the channels run side by side through one product an iteration.
 //!
 //! The iterations are in single precision, which takes half the time, and start anew from the true residual, which is in double
-//! (iterative refinement: Wilkinson, "Rounding Errors in Algebraic Processes", 1963). Where that does not help, as where all
-//! but a millionth is reflected, they are in double precision too.
+//! (iterative refinement: Wilkinson, "Rounding Errors in Algebraic Processes", 1963). Where that does not help they are
+//! in double precision too.
 
 use super::{Iterate, SolveOptions, System};
 use crate::{
@@ -21,6 +21,11 @@ use rayon::prelude::*;
 
 /// By how much iterations in single precision reduce the residual at most: its rounding, times some hundreds.
 const SINGLE: f64 = 3e-6;
+
+/// The least share of light that surfaces and openings absorb in the mean, and the least area of a patch, relative to the mean,
+/// for which iterations are in single precision.
+const LEAST_LOSS: f64 = 1e-3;
+const LEAST_AREA: f64 = 1e-6;
 
 /// Patches that reflect less are expected to reflect nothing: what they do would be lost in the rounding of what they emit.
 const LEAST_REFLECTANCE: f64 = 1e-3;
@@ -44,7 +49,7 @@ pub(super) fn solve<const C: usize>(
     let begin = begin.map(judged).filter(|&(.., residual)| residual < 1.0);
     let (mut radiosity, mut irradiance, mut residual) =
         begin.unwrap_or_else(|| judged(system.emission.to_vec()));
-    let (mut iterations, mut single) = (0, true);
+    let (mut iterations, mut single) = (0, suits_single(system));
     // Negated, so that NaN ends it too.
     while !(residual <= options.tolerance) && iterations < options.max_iterations {
         let most = options.max_iterations - iterations;
@@ -77,6 +82,18 @@ pub(super) fn solve<const C: usize>(
         }
     }
     Ok(((radiosity, iterations), irradiance))
+}
+
+/// Whether single precision helps: where hardly anything absorbs it does not converge, and what it does to the smallest patches
+/// does not show in the residual.
+fn suits_single<const C: usize>(system: &System<C>) -> bool {
+    let (areas, escaped) = (system.form_factors.areas(), system.form_factors.escaped());
+    let (all, least) = areas.iter().fold((0.0, f64::INFINITY), |(sum, least), &a| (sum + a, least.min(a)));
+    let lost = |c: usize| -> f64 {
+        let of_patch = |i: usize| areas[i] * (1.0 - system.reflectance[i][c] * (1.0 - escaped[i]));
+        (0..areas.len()).map(of_patch).sum()
+    };
+    least * areas.len() as f64 > LEAST_AREA * all && (0..C).all(|c| lost(c) > LEAST_LOSS * all)
 }
 
 /// What the form factors were calibrated with, if it is of as many channels: Be and ρ times something, since the rest of what
