@@ -12,7 +12,7 @@ use crate::{
     accuracy::error_bars::relative_rms,
     form_factor::FormFactors,
     patch::Patches,
-    solve::{Radiometry, Solution, SolveOptions, solve},
+    solve::{Radiometry, Solution, SolveOptions, solve_from},
 };
 
 /// The discretisation error of a solution.
@@ -29,7 +29,7 @@ impl Discretisation {
     /// that are patches as a whole, which have no parents.
     ///
     /// # Errors
-    /// As [`solve()`].
+    /// As [`solve()`](crate::solve::solve()).
     ///
     /// # Panics
     /// When the sizes disagree.
@@ -65,7 +65,8 @@ impl Discretisation {
         };
         let (emission, reflectance) = (mean(patches.emission()), mean(patches.reflectance()));
         let radiometry = Radiometry { channels, emission: &emission, reflectance: &reflectance };
-        let solved = solve(&coarse, radiometry, &options.rough(), progress)?;
+        let start = mean(&solution.radiosity);
+        let solved = solve_from(Some(&start), &coarse, radiometry, &options.rough(), progress)?;
         let fine = mean(&solution.irradiance);
         let of_family = |p: usize| (0..channels).map(move |c| p * channels + c);
         let change: Vec<f64> = families

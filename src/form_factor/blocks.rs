@@ -12,10 +12,10 @@ const MOST_ROWS: usize = 1 << PLACE;
 /// Bits of a place within a block.
 pub(super) const PLACE: u32 = u16::BITS;
 /// Rows of a block at least: smaller tiles are not worth a task.
-const LEAST_ROWS: usize = 1 << 10;
-/// Blocks that there should be at least, for threads to share: two at a time. Half as many were a quarter faster with two
-/// threads, since runs of a row are longer then.
-const ENOUGH_BLOCKS: usize = 8;
+const LEAST_ROWS: usize = 1 << 9;
+/// Blocks that there should be at least, for threads to share: two at a time. Tiles differ much in what is in them: with half as
+/// many blocks, two threads would wait up to a third of their time.
+const ENOUGH_BLOCKS: usize = 16;
 
 /// How patches are divided into blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -21,7 +21,7 @@ pub(super) struct Closed {
     pub(super) deviation_before: f64,
 }
 
-/// As close as rounding allows.
+/// As close as rounding of the longest row sums allows.
 pub(super) const EXACT: f64 = 1e-13;
 
 /// Rounds after which a matrix that cannot be closed is given up; what remains is reported.
@@ -121,6 +121,8 @@ pub(super) fn settle(plain: &mut Symmetric, links: &[f64], areas: &[f64], escape
 const NEAR: f64 = 0.1;
 /// leaves at most this share.
 const PROGRESS: f64 = 0.5;
+/// A step is solved for to this share of what is missing at least: some hundred times the rounding of single precision.
+const LEAST_STEP: f64 = 1e-5;
 
 /// Finds the scaling to `precision`, the largest |row sum + escaped share - 1|.
 ///
@@ -140,7 +142,7 @@ pub(super) fn close(
     let mut escaped = escaped.to_vec();
     let mut scale = vec![1.0; areas.len()];
     let mut deviation_before = None;
-    let (mut best, mut stalled, mut newton, mut before) = (f64::INFINITY, 0, true, f64::INFINITY);
+    let (mut newton, mut before) = (true, f64::INFINITY);
     for round in 1..=MOST_ROUNDS {
         let mut arriving: Vec<f64> = areas.iter().zip(&escaped).map(|(area, e)| area * e).collect();
         matrix.add_product(scale.as_chunks::<1>().0, arriving.as_chunks_mut::<1>().0);
@@ -148,10 +150,7 @@ pub(super) fn close(
         let deviation =
             (0..areas.len()).into_par_iter().with_min_len(SHORT).map(off).reduce(|| 0.0, f64::max);
         deviation_before.get_or_insert(deviation);
-        // What is left in the end is the rounding of the longest row sums.
-        stalled = if deviation < 0.5 * best { 0 } else { stalled + 1 };
-        best = best.min(deviation);
-        if deviation < 1e-15 || (deviation < precision && (precision > EXACT || stalled >= 3)) {
+        if deviation < precision {
             break;
         }
         if round % PATIENCE == 0 && deviation > CONTRADICTION {
@@ -162,12 +161,14 @@ pub(super) fn close(
             (newton, before) = (true, f64::INFINITY);
             continue;
         }
-        if newton && deviation < NEAR && deviation > EXACT {
+        if newton && deviation < NEAR {
             newton = deviation <= PROGRESS * before;
             before = deviation;
-            if let Some(step) = newton.then(|| step(matrix, areas, &scale, &arriving, deviation)).flatten() {
+            if let Some(step) =
+                newton.then(|| step(matrix, areas, &scale, &arriving, deviation, precision)).flatten()
+            {
                 let scales = scale.par_iter_mut().zip(step).with_min_len(SHORT);
-                scales.for_each(|(scale, step)| *scale *= 1.0 + step);
+                scales.for_each(|(scale, [step])| *scale *= 1.0 + f64::from(step));
                 continue;
             }
             newton = false;
@@ -178,46 +179,58 @@ pub(super) fn close(
     Closed { scale, escaped, deviation_before: deviation_before.unwrap_or(0.0) }
 }
 
-/// A step of Newton's method in ln d: the δ of (diag(R) + D S D) δ = A - R with the rows' sums R, by conjugate gradients.
-/// `None` where it goes too far to be believed.
+/// A step of Newton's method in ln d: the δ of (diag(R) + D S D) δ = A - R with the rows' sums R, by conjugate gradients in
+/// single precision. `None` where it goes too far to be believed.
 fn step(
     matrix: &Symmetric,
     areas: &[f64],
     scale: &[f64],
     arriving: &[f64],
     deviation: f64,
-) -> Option<Vec<f64>> {
+    precision: f64,
+) -> Option<Vec<[f32; 1]>> {
     const MOST: usize = 40;
     let n = areas.len();
-    let rows: Vec<f64> = scale.iter().zip(arriving).map(|(d, sum)| d * sum).collect();
-    let mut residual: Vec<f64> = areas.iter().zip(&rows).map(|(area, row)| area - row).collect();
-    let mut step = vec![0.0; n];
-    let mut direction: Vec<f64> = residual.iter().zip(&rows).map(|(r, row)| r / row).collect();
-    let mut size = ordered_sum(n, |i| residual[i] * direction[i]);
-    // No more than a step of Newton's method gains.
-    let enough = deviation.clamp(1e-3, 1e-1).powi(2) * size;
+    let patches = || (0..n).into_par_iter().with_min_len(SHORT);
+    let rows: Vec<f32> = patches().map(|i| (scale[i] * arriving[i]) as f32).collect();
+    // In a unit in which single precision holds it.
+    let mut residual: Vec<f32> =
+        patches().map(|i| ((areas[i] - scale[i] * arriving[i]) / deviation) as f32).collect();
+    let mut step = vec![[0f32]; n];
+    let mut direction: Vec<f32> = patches().map(|i| residual[i] / rows[i]).collect();
+    let (mut scaled, mut image) = (vec![[0f32]; n], vec![[0f32]; n]);
+    let dot =
+        |a: &[f32], b: &(dyn Fn(usize) -> f32 + Sync)| ordered_sum(n, |i| f64::from(a[i]) * f64::from(b(i)));
+    let mut size = dot(&residual, &|i| direction[i]);
+    // No more than a step of Newton's method gains, or single precision can, or is asked for.
+    let enough = deviation.max(0.1 * precision / deviation).clamp(LEAST_STEP, 1e-1).powi(2) * size;
     for _ in 0..MOST {
         // Negated, so that NaN ends it too.
         if !(size > enough) {
             break;
         }
-        let scaled: Vec<f64> = direction.iter().zip(scale).map(|(p, d)| p * d).collect();
-        let mut image = matrix.product(&scaled);
-        for i in 0..n {
-            image[i] = image[i] * scale[i] + rows[i] * direction[i];
-        }
-        let length = size / ordered_sum(n, |i| image[i] * direction[i]);
-        for i in 0..n {
-            step[i] += length * direction[i];
-            residual[i] -= length * image[i];
-        }
-        let before = std::mem::replace(&mut size, ordered_sum(n, |i| residual[i] * residual[i] / rows[i]));
-        let growth = size / before;
-        for i in 0..n {
-            direction[i] = residual[i] / rows[i] + growth * direction[i];
-        }
+        let directions = scaled.par_iter_mut().zip(&mut image).zip(&direction).zip(scale);
+        directions.with_min_len(SHORT).for_each(|(((scaled, image), direction), scale)| {
+            (*scaled, *image) = ([direction * *scale as f32], [0.0]);
+        });
+        matrix.add_product(&scaled, &mut image);
+        let images = image.par_iter_mut().zip(&direction).zip(&rows).zip(scale).with_min_len(SHORT);
+        images.for_each(|((([image], direction), row), scale)| {
+            *image = *image * *scale as f32 + row * direction;
+        });
+        let length = (size / dot(&direction, &|i| image[i][0])) as f32;
+        let ends = step.par_iter_mut().zip(&mut residual).zip(&direction).zip(&image).with_min_len(SHORT);
+        ends.for_each(|((([step], residual), direction), [image])| {
+            *step += length * direction;
+            *residual -= length * image;
+        });
+        let before = std::mem::replace(&mut size, dot(&residual, &|i| residual[i] / rows[i]));
+        let growth = (size / before) as f32;
+        let directions = direction.par_iter_mut().zip(&residual).zip(&rows).with_min_len(SHORT);
+        directions.for_each(|((direction, residual), row)| *direction = residual / row + growth * *direction);
     }
-    step.iter().all(|step| step.abs() < 0.5).then_some(step)
+    step.par_iter_mut().with_min_len(SHORT).for_each(|[step]| *step *= deviation as f32);
+    step.iter().all(|[step]| step.abs() < 0.5).then_some(step)
 }
 
 /// Largest |row sum + escaped share - 1|.

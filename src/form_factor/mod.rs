@@ -36,6 +36,7 @@ use checkpoint::Section;
 use hemisphere::Hits;
 use replicates::Samples;
 use shadow::Sources;
+pub(crate) use symmetric::Real;
 use symmetric::Symmetric;
 
 pub use checkpoint::Checkpoint;
@@ -295,6 +296,12 @@ impl FormFactors {
         self.estimator
     }
 
+    /// The radiosity that they were calibrated with, interleaved channels, in a [`magnitude`] of emission: near the solution,
+    /// if that has the same emission. Empty where there is none.
+    pub(crate) fn expected(&self) -> &[f32] {
+        self.samples.as_ref().map_or(&[], |samples| &samples.radiosity)
+    }
+
     /// What every ray met, unless the form factors came from elsewhere.
     pub fn hits(&self) -> Option<&Hits> {
         self.samples.as_ref().map(|samples| &samples.hits)
@@ -370,10 +377,10 @@ pub(crate) fn ordered_sum<T: Copy + Send + std::iter::Sum<T>>(
     runs.into_iter().sum()
 }
 
-/// The power of two next below the largest value, or 1 where there is none: dividing by it costs no rounding, and brings
+/// The power of two next below the largest size, or 1 where there is none: dividing by it costs no rounding, and brings
 /// squares and single precision into range, however bright or dark a scene is.
 pub(crate) fn magnitude(values: &[f64]) -> f64 {
-    let largest = values.iter().copied().fold(0.0, f64::max);
+    let largest = values.iter().copied().map(f64::abs).fold(0.0, f64::max);
     // Not below what has an inverse.
     if largest > 0.0 { 2f64.powi(largest.log2().floor().clamp(-1000.0, 1000.0) as i32) } else { 1.0 }
 }

@@ -4,7 +4,7 @@ use std::num::NonZeroU32;
 
 use rayon::prelude::*;
 
-use super::{FormFactors, Matrix, SHORT, Stored, hemisphere::REPLICATES, replicates::Deviation, row};
+use super::{FormFactors, Matrix, Real, SHORT, Stored, hemisphere::REPLICATES, replicates::Deviation, row};
 
 impl FormFactors {
     /// Sum over j of F_ij for every row.
@@ -62,6 +62,14 @@ impl FormFactors {
         out.par_iter_mut().zip(&self.left).with_min_len(SHORT).for_each(|(e, left)| {
             e.iter_mut().for_each(|e| *e *= left);
         });
+    }
+
+    /// Adds Σ_j s_ij z_j to every `out_i`, where F_ij = left_i s_ij right_j: of pooled form factors, whose s is symmetric.
+    pub(crate) fn add_exchanged<T: Real, const W: usize>(&self, z: &[[T; W]], out: &mut [[T; W]]) {
+        match &self.stored {
+            Stored::Symmetric(matrix) => matrix.add_product(z, out),
+            Stored::Rows(_) => unreachable!("one-way form factors are not symmetric"),
+        }
     }
 
     /// F z for a value a replicate and channel, in single precision: for error bars.

@@ -1,139 +1,221 @@
 //! Conjugate gradients on the symmetrised system.
 //!
-//! With reciprocal exchange areas S = A F and G = diag(sqrt(ρ / A)), the reflected radiosity is B - Be = G y, where
+//! Reciprocal form factors are F_ij = l_i s_ij r_j with a symmetric s. With G = diag(sqrt(ρ l / r)) and
+//! W = diag(sqrt(ρ l r)), the reflected radiosity is B - Be = G y, where
 //!
-//!   (I - G S G) y = G S Be
+//!   (I - W s W) y = G⁻¹ ρ F Be
 //!
 //! is symmetric and, unless light is caught for ever, positive definite. No division by ρ occurs: black patches simply
 //! have y = 0. Hestenes and Stiefel 1952; the channels run side by side through one product an iteration.
+//!
+//! The iterations are in single precision, which takes half the time, and start anew from the true residual, which is in double
+//! (iterative refinement: Wilkinson, "Rounding Errors in Algebraic Processes", 1963). Where that does not help they are
+//! in double precision too.
 
 use super::{Iterate, SolveOptions, System};
 use crate::{
     Progress, Result,
-    form_factor::{SHORT, magnitude, ordered_sum},
+    form_factor::{Real, SHORT, magnitude},
 };
 use rayon::prelude::*;
 
+/// By how much iterations in single precision reduce the residual at most: its rounding, times some hundreds.
+const SINGLE: f64 = 3e-6;
+
+/// The least share of light that surfaces and openings absorb in the mean, and the least area of a patch, relative to the mean,
+/// for which iterations are in single precision.
+const LEAST_LOSS: f64 = 1e-3;
+const LEAST_AREA: f64 = 1e-6;
+
+/// Patches that reflect less are expected to reflect nothing: what they do would be lost in the rounding of what they emit.
+const LEAST_REFLECTANCE: f64 = 1e-3;
+
 /// Iterates until the true residual is small. Recursive residuals drift from the true ones in ill-conditioned rooms
 /// (reflectances of 1 - 10⁻⁶ and up), so that convergence is judged by the true residual and restarted where needed.
+/// Returns the irradiance as well.
 pub(super) fn solve<const C: usize>(
     system: &System<C>,
-    start: &[f64],
+    start: Option<&[f64]>,
     options: &SolveOptions,
     progress: &Progress,
-) -> Result<Iterate<C>> {
-    let mut radiosity = start.as_chunks().0.to_vec();
-    let mut iterations = 0;
-    let mut best = f64::INFINITY;
-    loop {
+) -> Result<(Iterate<C>, Vec<[f64; C]>)> {
+    let judged = |radiosity: Vec<[f64; C]>| {
         let irradiance = system.irradiance(&radiosity);
         let residual = system.relative_residual(&radiosity, &irradiance);
-        // Negated, so that NaN ends it too.
-        let stalled = !(residual <= 0.5 * best);
-        if residual <= options.tolerance || iterations >= options.max_iterations || stalled {
-            return Ok((radiosity, iterations));
-        }
-        best = residual;
-        let correction = correct(
-            system,
-            &radiosity,
-            &irradiance,
-            options.tolerance / residual,
-            &mut iterations,
-            options,
-            progress,
-        )?;
-        for (b, d) in radiosity.iter_mut().zip(&correction) {
-            for c in 0..C {
-                b[c] = (b[c] + d[c]).max(0.0);
+        (radiosity, irradiance, residual)
+    };
+    let begin = start.map(|start| start.as_chunks().0.to_vec()).or_else(|| expected(system));
+    // What was expected may have been of other light.
+    let begin = begin.map(judged).filter(|&(.., residual)| residual < 1.0);
+    let (mut radiosity, mut irradiance, mut residual) =
+        begin.unwrap_or_else(|| judged(system.emission.to_vec()));
+    let (mut iterations, mut single) = (0, suits_single(system));
+    // Negated, so that NaN ends it too.
+    while !(residual <= options.tolerance) && iterations < options.max_iterations {
+        let most = options.max_iterations - iterations;
+        // A margin, since the norm here is another one than that of the tolerance.
+        let reduction = 0.03 * options.tolerance / residual;
+        let (correction, taken) = if single {
+            // In as many steps as it takes, each as long as the others.
+            let steps = (reduction.ln() / SINGLE.ln()).ceil();
+            let reduction = reduction.powf(steps.recip());
+            // Four lanes are a vector, three are not.
+            match C {
+                3 => correct::<f32, C, 4>(system, &radiosity, &irradiance, reduction, most, progress),
+                _ => correct::<f32, C, C>(system, &radiosity, &irradiance, reduction, most, progress),
             }
+        } else {
+            correct::<f64, C, C>(system, &radiosity, &irradiance, reduction, most, progress)
+        }?;
+        iterations += taken;
+        let corrected = radiosity.par_iter().zip(&correction).with_min_len(SHORT);
+        let corrected: Vec<[f64; C]> =
+            corrected.map(|(b, d)| std::array::from_fn(|c| (b[c] + d[c]).max(0.0))).collect();
+        let corrected = judged(corrected);
+        let stalled = !(corrected.2 <= 0.5 * residual);
+        // What single precision made worse is forgotten.
+        if corrected.2 < residual || !single {
+            (radiosity, irradiance, residual) = corrected;
+        }
+        if stalled && !std::mem::take(&mut single) {
+            break;
         }
     }
+    Ok(((radiosity, iterations), irradiance))
 }
 
-/// Solves for the correction that removes the present residual, down to `reduction` times it.
-fn correct<const C: usize>(
+/// Whether single precision helps: where hardly anything absorbs it does not converge, and what it does to the smallest patches
+/// does not show in the residual.
+fn suits_single<const C: usize>(system: &System<C>) -> bool {
+    let (areas, escaped) = (system.form_factors.areas(), system.form_factors.escaped());
+    let (all, least) = areas.iter().fold((0.0, f64::INFINITY), |(sum, least), &a| (sum + a, least.min(a)));
+    let lost = |c: usize| -> f64 {
+        let of_patch = |i: usize| areas[i] * (1.0 - system.reflectance[i][c] * (1.0 - escaped[i]));
+        (0..areas.len()).map(of_patch).sum()
+    };
+    least * areas.len() as f64 > LEAST_AREA * all && (0..C).all(|c| lost(c) > LEAST_LOSS * all)
+}
+
+/// What the form factors were calibrated with, if it is of as many channels: Be and ρ times something, since the rest of what
+/// leaves black patches would never be corrected.
+fn expected<const C: usize>(system: &System<C>) -> Option<Vec<[f64; C]>> {
+    let (known, n) = (system.form_factors.expected().as_chunks::<C>().0, system.emission.len());
+    let unit = magnitude(system.emission.as_flattened());
+    let of_patch = |i: usize| -> [f64; C] {
+        std::array::from_fn(|c| {
+            let (emitted, rho) = (system.emission[i][c], system.reflectance[i][c]);
+            let reflected = (f64::from(known[i][c]) * unit - emitted).max(0.0);
+            if rho > LEAST_REFLECTANCE { emitted + reflected } else { emitted }
+        })
+    };
+    let known_to_all = system.form_factors.expected().len() == n * C;
+    known_to_all.then(|| (0..n).into_par_iter().with_min_len(SHORT).map(of_patch).collect())
+}
+
+/// Solves for the correction that removes the present residual, down to `reduction` times it, with `most` iterations at most, in
+/// `W` lanes of which `C` are in use. Returns how many it took.
+fn correct<T: Real, const C: usize, const W: usize>(
     system: &System<C>,
     radiosity: &[[f64; C]],
     irradiance: &[[f64; C]],
     reduction: f64,
-    iterations: &mut usize,
-    options: &SolveOptions,
+    most: usize,
     progress: &Progress,
-) -> Result<Vec<[f64; C]>> {
+) -> Result<(Vec<[f64; C]>, usize)> {
     let n = radiosity.len();
-    let areas = areas(system);
-    // y = G⁻¹ d = d sqrt(A / ρ): the residual r of d is ρ times something, so that G⁻¹ r = sqrt(ρ A) (r / ρ).
-    let gain: Vec<[f64; C]> =
-        (0..n).map(|i| system.reflectance[i].map(|rho| (rho / areas[i]).sqrt())).collect();
-    let mut r: Vec<[f64; C]> = (0..n)
+    let (left, right) = system.form_factors.scaling();
+    let patches = || (0..n).into_par_iter().with_min_len(SHORT);
+    let gain = |i: usize, c: usize| (system.reflectance[i][c] * left[i] / right[i]).sqrt();
+    // B = G y: the residual of B is ρ times something, so that it can be divided by G.
+    let residual: Vec<[f64; C]> = patches()
         .map(|i| {
             let residual = system.residual(i, &radiosity[i], &irradiance[i]);
-            std::array::from_fn(|c| if gain[i][c] > 0.0 { residual[c] / gain[i][c] } else { 0.0 })
+            std::array::from_fn(|c| if gain(i, c) > 0.0 { residual[c] / gain(i, c) } else { 0.0 })
         })
         .collect();
-    let mut y = vec![[0.0; C]; n];
-    let mut p = r.clone();
-    let mut rr = dot(&r, &r);
+    // In a unit in which single precision holds it.
+    let unit = magnitude(residual.as_flattened());
+    let lanes = |value: &dyn Fn(usize) -> f64| -> [T; W] {
+        std::array::from_fn(|c| T::of(if c < C { value(c) } else { 0.0 }))
+    };
+    let weights: Vec<[T; W]> =
+        patches().map(|i| lanes(&|c| (system.reflectance[i][c] * left[i] * right[i]).sqrt())).collect();
+    let mut r: Vec<[T; W]> = patches().map(|i| lanes(&|c| residual[i][c] / unit)).collect();
+    drop(residual);
+    let (mut y, mut p) = (vec![[T::of(0.0); W]; n], vec![[T::of(0.0); W]; n]);
+    // W p, and s times it.
+    let (mut weighted, mut image) = (p.clone(), p.clone());
+    let mut rr: [f64; W] = in_order(r.par_chunks(SHORT).map(|r| dot(r, r)));
     let start = rr;
-    // A margin, since the norm here is another one than that of the tolerance.
-    let goal = (0.03 * reduction.min(1.0)).powi(2);
-    while *iterations < options.max_iterations && (0..C).any(|c| rr[c] > goal * start[c]) {
+    let (goal, mut growth) = (reduction.powi(2), [0.0; W]);
+    for iteration in 0..most {
         progress.check()?;
-        let q = apply(system, &areas, &gain, &p);
-        let pq = dot(&p, &q);
-        let alpha: [f64; C] = std::array::from_fn(|c| if pq[c] > 0.0 { rr[c] / pq[c] } else { 0.0 });
-        let ends = y.par_iter_mut().zip(&mut r).zip(&p).zip(&q).with_min_len(SHORT);
-        ends.for_each(|(((y, r), p), q)| {
-            for c in 0..C {
-                y[c] += alpha[c] * p[c];
-                r[c] -= alpha[c] * q[c];
+        if !(0..W).any(|c| rr[c] > goal * start[c]) {
+            return Ok((unscaled(&y, gain, unit), iteration));
+        }
+        let steps = p.par_iter_mut().zip(&mut weighted).zip(&mut image).zip(&r).zip(&weights);
+        steps.with_min_len(SHORT).for_each(|((((p, weighted), image), r), weight)| {
+            for c in 0..W {
+                p[c] = if rr[c] > 0.0 { r[c] + T::of(growth[c]) * p[c] } else { T::of(0.0) };
+                weighted[c] = weight[c] * p[c];
+                image[c] = T::of(0.0);
             }
         });
-        let next = dot(&r, &r);
-        *iterations += 1;
-        if (0..C).all(|c| alpha[c] == 0.0) {
-            break;
+        system.form_factors.add_exchanged(&weighted, &mut image);
+        let images = image.par_chunks_mut(SHORT).zip(p.par_chunks(SHORT)).zip(weights.par_chunks(SHORT));
+        let pq: [f64; W] = in_order(images.map(|((image, p), weights)| {
+            for ((image, p), weight) in image.iter_mut().zip(p).zip(weights) {
+                for c in 0..W {
+                    image[c] = p[c] - weight[c] * image[c];
+                }
+            }
+            dot(p, image)
+        }));
+        let alpha: [f64; W] = std::array::from_fn(|c| if pq[c] > 0.0 { rr[c] / pq[c] } else { 0.0 });
+        let ends = y.par_chunks_mut(SHORT).zip(r.par_chunks_mut(SHORT));
+        let ends = ends.zip(p.par_chunks(SHORT)).zip(image.par_chunks(SHORT));
+        let step = alpha.map(T::of);
+        let next: [f64; W] = in_order(ends.map(|(((y, r), p), q)| {
+            for (((y, r), p), q) in y.iter_mut().zip(&mut *r).zip(p).zip(q) {
+                for c in 0..W {
+                    y[c] += step[c] * p[c];
+                    r[c] -= step[c] * q[c];
+                }
+            }
+            dot(r, r)
+        }));
+        if alpha.iter().all(|&alpha| alpha == 0.0) {
+            return Ok((unscaled(&y, gain, unit), iteration + 1));
         }
-        let growth: [f64; C] = std::array::from_fn(|c| if rr[c] > 0.0 { next[c] / rr[c] } else { 0.0 });
-        p.par_iter_mut().zip(&r).with_min_len(SHORT).for_each(|(p, r)| {
-            *p = std::array::from_fn(|c| if rr[c] > 0.0 { r[c] + growth[c] * p[c] } else { 0.0 });
-        });
+        growth = std::array::from_fn(|c| if rr[c] > 0.0 { next[c] / rr[c] } else { 0.0 });
         rr = next;
     }
-    Ok((0..n).map(|i| std::array::from_fn(|c| gain[i][c] * y[i][c])).collect())
+    Ok((unscaled(&y, gain, unit), most))
 }
 
-/// Areas in a unit in which squares of what they weigh stay in range.
-fn areas<const C: usize>(system: &System<C>) -> Vec<f64> {
-    let areas = system.form_factors.areas();
-    let unit = magnitude(areas);
-    areas.iter().map(|a| a / unit).collect()
-}
-
-/// (I - G S G) p, where S = A F.
-fn apply<const C: usize>(
-    system: &System<C>,
-    areas: &[f64],
-    gain: &[[f64; C]],
-    p: &[[f64; C]],
+/// G y in the unit of radiosity.
+fn unscaled<T: Real, const C: usize, const W: usize>(
+    y: &[[T; W]],
+    gain: impl Fn(usize, usize) -> f64 + Sync,
+    unit: f64,
 ) -> Vec<[f64; C]> {
-    let lifted: Vec<[f64; C]> = p
-        .par_iter()
-        .zip(gain)
-        .with_min_len(SHORT)
-        .map(|(p, g)| std::array::from_fn(|c| g[c] * p[c]))
-        .collect();
-    let mut out = system.irradiance(&lifted);
-    out.par_iter_mut().enumerate().with_min_len(SHORT).for_each(|(i, out)| {
-        for c in 0..C {
-            out[c] = p[i][c] - gain[i][c] * areas[i] * out[c];
-        }
-    });
-    out
+    let patches = y.par_iter().enumerate().with_min_len(SHORT);
+    patches.map(|(i, y)| std::array::from_fn(|c| gain(i, c) * y[c].into() * unit)).collect()
 }
 
-/// Scalar products, summed in order.
-fn dot<const C: usize>(a: &[[f64; C]], b: &[[f64; C]]) -> [f64; C] {
-    std::array::from_fn(|c| ordered_sum(a.len(), |i| a[i][c] * b[i][c]))
+/// Σ a b of some patches.
+fn dot<T: Real, const W: usize>(a: &[[T; W]], b: &[[T; W]]) -> [f64; W] {
+    let mut sum = [0.0; W];
+    for (a, b) in a.iter().zip(b) {
+        for c in 0..W {
+            sum[c] += a[c].into() * b[c].into();
+        }
+    }
+    sum
+}
+
+/// The sum of what runs of patches sum to, whatever the number of threads.
+fn in_order<const W: usize>(runs: impl IndexedParallelIterator<Item = [f64; W]>) -> [f64; W] {
+    let runs: Vec<[f64; W]> = runs.collect();
+    std::array::from_fn(|c| runs.iter().map(|run| run[c]).sum())
 }

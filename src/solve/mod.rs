@@ -213,25 +213,23 @@ impl<'a, const C: usize> System<'a, C> {
             Solver::GaussSeidel => gauss_seidel::solve(self, options, progress)?,
             Solver::Southwell => southwell::solve(self, options, progress)?,
             Solver::Direct => direct::solve(self)?,
-            _ => conjugate_gradient::solve(
-                self,
-                start.unwrap_or(self.emission.as_flattened()),
-                options,
-                progress,
-            )?,
+            _ => {
+                let (iterate, irradiance) = conjugate_gradient::solve(self, start, options, progress)?;
+                return self.finish(solver, iterate, irradiance, options);
+            }
         };
-        self.finish(solver, radiosity, iterations, options)
+        let irradiance = self.irradiance(&radiosity);
+        self.finish(solver, (radiosity, iterations), irradiance, options)
     }
 
     /// Judges the result by its own residual, whatever the algorithm believed.
     fn finish(
         &self,
         solver: Solver,
-        radiosity: Vec<[f64; C]>,
-        iterations: usize,
+        (radiosity, iterations): Iterate<C>,
+        irradiance: Vec<[f64; C]>,
         options: &SolveOptions,
     ) -> Result<Solution> {
-        let irradiance = self.irradiance(&radiosity);
         let residual = self.relative_residual(&radiosity, &irradiance);
         // Negated so that NaN does not pass.
         if !(residual <= options.tolerance.max(self.attainable(&radiosity, options.tolerance))) {
