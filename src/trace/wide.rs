@@ -8,6 +8,7 @@
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::*;
+use std::mem::MaybeUninit;
 
 use glam::Vec3A;
 
@@ -226,6 +227,48 @@ impl Lanes for Avx2 {
             // SAFETY: a prefetch reads nothing and may be given any address.
             unsafe { _mm_prefetch::<_MM_HINT_T0>(item.wrapping_add(64 * line)) };
         }
+    }
+}
+
+/// Children yet to visit: distance in the upper half, index in the lower. Its room need not be initialised.
+pub(super) struct Stack<'a> {
+    /// Those below `height` are initialised.
+    entries: &'a mut [MaybeUninit<u64>],
+    height: usize,
+}
+
+impl<'a> Stack<'a> {
+    pub(super) fn new(entries: &'a mut [MaybeUninit<u64>]) -> Self {
+        Stack { entries, height: 0 }
+    }
+
+    #[inline(always)]
+    pub(super) fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Puts an entry where it belongs among those above `below`, which descend.
+    #[inline(always)]
+    pub(super) fn insert(&mut self, below: usize, entry: u64) {
+        let mut at = self.height;
+        while at > below {
+            // SAFETY: at - 1 is below the height.
+            let under = unsafe { self.entries[at - 1].assume_init() };
+            if under >= entry {
+                break;
+            }
+            self.entries[at].write(under);
+            at -= 1;
+        }
+        self.entries[at].write(entry);
+        self.height += 1;
+    }
+
+    #[inline(always)]
+    pub(super) fn pop(&mut self) -> Option<u64> {
+        self.height = self.height.checked_sub(1)?;
+        // SAFETY: it was below the height.
+        Some(unsafe { self.entries[self.height].assume_init() })
     }
 }
 
