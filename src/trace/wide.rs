@@ -3,7 +3,7 @@
 //! Both do the same arithmetic in the same order, never fused, so that both give the same bytes; `minps` and `maxps`
 //! decide what becomes of NaN. This is the one file with unsafe code. An [`Avx2`] exists only where [`Kernel::detect`]
 //! found the instructions: that is all that its intrinsics ask for, but for the pointers they read and write, which
-//! are those of whole arrays.
+//! are those of whole arrays. A [`Stack`] reads only what it has written.
 #![allow(unsafe_code, reason = "wide instructions chosen at run time")]
 
 #[cfg(target_arch = "x86_64")]
@@ -69,8 +69,8 @@ impl Kernel {
     }
 }
 
-// The ray is prepared here and not passed by reference: read back from memory several fields at once, where they had just
-// been written one by one, it would have to wait until all before it is done, and no two rays in a row could overlap.
+// The ray is prepared here and not passed by reference: several fields read back at once, just after they were written one
+// by one, would wait until all before them is done, and no two rays in a row could overlap.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1")]
 fn closest_avx2(lanes: Avx2, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> Option<(u32, Met)> {
