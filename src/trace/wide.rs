@@ -69,8 +69,8 @@ impl Kernel {
     }
 }
 
-// The ray is prepared here and not passed by reference: several fields read back at once, just after they were written one
-// by one, would wait until all before them is done, and no two rays in a row could overlap.
+// The ray is prepared here and not passed by reference: fields written one by one and read back several at once cannot be
+// forwarded from the writes, and two rays in a row would hardly overlap (docs/performance.md).
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1")]
 fn closest_avx2(lanes: Avx2, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> Option<(u32, Met)> {
