@@ -1,5 +1,7 @@
 //! A bounding volume hierarchy eight children wide, and how a ray goes through it.
 
+use std::mem::MaybeUninit;
+
 use glam::Vec3A;
 use obvhs::{
     BvhBuildParams,
@@ -12,7 +14,7 @@ use super::{
     UnitTriangle,
     collapse::Collapse,
     watertight::{Met, Nearest, PreparedRay},
-    wide::Lanes,
+    wide::{Lanes, Stack},
 };
 
 /// Children of a node; triangles of a leaf, and its vertices.
@@ -124,7 +126,7 @@ pub(super) struct Bvh {
     stack: usize,
 }
 
-/// Entries that fit the stack without allocation: enough for millions of triangles that are not stacked up oddly.
+/// Entries that fit the stack of a ray without allocation: enough for millions of triangles that are not stacked up oddly.
 const STACK: usize = 96;
 
 impl Bvh {
@@ -216,12 +218,13 @@ impl Bvh {
         if self.nodes.is_empty() || !ray.is_proper() {
             return;
         }
-        let mut fixed = [0; STACK];
+        // Left uninitialised: to zero it would take as long as a node.
+        let mut fixed = [MaybeUninit::uninit(); STACK];
         let mut large = Vec::new();
-        let mut stack = Stack { entries: &mut fixed, height: 0 };
+        let mut stack = Stack::new(&mut fixed);
         if self.stack > STACK {
-            large.resize(self.stack, 0);
-            stack.entries = &mut large;
+            large.resize(self.stack, MaybeUninit::uninit());
+            stack = Stack::new(&mut large);
         }
         let mut current = 0;
         loop {
@@ -248,10 +251,13 @@ impl Bvh {
                     continue;
                 }
             }
-            match stack.pop(limit) {
-                Some(next) => current = next,
-                None => return,
-            }
+            current = loop {
+                match stack.pop() {
+                    Some(top) if f32::from_bits((top >> 32) as u32) <= limit => break top as u32,
+                    Some(_) => {}
+                    None => return,
+                }
+            };
         }
     }
 
@@ -279,7 +285,7 @@ impl Bvh {
             (u64::from(entries[lane].to_bits()) << 32 | u64::from(child), entered != 0)
         };
         let (mut nearest, mut more) = next();
-        let below = stack.height;
+        let below = stack.height();
         while more {
             let other;
             (other, more) = next();
@@ -296,37 +302,4 @@ fn take_lane(mask: &mut u32) -> usize {
     let lane = mask.trailing_zeros() as usize % WIDTH;
     *mask &= *mask - 1;
     lane
-}
-
-/// Children yet to visit: distance in the upper half, index in the lower.
-struct Stack<'a> {
-    entries: &'a mut [u64],
-    height: usize,
-}
-
-impl Stack<'_> {
-    /// Puts an entry where it belongs among those above `below`, which descend.
-    #[inline(always)]
-    fn insert(&mut self, below: usize, entry: u64) {
-        let mut at = self.height;
-        while at > below && self.entries[at - 1] < entry {
-            self.entries[at] = self.entries[at - 1];
-            at -= 1;
-        }
-        self.entries[at] = entry;
-        self.height += 1;
-    }
-
-    /// The next child that is not beyond the limit.
-    #[inline(always)]
-    fn pop(&mut self, limit: f32) -> Option<u32> {
-        while self.height > 0 {
-            self.height -= 1;
-            let top = self.entries[self.height];
-            if f32::from_bits((top >> 32) as u32) <= limit {
-                return Some(top as u32);
-            }
-        }
-        None
-    }
 }

@@ -14,7 +14,6 @@ use glam::{DVec3, Vec3A};
 
 use crate::scene::Scene;
 use bvh::Bvh;
-use watertight::PreparedRay;
 use wide::Kernel;
 
 /// Where a ray met a triangle.
@@ -158,7 +157,7 @@ impl Tracer {
     /// The first triangle that the ray meets. The direction need not be of unit length, but not zero.
     #[inline]
     pub fn closest(&self, origin: Vec3A, direction: Vec3A) -> Option<Hit> {
-        let (triangle, met) = self.kernel.closest(&self.bvh, &PreparedRay::new(origin, direction))?;
+        let (triangle, met) = self.kernel.closest(&self.bvh, origin, direction)?;
         Some(Hit { triangle, front: met.front(), t: met.t, barycentric: met.barycentric() })
     }
 
@@ -169,7 +168,7 @@ impl Tracer {
         if direction == Vec3A::ZERO {
             return true;
         }
-        self.kernel.is_free(&self.bvh, &PreparedRay::new(from, direction))
+        self.kernel.is_free(&self.bvh, from, direction)
     }
 }
 

@@ -17,6 +17,8 @@ pub(super) struct PreparedRay {
     pub(super) backward: [bool; 3],
     /// The axes permuted so that z is the direction's largest.
     pub(super) axes: [usize; 3],
+    /// The origin along these axes.
+    pub(super) turned_origin: [f32; 3],
     /// The shear that takes the direction to +z.
     pub(super) shear: [f32; 2],
 }
@@ -93,26 +95,22 @@ impl Nearest {
     }
 }
 
+/// The two axes beside the largest of a direction: by that one, and by whether it points down.
+const TURNED: [[[usize; 2]; 2]; 3] = [[[1, 2], [2, 1]], [[2, 0], [0, 2]], [[0, 1], [1, 0]]];
+
 impl PreparedRay {
-    #[inline]
+    #[inline(always)]
     pub(super) fn new(origin: Vec3A, direction: Vec3A) -> Self {
         let size = direction.abs();
-        let kz = if size.x >= size.y && size.x >= size.z {
-            0
-        } else if size.y >= size.z {
-            1
-        } else {
-            2
-        };
-        let (mut kx, mut ky) = ((kz + 1) % 3, (kz + 2) % 3);
+        // Arrays, whose items are found without branches: which axis is the largest cannot be predicted.
+        let (along, from) = (direction.to_array(), origin.to_array());
+        let kz = if size.x.max(size.y) >= size.z { usize::from(size.x < size.y) } else { 2 };
         // Keeps the winding, so that the determinant's sign tells the side.
-        if direction[kz] < 0.0 {
-            std::mem::swap(&mut kx, &mut ky);
-        }
-        let inverse = 1.0 / direction[kz];
+        let [kx, ky] = TURNED[kz][usize::from(along[kz] < 0.0)];
+        let inverse = 1.0 / along[kz];
         // A component next to zero is made large enough for a finite inverse: over the length of the scene it moves
         // the ray by far less than boxes are padded.
-        let least = Vec3A::splat(size[kz] * 1e-10);
+        let least = Vec3A::splat(along[kz].abs() * 1e-10);
         let safe = size.max(least).copysign(direction);
         PreparedRay {
             origin,
@@ -124,7 +122,8 @@ impl PreparedRay {
                 direction.z.is_sign_negative(),
             ],
             axes: [kx, ky, kz],
-            shear: [direction[kx] * inverse, direction[ky] * inverse],
+            turned_origin: [from[kx], from[ky], from[kz]],
+            shear: [along[kx] * inverse, along[ky] * inverse],
         }
     }
 

@@ -3,11 +3,14 @@
 //! Both do the same arithmetic in the same order, never fused, so that both give the same bytes; `minps` and `maxps`
 //! decide what becomes of NaN. This is the one file with unsafe code. An [`Avx2`] exists only where [`Kernel::detect`]
 //! found the instructions: that is all that its intrinsics ask for, but for the pointers they read and write, which
-//! are those of whole arrays.
+//! are those of whole arrays. A [`Stack`] reads only what it has written.
 #![allow(unsafe_code, reason = "wide instructions chosen at run time")]
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::*;
+use std::mem::MaybeUninit;
+
+use glam::Vec3A;
 
 use super::{
     bvh::{Bvh, Leaf, Node, WIDTH},
@@ -45,37 +48,39 @@ impl Kernel {
 
     /// [`Bvh::closest`].
     #[inline]
-    pub(super) fn closest(self, bvh: &Bvh, ray: &PreparedRay) -> Option<(u32, Met)> {
+    pub(super) fn closest(self, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> Option<(u32, Met)> {
         match self {
-            Kernel::Portable => bvh.closest(Portable, ray),
+            Kernel::Portable => bvh.closest(Portable, &PreparedRay::new(origin, direction)),
             // SAFETY: the processor has AVX2 and BMI1, or there would be no `Avx2`.
             #[cfg(target_arch = "x86_64")]
-            Kernel::Avx2(lanes) => unsafe { closest_avx2(lanes, bvh, ray) },
+            Kernel::Avx2(lanes) => unsafe { closest_avx2(lanes, bvh, origin, direction) },
         }
     }
 
     /// [`Bvh::is_free`].
     #[inline]
-    pub(super) fn is_free(self, bvh: &Bvh, ray: &PreparedRay) -> bool {
+    pub(super) fn is_free(self, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> bool {
         match self {
-            Kernel::Portable => bvh.is_free(Portable, ray),
+            Kernel::Portable => bvh.is_free(Portable, &PreparedRay::new(origin, direction)),
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Kernel::Avx2(lanes) => unsafe { is_free_avx2(lanes, bvh, ray) },
+            Kernel::Avx2(lanes) => unsafe { is_free_avx2(lanes, bvh, origin, direction) },
         }
     }
 }
 
+// The ray is prepared here and not passed by reference: fields written one by one and read back several at once cannot be
+// forwarded from the writes, and two rays in a row would hardly overlap (docs/performance.md).
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1")]
-fn closest_avx2(lanes: Avx2, bvh: &Bvh, ray: &PreparedRay) -> Option<(u32, Met)> {
-    bvh.closest(lanes, ray)
+fn closest_avx2(lanes: Avx2, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> Option<(u32, Met)> {
+    bvh.closest(lanes, &PreparedRay::new(origin, direction))
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1")]
-fn is_free_avx2(lanes: Avx2, bvh: &Bvh, ray: &PreparedRay) -> bool {
-    bvh.is_free(lanes, ray)
+fn is_free_avx2(lanes: Avx2, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> bool {
+    bvh.is_free(lanes, &PreparedRay::new(origin, direction))
 }
 
 /// Plain Rust.
@@ -119,9 +124,10 @@ impl Lanes for Portable {
         let [kx, ky, kz] = ray.axes;
         let (mut x, mut y) = ([0.0; WIDTH], [0.0; WIDTH]);
         for vertex in 0..WIDTH {
-            let along = |axis: usize| leaf.vertices[axis][vertex] - ray.origin[axis];
-            x[vertex] = along(kx) - ray.shear[0] * along(kz);
-            y[vertex] = along(ky) - ray.shear[1] * along(kz);
+            let [px, py, pz] = ray.turned_origin;
+            let z = leaf.vertices[kz][vertex] - pz;
+            x[vertex] = (leaf.vertices[kx][vertex] - px) - ray.shear[0] * z;
+            y[vertex] = (leaf.vertices[ky][vertex] - py) - ray.shear[1] * z;
         }
         let mut edges = [[0.0; WIDTH]; 3];
         let mut inside = 0;
@@ -180,17 +186,16 @@ impl Lanes for Avx2 {
         // SAFETY: as above; the corners are eight bytes. A permutation looks at three bits of every index.
         unsafe {
             macro_rules! along {
-                ($axis:expr) => {
+                ($axis:literal) => {
                     _mm256_sub_ps(
-                        _mm256_loadu_ps(leaf.vertices[$axis].as_ptr()),
-                        _mm256_set1_ps(ray.origin[$axis]),
+                        _mm256_loadu_ps(leaf.vertices[ray.axes[$axis]].as_ptr()),
+                        _mm256_set1_ps(ray.turned_origin[$axis]),
                     )
                 };
             }
-            let [kx, ky, kz] = ray.axes;
-            let z = along!(kz);
-            let x = _mm256_sub_ps(along!(kx), _mm256_mul_ps(_mm256_set1_ps(ray.shear[0]), z));
-            let y = _mm256_sub_ps(along!(ky), _mm256_mul_ps(_mm256_set1_ps(ray.shear[1]), z));
+            let z = along!(2);
+            let x = _mm256_sub_ps(along!(0), _mm256_mul_ps(_mm256_set1_ps(ray.shear[0]), z));
+            let y = _mm256_sub_ps(along!(1), _mm256_mul_ps(_mm256_set1_ps(ray.shear[1]), z));
             macro_rules! corner {
                 ($corner:literal) => {{
                     let vertices =
@@ -225,9 +230,51 @@ impl Lanes for Avx2 {
     }
 }
 
+/// Children yet to visit: distance in the upper half, index in the lower. Its room need not be initialised.
+pub(super) struct Stack<'a> {
+    /// Those below `height` are initialised.
+    entries: &'a mut [MaybeUninit<u64>],
+    height: usize,
+}
+
+impl<'a> Stack<'a> {
+    pub(super) fn new(entries: &'a mut [MaybeUninit<u64>]) -> Self {
+        Stack { entries, height: 0 }
+    }
+
+    #[inline(always)]
+    pub(super) fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Puts an entry where it belongs among those above `below`, which descend.
+    #[inline(always)]
+    pub(super) fn insert(&mut self, below: usize, entry: u64) {
+        let mut at = self.height;
+        while at > below {
+            // SAFETY: at - 1 is below the height.
+            let under = unsafe { self.entries[at - 1].assume_init() };
+            if under >= entry {
+                break;
+            }
+            self.entries[at].write(under);
+            at -= 1;
+        }
+        self.entries[at].write(entry);
+        self.height += 1;
+    }
+
+    #[inline(always)]
+    pub(super) fn pop(&mut self) -> Option<u64> {
+        self.height = self.height.checked_sub(1)?;
+        // SAFETY: it was below the height.
+        Some(unsafe { self.entries[self.height].assume_init() })
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use glam::{DVec3, Vec3A, dvec3, vec3a};
+    use glam::{DVec3, dvec3, vec3a};
 
     use super::*;
     use crate::{
@@ -372,13 +419,12 @@ mod tests {
                 } else {
                     (random.point().as_vec3a(), random.point().as_vec3a())
                 };
-                let ray = PreparedRay::new(from, to - from);
                 let hit = |kernel: Kernel| {
-                    let (triangle, met) = kernel.closest(&wide.bvh, &ray)?;
+                    let (triangle, met) = kernel.closest(&wide.bvh, from, to - from)?;
                     Some((triangle, met.front(), met.t.to_bits(), bits(met.barycentric())))
                 };
                 assert_eq!(hit(Kernel::detect()), hit(Kernel::Portable), "{count} {from} {to}");
-                let free = |kernel: Kernel| kernel.is_free(&wide.bvh, &ray);
+                let free = |kernel: Kernel| kernel.is_free(&wide.bvh, from, to - from);
                 assert_eq!(free(Kernel::detect()), free(Kernel::Portable), "{count} {from} {to}");
             }
         }
