@@ -20,6 +20,7 @@ use crate::{
         replicates::Deviation,
         siblings::with_mean,
         stratification::{half_differences, variance_of_all},
+        together,
     },
     solve::{Radiometry, Solution},
 };
@@ -74,10 +75,10 @@ impl ErrorBars {
     ) -> Option<ErrorBars> {
         let reflectance = radiometry.into().reflectance;
         assert_eq!(reflectance.len(), solution.radiosity.len(), "sizes disagree");
-        match solution.channels {
+        together(|| match solution.channels {
             1 => Self::spread::<1>(form_factors, reflectance.as_chunks().0, solution),
             _ => Self::spread::<3>(form_factors, reflectance.as_chunks().0, solution),
-        }
+        })
     }
 
     fn spread<const C: usize>(

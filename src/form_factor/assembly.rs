@@ -14,6 +14,7 @@ use super::{
     replicates::Samples,
     siblings,
     symmetric::Symmetric,
+    together,
 };
 use crate::{patch::Patches, trace::Tracer};
 
@@ -132,11 +133,13 @@ impl FormFactors {
         let samples = self.samples.as_ref()?;
         let hits = samples.hits.half(half)?;
         let start = samples.radiosity.clone();
-        let assembled = Assembled::new(hits, tracer, patches, &samples.options, start);
-        Some(match samples.options.estimator {
-            Estimator::OneWay => assembled.one_way(),
-            Estimator::Pooled => assembled.pooled(patches, ROUGH),
-        })
+        Some(together(|| {
+            let assembled = Assembled::new(hits, tracer, patches, &samples.options, start);
+            match samples.options.estimator {
+                Estimator::OneWay => assembled.one_way(),
+                Estimator::Pooled => assembled.pooled(patches, ROUGH),
+            }
+        }))
     }
 
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j), by visiting every pair.

@@ -14,7 +14,7 @@ pub mod stochastic_jacobi;
 
 use crate::{
     Error, Progress, Result,
-    form_factor::{Estimator, FormFactors, row},
+    form_factor::{Estimator, FormFactors, row, together},
     patch::Patches,
 };
 use stochastic_jacobi::StochasticSolution;
@@ -168,11 +168,11 @@ pub(crate) fn solve_from<'a>(
     let radiometry = radiometry.into();
     let n = form_factors.len() * radiometry.channels;
     assert_eq!((radiometry.emission.len(), radiometry.reflectance.len()), (n, n), "sizes disagree");
-    match radiometry.channels {
+    together(|| match radiometry.channels {
         1 => System::<1>::new(form_factors, radiometry).solve(start, options, progress),
         3 => System::<3>::new(form_factors, radiometry).solve(start, options, progress),
         c => panic!("{c} channels: there are 1 or 3"),
-    }
+    })
 }
 
 /// The system with its number of channels known to the compiler.
