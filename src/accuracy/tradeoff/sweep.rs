@@ -21,8 +21,9 @@ use crate::{
 
 /// Each point of a line has this many times the rays of the one before.
 const STEP: f64 = 4.0;
-/// Points with at most this share of the rays of the largest one are run several times, since they are short.
+/// Estimators, and solvers, are compared with at most this share of the rays of the largest point.
 const SHORT: f64 = 1.0 / 15.0;
+/// Each point is run so often.
 const REPEATS: u64 = 3;
 /// A path takes about as long as this many rays of radiosity, which become form factors besides.
 const RAYS_A_PATH: f64 = 2.0;
@@ -214,7 +215,7 @@ impl<'a> Sweep<'a> {
         let mut samples = FIRST_RAYS;
         while samples <= most {
             let mut runs = Vec::new();
-            for repeat in 0..self.repeats(RAYS_A_PATH * samples * regions.len() as f64) {
+            for repeat in 0..REPEATS {
                 let seed = self.seed.wrapping_add(repeat);
                 let effort = Effort { samples: samples as u32, seed, ..Effort::default() };
                 let start = Instant::now();
@@ -251,9 +252,8 @@ impl<'a> Sweep<'a> {
 
     /// Casts and solves, several times where that is short.
     fn radiosity(&self, series: Series, subdivision: &Subdivision, cast: &CastOptions) -> Result<Point> {
-        let count = Patches::forecast(self.scene, subdivision);
         let mut runs = Vec::new();
-        for repeat in 0..self.repeats(count * cast.rays) {
+        for repeat in 0..REPEATS {
             let cast = CastOptions { seed: self.seed.wrapping_add(repeat), ..*cast };
             let start = Instant::now();
             let mut patches = Patches::subdivide(self.scene, subdivision);
@@ -301,10 +301,6 @@ impl<'a> Sweep<'a> {
             bytes: form_factors.bytes(),
         };
         Ok(Run { square: self.square(&averaged(&self.common, patches, &solution.irradiance)), point })
-    }
-
-    fn repeats(&self, rays: f64) -> u64 {
-        if rays <= self.extent.rays * SHORT { REPEATS } else { 1 }
     }
 
     /// The squared error relative to the mean, free of the references' noise in expectation.
