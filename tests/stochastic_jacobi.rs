@@ -86,22 +86,26 @@ fn a_furnace_is_as_bright_as_it_must_be() {
     }
 }
 
+/// The Cornell box in so many patches, by sweeps of 64 rays a patch, and more for as long as `more` says.
+fn sweeps_while(count: usize, more: impl FnMut(&Reached) -> bool) -> (Patches, StochasticSolution) {
+    let scene = Scene::load("meshes/cornell-box.obj").unwrap();
+    let (tracer, progress) = (Tracer::new(&scene), Progress::new());
+    let mut patches = Patches::subdivide(&scene, &Subdivision::Count(count));
+    let sweeper = Sweeper::new(&scene, &tracer, &mut patches, 1, &progress).unwrap();
+    let options = StochasticOptions { rays: 64.0 };
+    let found = stochastic_jacobi::solve_while(&sweeper, sweeper.patches(), &options, more, &progress);
+    (sweeper.patches().clone(), found.unwrap())
+}
+
 /// Going on until there are three times as many rays: 16 batches become 8 twice as long, and 8 more; of those 16 become 8, and 4
 /// more of four times the first length make 48.
 #[test]
 fn sweeps_go_on_batch_by_batch() {
-    let scene = Scene::load("meshes/cornell-box.obj").unwrap();
-    let (tracer, progress) = (Tracer::new(&scene), Progress::new());
-    let mut patches = Patches::subdivide(&scene, &Subdivision::Count(300));
-    let sweeper = Sweeper::new(&scene, &tracer, &mut patches, 1, &progress).unwrap();
     let mut told = Vec::new();
-    let more = |reached: &Reached| {
+    let (patches, found) = sweeps_while(300, |reached| {
         told.push(*reached);
         reached.rays < 192.0
-    };
-    let options = StochasticOptions { rays: 64.0 };
-    let found =
-        stochastic_jacobi::solve_while(&sweeper, sweeper.patches(), &options, more, &progress).unwrap();
+    });
     let rays: Vec<f64> = told.iter().map(|reached| reached.rays).collect();
     let halves = (16..32).step_by(2).chain((32..=48).step_by(4)).map(|batches| f64::from(4 * batches));
     assert_eq!(rays, halves.collect::<Vec<_>>());
@@ -111,7 +115,7 @@ fn sweeps_go_on_batch_by_batch() {
     }
     assert_eq!(found.reached, *told.last().unwrap());
     assert_eq!(found.sweeps, 16 + 48);
-    let n = sweeper.patches().len() as u64;
+    let n = patches.len() as u64;
     assert_eq!(found.tally.hemisphere, n * (16 * 4 + 48 * 3));
     // The error falls at least as that of independent rays does, but for the scatter of its own estimate: of 16 values 18 %.
     assert!(found.reached.error < told[0].error * 3f64.sqrt().recip() * 1.36, "{told:?}");
@@ -121,14 +125,7 @@ fn sweeps_go_on_batch_by_batch() {
 /// in common must not show in the energy. In the mean over patches it is known to a thousandth then.
 #[test]
 fn many_short_sweeps_balance_their_energy() {
-    let scene = Scene::load("meshes/cornell-box.obj").unwrap();
-    let (tracer, progress) = (Tracer::new(&scene), Progress::new());
-    let mut patches = Patches::subdivide(&scene, &Subdivision::Count(1000));
-    let sweeper = Sweeper::new(&scene, &tracer, &mut patches, 1, &progress).unwrap();
-    let more = |reached: &Reached| reached.rays < 8192.0;
-    let options = StochasticOptions { rays: 64.0 };
-    let found =
-        stochastic_jacobi::solve_while(&sweeper, sweeper.patches(), &options, more, &progress).unwrap();
+    let (_, found) = sweeps_while(1000, |reached| reached.rays < 8192.0);
     for (imbalance, error) in found.imbalance.iter().zip(&found.imbalance_error) {
         println!("{imbalance:.2e} with error {error:.2e}");
         assert!(imbalance.abs() <= 5.0 * error && *error < 1e-3, "{imbalance} with error {error}");

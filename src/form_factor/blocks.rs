@@ -27,13 +27,13 @@ pub(super) struct Blocks {
 
 impl Blocks {
     pub(super) fn new(len: usize) -> Blocks {
-        Self::of_rows(len, (len / ENOUGH_BLOCKS).clamp(LEAST_ROWS, MOST_ROWS))
+        Self::of_rows(len, LEAST_ROWS, MOST_ROWS)
     }
 
-    /// With so many rows each, or the power of two below.
-    pub(super) fn of_rows(len: usize, rows: usize) -> Blocks {
-        assert!(rows <= MOST_ROWS, "places have {PLACE} bits");
-        Blocks { len, bits: rows.ilog2() }
+    /// With at least and at most so many rows each, as a power of two, and enough blocks if that leaves them.
+    pub(super) fn of_rows(len: usize, least: usize, most: usize) -> Blocks {
+        assert!(most <= MOST_ROWS, "places have {PLACE} bits");
+        Blocks { len, bits: (len / ENOUGH_BLOCKS).clamp(least, most).ilog2() }
     }
 
     /// Of so many patches.

@@ -18,8 +18,6 @@ use super::{
 const MOST_ROWS: usize = 1 << 12;
 /// and at least: smaller ones are not worth a task.
 const LEAST_ROWS: usize = 1 << 7;
-/// Blocks that there should be at least, for threads to share.
-const ENOUGH_BLOCKS: usize = 16;
 
 /// What the estimate was made of, kept for the error bars.
 #[derive(Debug, Clone)]
@@ -168,8 +166,7 @@ impl Samples {
         make: impl Fn(Parts<C>) -> T + Sync,
     ) -> Vec<T> {
         let pooled = self.options.estimator == Estimator::Pooled;
-        let rows = (self.areas.len() / ENOUGH_BLOCKS).clamp(LEAST_ROWS, MOST_ROWS);
-        let blocks = Blocks::of_rows(self.areas.len(), rows);
+        let blocks = Blocks::of_rows(self.areas.len(), LEAST_ROWS, MOST_ROWS);
         let incoming = if pooled { Incoming::new(&self.hits, blocks) } else { Incoming::default() };
         let of_lamps = self.per_brightness(radiosity);
         let of_block = |block: usize| -> Vec<T> {

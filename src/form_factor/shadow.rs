@@ -5,12 +5,15 @@
 //!
 //! A shadow ray samples pairs of points (x on i, y on j) with density N_i p_j / (A_i A_j), and its kernel is
 //! g = cos θ cos θ' / (π r²). Where [lamps are few](super::lamp), the kernels' mean G_i, blocked ones included, is known,
-//! and the exchange area of i with source j is the ratio estimate
+//! and what i gets from all sources together is the ratio estimate
 //!
-//!   S_ij = G_i / (Σ g / N_i) · Σ_visible g A_i A_j / (N_i p_j + N_j p_i).
+//!   Σ_j S_ij p_j = G_i / (Σ g / N_i) · Σ_visible g A_i A_j / N_i.
 //!
-//! Where they are many, hemisphere rays, with density (R_i / A_i) g, help: the balance heuristic (Veach and Guibas,
-//! SIGGRAPH 95) combines every sample of a pair, whichever technique found it and from whichever end,
+//! How it divides among the sources, their own hemisphere rays tell too, with density (R_j / A_j) g: by the power heuristic
+//! (Veach and Guibas, SIGGRAPH 95), and scaled to that sum.
+//!
+//! Where they are many, all hemisphere rays help: the balance heuristic combines every sample of a pair, whichever technique
+//! found it and from whichever end,
 //!
 //!   S_ij = Σ w g / (h (R_i/A_i + R_j/A_j) g + (N_i p_j + N_j p_i) / (A_i A_j)),  w = 1 for shadow rays, h for hemisphere rays,
 //!

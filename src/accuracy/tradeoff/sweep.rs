@@ -250,7 +250,7 @@ impl<'a> Sweep<'a> {
         Ok(points)
     }
 
-    /// Casts and solves, several times where that is short.
+    /// Casts and solves, several times.
     fn radiosity(&self, series: Series, subdivision: &Subdivision, cast: &CastOptions) -> Result<Point> {
         let mut runs = Vec::new();
         for repeat in 0..REPEATS {
