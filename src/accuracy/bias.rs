@@ -12,6 +12,9 @@ use crate::{
     trace::Tracer,
 };
 
+/// Of so many patches one half of the rays tells as much: sampling errors, which differ from half to half, average out.
+const ENOUGH: usize = 1 << 17;
+
 /// By how much the mean irradiance is expected to be too high, relative to itself: all channels together, weighted by area.
 /// `None` when the form factors were not sampled, or with too few rays to halve.
 ///
@@ -36,9 +39,11 @@ pub fn relative(
     let start = &solution.radiosity;
     let whole = mean(solution);
     let mut halves = 0.0;
-    for half in 0..2 {
+    let many = if patches.len() < ENOUGH { 2 } else { 1 };
+    for half in 0..many {
         let Some(form_factors) = form_factors.half(half, tracer, patches) else { return Ok(None) };
-        halves += 0.5 * mean(&solve_from(Some(start), &form_factors, patches, options, progress)?);
+        halves += (many as f64).recip()
+            * mean(&solve_from(Some(start), &form_factors, patches, options, progress)?);
     }
     Ok((whole > 0.0).then(|| halves / whole - 1.0))
 }

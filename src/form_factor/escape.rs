@@ -92,10 +92,11 @@ fn link_variance(hits: &Hits, densities: &Densities, areas: &[f64]) -> Vec<f64> 
     let mut sums = vec![[0f64; REPLICATES]; sources.len()];
     for i in 0..hits.len() {
         for link in hits.links_of(i) {
-            let exchange = hits.weight(i, link) * densities.link(hits, i, link);
+            let (replicate, many) = hits.part_of(i, link);
+            let exchange = many * densities.link(hits, i, link);
             for l in [i as u32, link.to] {
                 if let Ok(k) = sources.binary_search(&l) {
-                    sums[k][hits.replicate(i, link)] += exchange / areas[l as usize];
+                    sums[k][replicate] += exchange / areas[l as usize];
                 }
             }
         }

@@ -154,18 +154,12 @@ impl Hits {
         &self.links[self.link_offsets[i]..self.link_offsets[i + 1]]
     }
 
-    /// The replicate that a link from patch `i` belongs to.
+    /// The replicate that found a link of patch `i`, and how many rays of its kind left the patch, as a multiple of those in it.
     #[inline]
-    pub(super) fn replicate(&self, i: usize, link: &Link) -> usize {
-        let many = REPLICATES as u64;
-        ((many * u64::from(link.index) + many - 1) / u64::from(self.rays_like(i, link))) as usize
-    }
-
-    /// How many rays of the kind that found a link left patch `i`, as a multiple of those in its replicate.
-    #[inline]
-    pub(super) fn weight(&self, i: usize, link: &Link) -> f64 {
-        let rays = self.rays_like(i, link);
-        f64::from(rays) / part(rays, self.replicate(i, link)).len() as f64
+    pub(super) fn part_of(&self, i: usize, link: &Link) -> (usize, f64) {
+        let (many, rays) = (REPLICATES as u64, self.rays_like(i, link));
+        let replicate = ((many * u64::from(link.index) + many - 1) / u64::from(rays)) as usize;
+        (replicate, f64::from(rays) / part(rays, replicate).len() as f64)
     }
 
     fn rays_like(&self, i: usize, link: &Link) -> u32 {

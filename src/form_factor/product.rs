@@ -37,30 +37,30 @@ impl FormFactors {
     pub fn irradiance(&self, radiosity: &[f64], channels: usize) -> Vec<f64> {
         let mut irradiance = vec![0.0; radiosity.len()];
         match channels {
-            1 => self.irradiance_into::<1>(radiosity, &mut irradiance),
-            3 => self.irradiance_into::<3>(radiosity, &mut irradiance),
+            1 => self.irradiance_into::<f64, 1>(radiosity, &mut irradiance),
+            3 => self.irradiance_into::<f64, 3>(radiosity, &mut irradiance),
             _ => panic!("{channels} channels: there are 1 or 3"),
         }
         irradiance
     }
 
-    /// As [`FormFactors::irradiance`], for `C` channels, into a vector at hand.
-    pub(crate) fn irradiance_into<const C: usize>(&self, radiosity: &[f64], irradiance: &mut [f64]) {
+    /// As [`FormFactors::irradiance`], for `C` channels in single or double precision, into a vector at hand.
+    pub(crate) fn irradiance_into<T: Real, const C: usize>(&self, radiosity: &[T], irradiance: &mut [T]) {
         assert_eq!(radiosity.len(), C * self.len(), "one value a patch and channel is wanted");
         let mut scaled = radiosity.as_chunks::<C>().0.to_vec();
         scaled.par_iter_mut().zip(&self.right).with_min_len(SHORT).for_each(|(b, right)| {
-            b.iter_mut().for_each(|b| *b *= right);
+            b.iter_mut().for_each(|b| *b = *b * T::of(*right));
         });
         let out = irradiance.as_chunks_mut::<C>().0;
         match &self.stored {
             Stored::Symmetric(matrix) => {
-                out.fill([0.0; C]);
+                out.fill([T::of(0.0); C]);
                 matrix.add_product(&scaled, out);
             }
             Stored::Rows(matrix) => gather(matrix, &scaled, out),
         }
         out.par_iter_mut().zip(&self.left).with_min_len(SHORT).for_each(|(e, left)| {
-            e.iter_mut().for_each(|e| *e *= left);
+            e.iter_mut().for_each(|e| *e = *e * T::of(*left));
         });
     }
 
@@ -142,14 +142,14 @@ fn add<const C: usize>(to: &mut Deviation<C>, factor: f32, z: &Deviation<C>) {
 ///
 /// sprs's own product is serial; this one reads its slices row by row in parallel, each row summed in order, so that
 /// the bytes do not depend on the number of threads.
-fn gather<const C: usize>(matrix: &Matrix, z: &[[f64; C]], out: &mut [[f64; C]]) {
+fn gather<T: Real, const C: usize>(matrix: &Matrix, z: &[[T; C]], out: &mut [[T; C]]) {
     assert_eq!((matrix.cols(), matrix.rows()), (z.len(), out.len()), "sizes disagree");
     out.par_iter_mut().enumerate().with_min_len(128).for_each(|(i, out)| {
         let (columns, values) = row(matrix, i);
-        *out = [0.0; C];
+        *out = [T::of(0.0); C];
         for (&j, &s) in columns.iter().zip(values) {
             for c in 0..C {
-                out[c] += f64::from(s) * z[j as usize][c];
+                out[c] += T::from(s) * z[j as usize][c];
             }
         }
     });

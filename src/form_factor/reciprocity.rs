@@ -132,19 +132,20 @@ impl Densities {
 
 /// By how much the kernels of each replicate of patch `i`'s shadow rays exceed their mean, as a share of it: what the ratio
 /// estimator corrects for. Zero where lamps are many.
-pub(super) fn excess_kernels(hits: &Hits, i: usize) -> [f64; REPLICATES] {
+pub(super) fn excess_kernels(hits: &Hits, i: usize) -> [f32; REPLICATES] {
     let mut excess = [0.0; REPLICATES];
     if hits.sources.are_lamps() {
         let mut sum = 0.0;
         for link in hits.links_of(i).iter().filter(|l| l.found != Found::Hemisphere) {
-            excess[hits.replicate(i, link)] += hits.weight(i, link) * f64::from(link.kernel);
+            let (replicate, many) = hits.part_of(i, link);
+            excess[replicate] += many * f64::from(link.kernel);
             sum += f64::from(link.kernel);
         }
         if sum > 0.0 {
-            excess = excess.map(|kernels| kernels / sum - 1.0);
+            return excess.map(|kernels| (kernels / sum - 1.0) as f32);
         }
     }
-    excess
+    [0.0; REPLICATES]
 }
 
 /// The hits that connect two patches, neither a source, by the blocks that these are in: what is near in memory is counted

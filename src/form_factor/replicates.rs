@@ -19,6 +19,14 @@ const MOST_ROWS: usize = 1 << 12;
 /// and at least: smaller ones are not worth a task.
 const LEAST_ROWS: usize = 1 << 7;
 
+/// By what share proportions may differ that count as one: what is left out is as much smaller than the standard error of a
+/// source's row.
+const ALIKE: f64 = 0.05;
+
+/// How rows are calibrated, in single precision.
+const TRUST: f32 = calibration::TRUST as f32;
+const RESISTANCE: f32 = calibration::RESISTANCE as f32;
+
 /// What the estimate was made of, kept for the error bars.
 #[derive(Debug, Clone)]
 pub(super) struct Samples {
@@ -63,6 +71,22 @@ impl<const C: usize> Exchange<C> {
             self.power[c] += area * radiosity[c];
         }
     }
+
+    #[inline]
+    fn add_times(&mut self, factor: f32, other: &Self) {
+        self.area += factor * other.area;
+        for c in 0..C {
+            self.power[c] += factor * other.power[c];
+        }
+    }
+}
+
+/// What rays that meet a patch need to know of it, in one place: they come to any.
+#[derive(Debug, Clone, Copy)]
+struct Seen<const C: usize> {
+    radiosity: [f32; C],
+    /// Its hemisphere rays.
+    rays: f32,
 }
 
 impl<const C: usize> Sums<C> {
@@ -73,13 +97,13 @@ impl<const C: usize> Sums<C> {
         linked: [0.0; REPLICATES],
     };
 
-    /// Adds a link, of which each replicate has a share.
+    /// Takes away what links are too much for the kernels of each replicate, by `excess`.
     #[inline]
-    fn add_link(&mut self, link: &Exchange<C>, shares: &[f32; REPLICATES]) {
-        for (links, share) in self.links.iter_mut().zip(shares) {
-            links.area += share * link.area;
+    fn correct_links(&mut self, of_kernels: &Exchange<C>, excess: &[f32; REPLICATES]) {
+        for (links, excess) in self.links.iter_mut().zip(excess) {
+            links.area -= excess * of_kernels.area;
             for c in 0..C {
-                links.power[c] += share * link.power[c];
+                links.power[c] -= excess * of_kernels.power[c];
             }
         }
     }
@@ -117,7 +141,7 @@ impl FormFactors {
                 whole
             })
             .collect();
-        if !samples.hits.sources.is_empty() {
+        if !samples.shine_alike(radiosity) {
             // What sources scale by is scaled in the rows of the others too, whose light from sources as a whole stays. With the
             // brightness b_l of the sources dE_i = Σ_l F_il ds_l (B_l - b_l Σ_m F_im B_m / Σ_m F_im b_m).
             let brightness = samples.densities.brightness();
@@ -143,6 +167,18 @@ impl FormFactors {
 }
 
 impl Samples {
+    /// Whether the radiosity of all sources is in one proportion to their brightness, nearly: how they share what others get from
+    /// them does not matter then.
+    fn shine_alike<const C: usize>(&self, radiosity: &[[f64; C]]) -> bool {
+        let brightness = self.densities.brightness();
+        (0..C).all(|c| {
+            let sources = self.hits.sources.patches().iter().map(|&i| i as usize);
+            let of = sources.filter(|&i| brightness[i] > 0.0).map(|i| radiosity[i][c] / brightness[i]);
+            let (least, most) = of.fold((f64::INFINITY, 0.0), |(low, high), x| (x.min(low), x.max(high)));
+            most <= (1.0 + ALIKE) * least
+        })
+    }
+
     /// Variances of every patch's irradiance, all channels together, that come from its hemisphere rays, those that come
     /// in included, and from its shadow rays. Light reflected from patches that are off counts to none.
     pub(super) fn variances(&self, channels: usize) -> Vec<[f64; 2]> {
@@ -169,10 +205,12 @@ impl Samples {
         let blocks = Blocks::of_rows(self.areas.len(), LEAST_ROWS, MOST_ROWS);
         let incoming = if pooled { Incoming::new(&self.hits, blocks) } else { Incoming::default() };
         let of_lamps = self.per_brightness(radiosity);
+        let seen = |(i, &radiosity)| Seen { radiosity, rays: self.hits.rays_of(i) as f32 };
+        let seen: Vec<Seen<C>> = radiosity.par_iter().enumerate().with_min_len(SHORT).map(seen).collect();
         let of_block = |block: usize| -> Vec<T> {
             let mut sums = vec![Sums::ZERO; blocks.range(block).len()];
             if pooled {
-                self.pooled(block, &incoming, radiosity, &of_lamps, &mut sums);
+                self.pooled(block, &incoming, &seen, &of_lamps, &mut sums);
             } else {
                 self.one_way(blocks.range(block), radiosity, &mut sums);
             }
@@ -209,56 +247,51 @@ impl Samples {
         &self,
         block: usize,
         incoming: &Incoming,
-        radiosity: &[[f32; C]],
+        seen: &[Seen<C>],
         of_lamps: &Exchange<C>,
         sums: &mut [Sums<C>],
     ) {
-        let (Samples { hits, densities, .. }, blocks) = (self, incoming.plain.blocks);
-        let of_link = |row: usize, i: usize, link: &Link| {
-            let from = if row == i { link.to as usize } else { i };
-            let exchange = densities.link(hits, i, link) as f32;
-            let mut sum = Exchange::ZERO;
-            sum.add(exchange, &radiosity[from]);
-            if let Some(known) = densities.known(hits, row, i, link) {
-                // All light of lamps together, which the matrix holds as it is known, not as its entries are told.
-                let more = (known as f32 - exchange) * densities.brightness()[from] as f32;
-                sum.area += more * of_lamps.area;
-                for c in 0..C {
-                    sum.power[c] += more * of_lamps.power[c];
-                }
-            }
-            sum
-        };
+        let (hits, blocks) = (&self.hits, incoming.plain.blocks);
         for (i, sums) in blocks.range(block).zip(&mut *sums) {
             for replicate in 0..REPLICATES {
                 let targets = hits.of_replicate(i, replicate);
-                let share = 1.0 / targets.len() as f32;
-                let many = f64::from(incoming.many[replicate][i]);
+                let (share, many) = (1.0 / targets.len() as f32, incoming.many[replicate][i]);
                 for &j in targets {
                     match j {
                         LINKED => sums.linked[replicate] += share,
                         ESCAPED => sums.escaped[replicate] += share,
                         j => {
-                            let (own, _) = self.counted(i, j as usize, incoming);
-                            sums.plain[replicate].add((many * own) as f32, &radiosity[j as usize]);
+                            let other = &seen[j as usize];
+                            let exchange = counted(TRUST, seen[i].rays, other.rays);
+                            sums.plain[replicate].add(many * exchange, &other.radiosity);
                         }
                     }
                 }
             }
-            let excess = excess_kernels(hits, i);
+            let mut of_kernels = Exchange::ZERO;
             for link in hits.links_of(i).iter().filter(|link| link.found != Found::Blocked) {
-                sums.add_link(&of_link(i, i, link), &shares(hits, i, link, &excess));
+                let (replicate, many) = hits.part_of(i, link);
+                let exchange = self.exchanged(i, i, link, seen, of_lamps);
+                sums.links[replicate].add_times(many as f32, &exchange);
+                if link.found != Found::Hemisphere {
+                    of_kernels.add_times(1.0, &exchange);
+                }
+            }
+            sums.correct_links(&of_kernels, &excess_kernels(hits, i));
+        }
+        let start = blocks.range(block).start;
+        // A replicate of all patches of a block stays in a near cache.
+        for (replicate, many) in incoming.many.iter().enumerate() {
+            for other in 0..blocks.count() {
+                let from = blocks.range(other).start;
+                for (r, c) in incoming.plain.of_replicate(other, block, replicate) {
+                    let sender = &seen[from + r];
+                    let exchange = counted(1.0, seen[start + c].rays, sender.rays);
+                    sums[c].plain[replicate].add(many[from + r] * exchange, &sender.radiosity);
+                }
             }
         }
         for other in 0..blocks.count() {
-            let start = blocks.range(other).start;
-            for (replicate, many) in incoming.many.iter().enumerate() {
-                for (r, c) in incoming.plain.of_replicate(other, block, replicate) {
-                    let (i, j) = (start + r, blocks.range(block).start + c);
-                    let (_, exchange) = self.counted(i, j, incoming);
-                    sums[c].plain[replicate].add(many[i] * exchange as f32, &radiosity[i]);
-                }
-            }
             let (mut from, mut excess) = (u32::MAX, [0.0; REPLICATES]);
             for &(i, k) in &incoming.links[other * blocks.count() + block] {
                 if i != from {
@@ -266,23 +299,37 @@ impl Samples {
                 }
                 let i = i as usize;
                 let link = &hits.links_of(i)[k as usize];
-                let place = blocks.of(link.to as usize).1 as usize;
-                let link_of_row = of_link(link.to as usize, i, link);
-                sums[place].add_link(&link_of_row, &shares(hits, i, link, &excess));
+                let sums = &mut sums[blocks.of(link.to as usize).1 as usize];
+                let exchange = self.exchanged(link.to as usize, i, link, seen, of_lamps);
+                let (replicate, many) = hits.part_of(i, link);
+                sums.links[replicate].add_times(many as f32, &exchange);
+                if link.found != Found::Hemisphere && hits.sources.are_lamps() {
+                    sums.correct_links(&exchange, &excess);
+                }
             }
         }
     }
 
-    /// What a hemisphere ray of patch `i` that lands on `j` adds to the exchange area as each of the two rows counts it.
+    /// What a link of patch `i` adds to what a row exchanges.
     #[inline]
-    fn counted(&self, i: usize, j: usize, incoming: &Incoming) -> (f64, f64) {
-        let (own, coming) = self.densities.one_sided(i, j, calibration::TRUST);
-        let pooled = self.densities.hit(i, j);
-        let blend = |row: usize, calibrated: f64| {
-            let [of_calibrated, of_pooled] = incoming.weights[row];
-            of_calibrated * calibrated + of_pooled * pooled
-        };
-        (blend(i, own), blend(j, coming))
+    fn exchanged<const C: usize>(
+        &self,
+        row: usize,
+        i: usize,
+        link: &Link,
+        seen: &[Seen<C>],
+        of_lamps: &Exchange<C>,
+    ) -> Exchange<C> {
+        let Samples { hits, densities, .. } = self;
+        let from = if row == i { link.to as usize } else { i };
+        let exchange = densities.link(hits, i, link) as f32;
+        let mut sum = Exchange::ZERO;
+        sum.add(exchange, &seen[from].radiosity);
+        if let Some(known) = densities.known(hits, row, i, link) {
+            // All light of lamps together, which the matrix holds as it is known, not as its entries are told.
+            sum.add_times((known as f32 - exchange) * densities.brightness()[from] as f32, of_lamps);
+        }
+        sum
     }
 
     /// Deviations of the replicates of patch `i` from their mean: what the matrix makes of their sums.
@@ -354,8 +401,6 @@ struct Incoming {
     many: Vec<Vec<f32>>,
     /// The patch that each link comes from, and which of its links it is.
     links: Vec<Vec<(u32, u32)>>,
-    /// How far each row follows its calibration, and how far it resists that and stays as it was pooled.
-    weights: Vec<[f64; 2]>,
 }
 
 impl Incoming {
@@ -375,24 +420,19 @@ impl Incoming {
             }
             lists
         };
-        let weights = |i: usize| {
-            let resistance = calibration::RESISTANCE / f64::from(hits.rays_of(i));
-            [1.0, resistance].map(|share| share / (1.0 + resistance))
-        };
         Incoming {
             plain,
             many: (0..REPLICATES).into_par_iter().map(many).collect(),
             links: (0..blocks.count()).into_par_iter().with_max_len(1).flat_map_iter(of_block).collect(),
-            weights: (0..hits.len()).map(weights).collect(),
         }
     }
 }
 
-/// The share of each replicate in a link from patch `i`: less than nothing where its kernels exceed their mean.
+/// What a hemisphere ray adds to the exchange area of its patches as the row of one of them counts it, which has so many rays of
+/// its own, and the other patch so many: as far as it follows its calibration with a weight of [`TRUST`] for its own rays and of
+/// one for those that come in, and else as it was pooled.
 #[inline]
-fn shares(hits: &Hits, i: usize, link: &Link, excess: &[f64; REPLICATES]) -> [f32; REPLICATES] {
-    let of_kernels = if link.found == Found::Hemisphere { 0.0 } else { -1.0 };
-    let mut shares = excess.map(|excess| of_kernels * excess);
-    shares[hits.replicate(i, link)] += hits.weight(i, link);
-    shares.map(|share| share as f32)
+fn counted(weight: f32, own: f32, others: f32) -> f32 {
+    let calibrated = weight / (TRUST * own + others);
+    (own * calibrated + RESISTANCE / (own + others)) / (own + RESISTANCE)
 }

@@ -256,7 +256,7 @@ impl<'a, const C: usize> System<'a, C> {
     /// E = F B.
     pub(crate) fn irradiance(&self, radiosity: &[[f64; C]]) -> Vec<[f64; C]> {
         let mut irradiance = vec![[0.0; C]; radiosity.len()];
-        self.form_factors.irradiance_into::<C>(radiosity.as_flattened(), irradiance.as_flattened_mut());
+        self.form_factors.irradiance_into::<f64, C>(radiosity.as_flattened(), irradiance.as_flattened_mut());
         irradiance
     }
 
