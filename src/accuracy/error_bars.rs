@@ -40,11 +40,8 @@ const RATES: (f64, f64) = (1.0, 3.0);
 /// alone held 91 % of patches at 64 rays in 95 % intervals, and 92 % at 256; with 16 it is 94 %. With 4, others lose a percent.
 const PRIOR: f64 = 16.0;
 
-/// Up to this mean share of their own variance patches are told what they inherit by a few sums, one bounce, as independent of
-/// their own; beyond it all replicates go through all bounces. A share counts as this at most, lest one patch that is known well
-/// decide.
-const MOST_INHERITED: f64 = 0.25;
-const MOST_COUNTED: f64 = 10.0;
+/// The least share of its own variance that a patch keeps where what it inherits makes up for it.
+const LEAST_LEFT: f64 = 0.25;
 
 /// The least share of light that is taken to be lost at a bounce, where importance is guessed.
 const LEAST_LOSS: f64 = 1e-2;
@@ -112,14 +109,8 @@ impl ErrorBars {
                 }
             }
         }
-        let shares = inherited(form_factors, reflectance, &local);
-        let counted = areas.iter().zip(&shares).map(|(area, [own, inherited])| {
-            // Nothing of nothing is nothing.
-            area / total * f64::from(inherited / own.max(f32::MIN_POSITIVE)).min(MOST_COUNTED)
-        });
-        let averages_out = counted.sum::<f64>() < MOST_INHERITED;
-        let deviations = if averages_out { local } else { propagate(form_factors, reflectance, local) };
-        let strata: Vec<Strata> = deviations.par_iter().with_min_len(256).map(Strata::of).collect();
+        let [own, all] = propagate(form_factors, reflectance, solution, &local);
+        let strata: Vec<Strata> = all.par_iter().with_min_len(256).map(Strata::of).collect();
         // What comes from all others' shadow rays is stratified otherwise than what a patch's own rays tell. Of two patches of a
         // lamp luck would tell; another patch beside them keeps it within bounds.
         let is_source = |i: &usize| form_factors.is_source(*i);
@@ -127,18 +118,14 @@ impl ErrorBars {
         let others = Strata::sum(&strata, patches.clone().filter(|i| !is_source(i)), |i| areas[i]);
         let sources = Strata::sum(&strata, patches.clone().filter(is_source), |i| areas[i])
             .beside(&others, 1.0 / patches.filter(is_source).count() as f64);
-        let mut standard_error = smoothed_errors(form_factors, &deviations);
+        let mut standard_error = smoothed_errors(form_factors, solution, &local, [&own, &all]);
         for family in form_factors.siblings() {
             let typical = if is_source(&family.start) { &sources } else { &others };
             let near = Strata::sum(&strata, family.clone(), |_| 1.0);
             let stratified = near.beside(typical, PRIOR / family.len() as f64).factor();
-            let [own, inherited] = shares[family.clone()]
-                .iter()
-                .fold([0.0; 2], |sum, of| [sum[0] + f64::from(of[0]), sum[1] + f64::from(of[1])]);
-            let grown = if averages_out && own > 0.0 { (1.0 + inherited / own).sqrt() } else { 1.0 };
             for q in C * family.start..C * family.end {
                 standard_error[q] =
-                    (unit * stratified * grown * standard_error[q]).hypot(LEAST * solution.irradiance[q]);
+                    (unit * stratified * standard_error[q]).hypot(LEAST * solution.irradiance[q]);
             }
         }
         let of_mean = |deviations| unit * others.factor() * standard_error_of(deviations);
@@ -150,10 +137,27 @@ impl ErrorBars {
 /// The standard errors of all patches and channels: the variance of a patch is taken together with the mean of its
 /// siblings, up to 16 patches of a triangle. By itself it has 15 degrees of freedom, and knows nothing of rare paths that
 /// its own rays have missed.
-fn smoothed_errors<const C: usize>(form_factors: &FormFactors, deviations: &[Deviation<C>]) -> Vec<f64> {
-    let own: Vec<[f64; C]> =
-        deviations.iter().map(|e| e.map(|c| standard_error_of(&c.map(f64::from)).powi(2))).collect();
-    with_mean(form_factors.siblings(), &own, |own, mean| (0.5 * (own + mean)).sqrt())
+///
+/// `own` and `all` are what the replicates of a patch deviate by, the channels together, without and with what it inherits: that is
+/// shared out among the channels as its irradiance is.
+fn smoothed_errors<const C: usize>(
+    form_factors: &FormFactors,
+    solution: &Solution,
+    local: &[Deviation<C>],
+    [own, all]: [&[Deviation<1>]; 2],
+) -> Vec<f64> {
+    let variance = |deviation: &[f32; REPLICATES]| standard_error_of(&deviation.map(f64::from)).powi(2);
+    let of_patch = |i: usize| -> [f64; C] {
+        let irradiance = &solution.irradiance[C * i..][..C];
+        let inherited = variance(&all[i][0]) - variance(&own[i][0]);
+        let light = irradiance.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        std::array::from_fn(|c| {
+            let own = variance(&local[i][c]);
+            (own + inherited * (irradiance[c] / light).powi(2)).max(LEAST_LEFT * own)
+        })
+    };
+    let variances: Vec<[f64; C]> = (0..local.len()).into_par_iter().with_min_len(256).map(of_patch).collect();
+    with_mean(form_factors.siblings(), &variances, |own, mean| (0.5 * (own + mean)).sqrt())
 }
 
 /// How well the parts of sequences complement each other: sums over patches and channels.
@@ -246,25 +250,45 @@ fn importance<const C: usize>(form_factors: &FormFactors, reflectance: &[[f64; C
     importance
 }
 
-/// The deviations dE_k of all patches, of which `local` is dF_k B.
+/// Sums over the channels of dF_k B, which are `local`, and of dE_k. One channel serves for all: what patches inherit is the small
+/// part in most scenes, and alike in all channels.
 fn propagate<const C: usize>(
     form_factors: &FormFactors,
     reflectance: &[[f64; C]],
-    local: Vec<Deviation<C>>,
-) -> Vec<Deviation<C>> {
-    let mut total = local.clone();
+    solution: &Solution,
+    local: &[Deviation<C>],
+) -> [Vec<Deviation<1>>; 2] {
+    let sum = |local: &Deviation<C>, weight: &dyn Fn(usize) -> f64| -> Deviation<1> {
+        [std::array::from_fn(|k| (0..C).map(|c| weight(c) as f32 * local[c][k]).sum())]
+    };
+    let own: Vec<Deviation<1>> =
+        local.par_iter().with_min_len(256).map(|local| sum(local, &|_| 1.0)).collect();
+    // What is inherited is reflected as the irradiance is.
+    let mean = |rho: &[f64; C], e: &[f64]| {
+        let all: f64 = e.iter().sum();
+        if all > 0.0 { (0..C).map(|c| rho[c] * e[c] / all).sum() } else { 0.0 }
+    };
+    let irradiance = solution.irradiance.par_chunks_exact(C);
+    let means: Vec<f64> =
+        reflectance.par_iter().zip(irradiance).with_min_len(256).map(|(rho, e)| mean(rho, e)).collect();
+    let mut total = own.clone();
     let mut size = root_mean_square(&total);
     for _ in 0..MOST_BOUNCES {
-        let reflected: Vec<Deviation<C>> = total
-            .par_iter()
-            .zip(reflectance)
+        let reflected: Vec<Deviation<1>> = (0..own.len())
+            .into_par_iter()
             .with_min_len(256)
-            .map(|(e, rho)| std::array::from_fn(|c| e[c].map(|e| rho[c] as f32 * e)))
+            .map(|i| {
+                let mut reflected = sum(&local[i], &|c| reflectance[i][c]);
+                for k in 0..REPLICATES {
+                    reflected[0][k] += means[i] as f32 * (total[i][0][k] - own[i][0][k]);
+                }
+                reflected
+            })
             .collect();
         total = form_factors.gather_replicates(&reflected);
-        total.par_iter_mut().zip(&local).for_each(|(total, local)| {
-            for (total, local) in total.as_flattened_mut().iter_mut().zip(local.as_flattened()) {
-                *total += local;
+        total.par_iter_mut().zip(&own).with_min_len(256).for_each(|(total, own)| {
+            for k in 0..REPLICATES {
+                total[0][k] += own[0][k];
             }
         });
         let before = size;
@@ -273,37 +297,7 @@ fn propagate<const C: usize>(
             break;
         }
     }
-    total
-}
-
-/// The variance of every patch's own deviations, and of what it inherits of others after a bounce, in one unit, told by a few sums
-/// of replicates with signs, all channels together: a quarter of a product of the light for what takes twelve with all replicates.
-fn inherited<const C: usize>(
-    form_factors: &FormFactors,
-    reflectance: &[[f64; C]],
-    local: &[Deviation<C>],
-) -> Vec<[f32; 2]> {
-    const SUMS: usize = 4;
-    // Walsh functions: each is the sum of half of the replicates less that of the others.
-    let sign =
-        |q: usize, k: usize| if (k & (2 * q + 1)).count_ones().is_multiple_of(2) { 1f32 } else { -1.0 };
-    let patches = local.par_iter().zip(reflectance).with_min_len(256);
-    let reflected: Vec<[f32; SUMS]> = patches
-        .map(|(local, rho)| {
-            let light: [f32; REPLICATES] =
-                std::array::from_fn(|k| (0..C).map(|c| rho[c] as f32 * local[c][k]).sum());
-            std::array::from_fn(|q| (0..REPLICATES).map(|k| sign(q, k) * light[k]).sum())
-        })
-        .collect();
-    let mut arriving = vec![[0f32; SUMS]; local.len()];
-    form_factors.irradiance_into::<f32, SUMS>(reflected.as_flattened(), arriving.as_flattened_mut());
-    let rows = local.par_iter().zip(&arriving).with_min_len(256);
-    rows.map(|(local, arriving)| {
-        let own = |k: usize| (0..C).map(|c| local[c][k]).sum::<f32>().powi(2);
-        let own = (0..REPLICATES).map(own).sum::<f32>() * REPLICATES as f32 / (REPLICATES - 1) as f32;
-        [own, arriving.iter().map(|e| e * e).sum::<f32>() / SUMS as f32]
-    })
-    .collect()
+    [own, total]
 }
 
 /// Standard error of the mean of deviations, which sum to zero but for rounding.

@@ -23,9 +23,8 @@ const LEAST_ROWS: usize = 1 << 7;
 /// source's row.
 const ALIKE: f64 = 0.05;
 
-/// How rows are calibrated, in single precision.
+/// In single precision.
 const TRUST: f32 = calibration::TRUST as f32;
-const RESISTANCE: f32 = calibration::RESISTANCE as f32;
 
 /// What the estimate was made of, kept for the error bars.
 #[derive(Debug, Clone)]
@@ -85,8 +84,8 @@ impl<const C: usize> Exchange<C> {
 #[derive(Debug, Clone, Copy)]
 struct Seen<const C: usize> {
     radiosity: [f32; C],
-    /// Its hemisphere rays.
-    rays: f32,
+    /// Its hemisphere rays per area.
+    density: f32,
 }
 
 impl<const C: usize> Sums<C> {
@@ -205,7 +204,8 @@ impl Samples {
         let blocks = Blocks::of_rows(self.areas.len(), LEAST_ROWS, MOST_ROWS);
         let incoming = if pooled { Incoming::new(&self.hits, blocks) } else { Incoming::default() };
         let of_lamps = self.per_brightness(radiosity);
-        let seen = |(i, &radiosity)| Seen { radiosity, rays: self.hits.rays_of(i) as f32 };
+        let density = |i: usize| (f64::from(self.hits.rays_of(i)) / self.areas[i]) as f32;
+        let seen = |(i, &radiosity)| Seen { radiosity, density: density(i) };
         let seen: Vec<Seen<C>> = radiosity.par_iter().enumerate().with_min_len(SHORT).map(seen).collect();
         let of_block = |block: usize| -> Vec<T> {
             let mut sums = vec![Sums::ZERO; blocks.range(block).len()];
@@ -252,7 +252,9 @@ impl Samples {
         sums: &mut [Sums<C>],
     ) {
         let (hits, blocks) = (&self.hits, incoming.plain.blocks);
-        for (i, sums) in blocks.range(block).zip(&mut *sums) {
+        let resistance = |i: usize| calibration::RESISTANCE as f32 / hits.rays_of(i) as f32;
+        let resistance: Vec<f32> = blocks.range(block).map(resistance).collect();
+        for ((i, sums), &resistance) in blocks.range(block).zip(&mut *sums).zip(&resistance) {
             for replicate in 0..REPLICATES {
                 let targets = hits.of_replicate(i, replicate);
                 let (share, many) = (1.0 / targets.len() as f32, incoming.many[replicate][i]);
@@ -262,7 +264,7 @@ impl Samples {
                         ESCAPED => sums.escaped[replicate] += share,
                         j => {
                             let other = &seen[j as usize];
-                            let exchange = counted(TRUST, seen[i].rays, other.rays);
+                            let exchange = counted(TRUST, seen[i].density, other.density, resistance);
                             sums.plain[replicate].add(many * exchange, &other.radiosity);
                         }
                     }
@@ -286,7 +288,7 @@ impl Samples {
                 let from = blocks.range(other).start;
                 for (r, c) in incoming.plain.of_replicate(other, block, replicate) {
                     let sender = &seen[from + r];
-                    let exchange = counted(1.0, seen[start + c].rays, sender.rays);
+                    let exchange = counted(1.0, seen[start + c].density, sender.density, resistance[c]);
                     sums[c].plain[replicate].add(many[from + r] * exchange, &sender.radiosity);
                 }
             }
@@ -429,10 +431,9 @@ impl Incoming {
 }
 
 /// What a hemisphere ray adds to the exchange area of its patches as the row of one of them counts it, which has so many rays of
-/// its own, and the other patch so many: as far as it follows its calibration with a weight of [`TRUST`] for its own rays and of
-/// one for those that come in, and else as it was pooled.
+/// its own per area, and the other patch so many: as far as it follows its calibration with a weight of [`TRUST`] for its own rays
+/// and of one for those that come in, and, as far as it resists that, as it was pooled.
 #[inline]
-fn counted(weight: f32, own: f32, others: f32) -> f32 {
-    let calibrated = weight / (TRUST * own + others);
-    (own * calibrated + RESISTANCE / (own + others)) / (own + RESISTANCE)
+fn counted(weight: f32, own: f32, others: f32, resistance: f32) -> f32 {
+    (weight / (TRUST * own + others) + resistance / (own + others)) / (1.0 + resistance)
 }
