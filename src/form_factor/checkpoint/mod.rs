@@ -10,9 +10,10 @@
 //!
 //!   length of the body (8 bytes), its CRC-32 (4), body, CRC-32 of the body (4).
 //!
-//! A process killed while writing leaves a record that is cut short, the last; it is cut off. Anything else that does not
-//! match its checksum is damage, and the file is refused. Nothing is forced to the disk: what was written survives the
-//! program's end, however that comes. Loss of power may cost what the system had not written yet.
+//! A process killed while writing leaves a record that is cut short, the last; it is cut off. What was written survives the
+//! program's end, however that comes, and every few seconds it is forced to the disk: loss of power costs what came after that.
+//! It may leave a file that has grown already, with zeros where nothing was written; these are cut off too. Anything else that
+//! does not match its checksum is damage, and the file is refused.
 
 mod format;
 mod section;
@@ -81,6 +82,7 @@ impl Checkpoint {
         if start.len() < HEADER && wanted.starts_with(&start) {
             file = store.file.try_clone().map_err(failed)?;
             let begun = file.set_len(0).and_then(|()| file.rewind()).and_then(|()| file.write_all(&wanted));
+            let begun = begun.and_then(|()| file.sync_all());
             if let Err(e) = begun {
                 store.discard(path);
                 return Err(failed(e));
@@ -101,8 +103,8 @@ impl Checkpoint {
         self.found
     }
 
-    /// Bytes at the end of the file that were cut off when it was opened: a record that the end of the last run left
-    /// incomplete.
+    /// Bytes at the end of the file that were cut off when it was opened: records that the end of the last run, or a loss of
+    /// power, left incomplete.
     pub fn torn(&self) -> u64 {
         self.torn
     }
@@ -122,6 +124,7 @@ impl Drop for Checkpoint {
         let path = &self.path;
         if let Ok(store) = self.store.get_mut() {
             store.discard(path);
+            store.finish();
         }
     }
 }

@@ -211,7 +211,7 @@ impl Names<'_> {
         }
     }
 
-    /// Writes what was added, if anything.
+    /// Writes what was added, if anything, and now and then forces all that was written to the disk.
     ///
     /// # Errors
     /// [`Error::Io`]; what is in the file stays good.
@@ -224,11 +224,15 @@ impl Names<'_> {
         let checkpoint = &*self.section.checkpoint;
         let mut store = checkpoint.store();
         let start = store.end;
-        store.append(&bytes).map_err(|e| Error::io(&checkpoint.path, e))?;
+        let failed = |e| Error::io(&checkpoint.path, e);
+        store.append(&bytes).map_err(failed)?;
         for (key, piece) in pieces {
             let follows = store.add(key, Piece { at: start + piece.at, ..piece });
             assert!(follows, "rays are cast in order");
         }
-        Ok(())
+        let due = store.due().map_err(failed)?;
+        // Others go on meanwhile.
+        drop(store);
+        due.map_or(Ok(()), |file| file.sync_data()).map_err(failed)
     }
 }

@@ -3,8 +3,9 @@
 use std::{
     collections::HashMap,
     fs::{self, File},
-    io::{self, BufReader, Read, Seek, SeekFrom, Write},
+    io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write},
     path::Path,
+    time::{Duration, Instant},
 };
 
 use super::{
@@ -12,6 +13,9 @@ use super::{
     format::{AFTER, BEFORE, HEADER, Key, Piece, body_length, damage, pieces},
 };
 use crate::{Error, Result};
+
+/// Time after which what was written is forced to the disk.
+const SYNC_EVERY: Duration = Duration::from_secs(5);
 
 #[derive(Debug)]
 pub(super) struct Store {
@@ -21,6 +25,8 @@ pub(super) struct Store {
     pub(super) rays: u64,
     /// Whether the file was made here.
     made: bool,
+    /// When it was last forced to the disk, and where it ended then.
+    synced: (Instant, u64),
     pub(super) known: HashMap<Key, Kept>,
 }
 
@@ -35,13 +41,21 @@ pub(super) struct Kept {
 impl Store {
     /// Of a file without records.
     pub(super) fn new(file: File, made: bool) -> Store {
-        Store { file, end: HEADER as u64, rays: 0, made, known: HashMap::new() }
+        let end = HEADER as u64;
+        Store { file, end, rays: 0, made, synced: (Instant::now(), end), known: HashMap::new() }
     }
 
     /// Removes a file that was made here and holds nothing.
     pub(super) fn discard(&self, path: &Path) {
         if self.made && self.rays == 0 {
             let _ = fs::remove_file(path);
+        }
+    }
+
+    /// Forces to the disk what is not there yet: nobody is left whom it could tell that this failed.
+    pub(super) fn finish(&self) {
+        if self.end > self.synced.1 {
+            let _ = self.file.sync_data();
         }
     }
 
@@ -58,21 +72,26 @@ impl Store {
                 return Ok(());
             }
             reader.read_exact(&mut before).map_err(failed)?;
-            let length = body_length(&before).ok_or_else(|| damaged(self.end))?;
+            let Some(length) = body_length(&before) else {
+                let unwritten = is_unwritten(&mut reader, self.end + BEFORE as u64 - 1).map_err(failed)?;
+                return if unwritten { Ok(()) } else { Err(damaged(self.end)) };
+            };
             if left < length.saturating_add((BEFORE + AFTER) as u64) {
                 return Ok(());
             }
             let mut body = vec![0; length as usize + AFTER];
             reader.read_exact(&mut body).map_err(failed)?;
             let (body, check) = body.split_at(length as usize);
+            let end = self.end + length + (BEFORE + AFTER) as u64;
             if crc32fast::hash(body).to_le_bytes() != check {
-                return Err(damaged(self.end));
+                let unwritten = is_unwritten(&mut reader, end - 1).map_err(failed)?;
+                return if unwritten { Ok(()) } else { Err(damaged(self.end)) };
             }
             let pieces = pieces(body, self.end + BEFORE as u64).ok_or_else(|| damaged(self.end))?;
             if pieces.into_iter().any(|(key, piece)| !self.add(key, piece)) {
                 return Err(damaged(self.end));
             }
-            self.end += length + (BEFORE + AFTER) as u64;
+            (self.end, self.synced.1) = (end, end);
         }
     }
 
@@ -107,5 +126,27 @@ impl Store {
         })?;
         self.end += record.len() as u64;
         Ok(())
+    }
+
+    /// The file, when it is time to force it to the disk again.
+    pub(super) fn due(&mut self) -> io::Result<Option<File>> {
+        if self.synced.0.elapsed() < SYNC_EVERY {
+            return Ok(None);
+        }
+        self.synced = (Instant::now(), self.end);
+        self.file.try_clone().map(Some)
+    }
+}
+
+/// Whether there are zeros alone from a byte to the end of the file.
+fn is_unwritten(file: &mut (impl BufRead + Seek), from: u64) -> io::Result<bool> {
+    file.seek(SeekFrom::Start(from))?;
+    loop {
+        let bytes = file.fill_buf()?;
+        if bytes.is_empty() || bytes.iter().any(|&byte| byte != 0) {
+            return Ok(bytes.is_empty());
+        }
+        let length = bytes.len();
+        file.consume(length);
     }
 }
