@@ -180,6 +180,40 @@ fn a_torn_tail_is_cut_off_at_whatever_byte() {
     }
 }
 
+/// A loss of power may leave a file that has grown, with zeros for what was not written yet: from any byte on, to the end of a
+/// record or beyond it.
+#[test]
+fn what_a_loss_of_power_leaves_is_cut_off() {
+    let scene = furnished();
+    let (_dir, path) = finished(&scene);
+    let bytes = fs::read(&path).unwrap();
+    let starts = records(&bytes);
+    let last = &starts[starts.len() - 3..];
+    let found = last[..2].iter().map(|&start| {
+        fs::write(&path, &bytes[..start]).unwrap();
+        open(&path, &scene).found()
+    });
+    for (found, ends) in found.collect::<Vec<_>>().into_iter().zip(last.windows(2)) {
+        let (start, end) = (ends[0], ends[1]);
+        let cuts = (start..start + 16).chain((start + 16..end - 6).step_by(61)).chain(end - 6..end);
+        for (cut, size) in cuts.flat_map(|cut| [end, bytes.len(), bytes.len() + 5000].map(|size| (cut, size)))
+        {
+            let mut left = bytes[..cut].to_vec();
+            left.resize(size, 0);
+            if left[..end] == bytes[..end] {
+                continue;
+            }
+            fs::write(&path, &left).unwrap();
+            let file = open(&path, &scene);
+            assert_eq!((file.torn(), file.found()), ((size - start) as u64, found), "{cut} of {size}");
+            assert_eq!(fs::metadata(&path).unwrap().len(), start as u64);
+        }
+    }
+    let truth = bits(&cast_with(&scene, 64, &options(32.0), None, 2));
+    assert!(bits(&cast_with(&scene, 64, &options(32.0), Some(&open(&path, &scene)), 2)) == truth);
+    assert!(fs::read(&path).unwrap().len() == bytes.len());
+}
+
 /// One bit turned over anywhere, and the file is refused and left as it is.
 #[test]
 fn damage_is_recognised_wherever_it_is() {

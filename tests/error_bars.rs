@@ -6,7 +6,10 @@ use common::*;
 use glam::DVec3;
 use radiosity::{
     Progress,
-    form_factor::{CastOptions, FormFactors, exact::polygon_exchange_area},
+    form_factor::{
+        CastOptions, FormFactors,
+        exact::{polygon_exchange_area, polygon_form_factor},
+    },
     patch::{Patches, Subdivision},
     trace::Tracer,
 };
@@ -89,4 +92,34 @@ fn bars_with_an_occluder() {
     let radiosity: Vec<f64> = (0..reference.patches.len()).map(|_| random.next()).collect();
     let truth = reference.form_factors.irradiance(&radiosity, 1);
     calibrate("occluder", &reference.scene, 0.2, &radiosity, &truth);
+}
+
+/// What a lamp sends past nothing that blocks is known exactly, and closing rows that 64 rays have measured, elsewhere, leaves it
+/// alone: every black patch of a cube whose ceiling shines has the light of Lambert's formula, within its bar. Whole triangles and
+/// small patches, and a tile in the middle.
+#[test]
+fn unblocked_light_of_lamps_is_known_to_its_bar() {
+    let [x0, x1, y0, y1, floor, ceiling] = room_faces(DVec3::ZERO, DVec3::ONE);
+    let tile = rectangle(DVec3::splat(0.5), DVec3::X * 1e-4, DVec3::Y * 1e-4);
+    let parts = [black([x0, x1, y0, y1, floor, tile].concat()), part(ceiling, 0.0, 1.0)];
+    let above = [DVec3::Z, DVec3::new(0.0, 1.0, 1.0), DVec3::ONE, DVec3::new(1.0, 0.0, 1.0)];
+    for subdivision in [Subdivision::Edge(f64::INFINITY), Subdivision::Count(300)] {
+        let (mut off, mut of_bar) = (0f64, 0f64);
+        for seed in 0..4 {
+            let lit = cast(scene(&parts), subdivision, CastOptions { seed, ..CastOptions::default() });
+            let radiosity = lit.patches.emission();
+            let irradiance = lit.form_factors.irradiance(radiosity, 1);
+            let errors = standard_errors(&lit.form_factors, radiosity);
+            // The tile holds back a hundred millionth of what lights the floor; its back sees no lamp.
+            for i in (0..lit.patches.fronts()).filter(|&i| radiosity[i] == 0.0) {
+                let t = lit.scene.corners(lit.patches.triangle(i));
+                let corners = lit.patches.corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2]);
+                let truth = polygon_form_factor(&corners, &above);
+                off = off.max((irradiance[i] / truth - 1.0).abs());
+                of_bar = of_bar.max((irradiance[i] - truth).abs() / errors[i]);
+            }
+        }
+        println!("{subdivision:?}: off by {off:.1e}, {of_bar:.2} of a bar");
+        assert!(of_bar <= 1.0 && off <= 1e-5, "{off:e}, {of_bar} bars");
+    }
 }

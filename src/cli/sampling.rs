@@ -57,7 +57,8 @@ pub struct Sampling<'a> {
 
 /// The light, with its sampling errors.
 pub enum Answer {
-    Matrix(Box<Solved>),
+    /// By a matrix, with what that tells besides.
+    Matrix(Box<Solved>, Box<Errors>),
     /// Without one.
     Sweeps(Box<Patches>, Box<StochasticSolution>),
 }
@@ -65,14 +66,14 @@ pub enum Answer {
 impl Answer {
     pub fn patches(&self) -> &Patches {
         match self {
-            Answer::Matrix(solved) => &solved.patches,
+            Answer::Matrix(solved, _) => &solved.patches,
             Answer::Sweeps(patches, _) => patches,
         }
     }
 
     pub fn light(&self) -> Light<'_> {
         match self {
-            Answer::Matrix(solved) => (&solved.solution).into(),
+            Answer::Matrix(solved, _) => (&solved.solution).into(),
             Answer::Sweeps(_, solution) => (&**solution).into(),
         }
     }
@@ -80,8 +81,16 @@ impl Answer {
     /// Of irradiance.
     pub fn standard_error(&self) -> &[f64] {
         match self {
-            Answer::Matrix(solved) => &solved.error_bars.standard_error,
+            Answer::Matrix(solved, _) => &solved.error_bars.standard_error,
             Answer::Sweeps(_, solution) => &solution.standard_error,
+        }
+    }
+
+    /// What only a matrix tells.
+    pub fn errors(&self) -> Option<&Errors> {
+        match self {
+            Answer::Matrix(_, errors) => Some(errors),
+            Answer::Sweeps(..) => None,
         }
     }
 }
@@ -187,7 +196,9 @@ impl Sampling<'_> {
         times.form_factors = rounds.iter().map(|round| round.casting).sum();
         times.solve = all - times.form_factors;
         if !self.goes_on_without_matrix(&plan, &rounds, solved.patches.fronts() as f64) {
-            return Ok((Answer::Matrix(Box::new(solved)), rounds));
+            let (errors, seconds) = self.watch.stage("errors", || self.errors(&solved))?;
+            times.solve += seconds;
+            return Ok((Answer::Matrix(Box::new(solved), Box::new(errors)), rounds));
         }
         // What was cast cannot be used: sweeps meet other light.
         let Solved { patches, .. } = solved;
@@ -213,6 +224,10 @@ impl Sampling<'_> {
             .map_err(|error| self.blame(error))
     }
 
+    fn errors(&self, solved: &Solved) -> Result<Errors> {
+        Errors::of(&self.args.solve_options(), self.tracer, solved, self.watch.progress())
+    }
+
     fn blame(&self, error: Error) -> Error {
         blame(&self.args.scene.path, error)
     }
@@ -220,7 +235,7 @@ impl Sampling<'_> {
     /// How long all takes that comes after the last round, were this the last: it is done for once.
     fn seconds_after(&self, solved: &Solved) -> Result<f64> {
         let start = Instant::now();
-        Errors::of(&self.args.solve_options(), self.tracer, solved, self.watch.progress())?;
+        self.errors(solved)?;
         if let Some(path) = &self.args.output {
             let (patches, light) = (&solved.patches, &solved.solution);
             let options = PlyOptions {

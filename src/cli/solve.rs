@@ -165,10 +165,7 @@ struct Computed {
     answer: Answer,
     rounds: Vec<Round>,
     chosen: String,
-    /// Of a matrix; sweeps keep their own.
-    energy: Option<EnergyLedger>,
     error: ErrorReport,
-    discretisation: Option<Discretisation>,
 }
 
 /// Runs the command.
@@ -239,23 +236,16 @@ fn compute(
         if args.common.limit().is_given() { forecast::with_backs(&scene, &tracer, args.seed) } else { 1.0 };
     let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch, checkpoint, with_backs };
     let Sampled { answer, rounds, chosen } = sampling.run(start, times)?;
-    let target = args.error.map(|percent| percent / 100.0);
-    let rms_relative = rounds.last().map(|round| round.error);
-    let error = ErrorReport { rms_relative, target, ..ErrorReport::default() };
-    let Answer::Matrix(solved) = &answer else {
-        return Ok(Computed { scene, answer, rounds, chosen, energy: None, error, discretisation: None });
-    };
-    let (errors, seconds) =
-        watch.stage("errors", || Errors::of(&args.solve_options(), &tracer, solved, watch.progress()))?;
-    times.solve += seconds;
-    let Errors { energy, bias, discretisation, solver } = errors;
+    let told = answer.errors();
     let error = ErrorReport {
-        bias_relative: bias,
-        discretisation_relative: discretisation.as_ref().map(|d| d.relative),
-        solver_relative: solver,
-        ..error
+        target: args.error.map(|percent| percent / 100.0),
+        rms_relative: rounds.last().map(|round| round.error),
+        bias_relative: told.and_then(|errors| errors.bias),
+        discretisation_relative: told.and_then(|errors| errors.discretisation.as_ref()).map(|d| d.relative),
+        solver_relative: told.and_then(|errors| errors.solver),
+        ..ErrorReport::default()
     };
-    Ok(Computed { scene, answer, rounds, chosen, energy: Some(energy), error, discretisation })
+    Ok(Computed { scene, answer, rounds, chosen, error })
 }
 
 /// What is told of a solution once no more rays are cast.
@@ -289,7 +279,7 @@ impl Errors {
 
 /// All figures but times and memory.
 fn report_of(args: &SolveArgs, computed: &Computed, exposure: Exposure) -> SolveReport {
-    let Computed { scene, answer, rounds, energy, .. } = computed;
+    let Computed { scene, answer, rounds, .. } = computed;
     let mut options = OptionsReport {
         rays_per_patch: rounds.last().map_or(0.0, |round| round.rays),
         estimator: "sweeps",
@@ -298,18 +288,15 @@ fn report_of(args: &SolveArgs, computed: &Computed, exposure: Exposure) -> Solve
         white: exposure.white(),
     };
     let file = args.scene.path.display().to_string();
-    let mut report = match (answer, energy) {
-        (Answer::Matrix(solved), Some(energy)) => {
+    let mut report = match answer {
+        Answer::Matrix(solved, errors) => {
             let Solved { patches, form_factors, solution, .. } = &**solved;
             options.estimator =
                 if form_factors.estimator() == Estimator::Pooled { "pooled" } else { "one-way" };
             options.tolerance = Some(args.solve_options().tolerance);
-            SolveReport::new(&file, scene, patches, form_factors, solution, energy, options)
+            SolveReport::new(&file, scene, patches, form_factors, solution, &errors.energy, options)
         }
-        (Answer::Sweeps(patches, solution), _) => {
-            SolveReport::of_sweeps(&file, scene, patches, solution, options)
-        }
-        (Answer::Matrix(_), None) => unreachable!("a matrix has its energy added up"),
+        Answer::Sweeps(patches, solution) => SolveReport::of_sweeps(&file, scene, patches, solution, options),
     };
     report.error = computed.error;
     report.rounds = rounds.iter().map(round_report).collect();
@@ -337,10 +324,11 @@ fn round_report(round: &Round) -> RoundReport {
 }
 
 fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Result<Pending> {
-    let Computed { scene, answer, discretisation, .. } = computed;
+    let Computed { scene, answer, .. } = computed;
+    let discretisation = answer.errors().and_then(|errors| errors.discretisation.as_ref());
     let options = PlyOptions {
         standard_errors: Some(answer.standard_error()),
-        discretisation: discretisation.as_ref().map(|d| &d.change[..]),
+        discretisation: discretisation.map(|d| &d.change[..]),
         exposure: Some(exposure),
         ..PlyOptions::default()
     };
@@ -350,7 +338,7 @@ fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Resu
 /// Whether form factors are shares, and the energy balances. Form factors from one side never do: that is what they are there to show.
 /// Without a matrix what the rays miss has to be within its error.
 fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outcome {
-    let rounding = computed.energy.as_ref().map_or(0.0, EnergyLedger::rounding);
+    let rounding = computed.answer.errors().map_or(0.0, |errors| errors.energy.rounding());
     let allowed = ROUNDING + args.solve_options().tolerance + 64.0 * rounding;
     let (imbalance, strays) = (report.energy.imbalance, report.form_factors.out_of_range);
     match args.estimator {

@@ -1,7 +1,8 @@
 //! Files that are written whole or not at all.
 //!
 //! What is written goes to a temporary file in the same directory, which then takes the name of the real one: rename
-//! within a file system is atomic. Whoever reads the output, and whoever pulls the plug, finds the old file or the new.
+//! within a file system is atomic. Whoever reads the output, and whoever pulls the plug, finds the old file or the new: the
+//! contents are on the disk before they get their name, and the name is when the last file of a run has it.
 //! What a killed process leaves is removed by the next that writes there.
 
 use std::{
@@ -159,7 +160,14 @@ impl Pending {
     /// [`Error::Io`].
     pub fn commit_all(mut all: Vec<Pending>) -> Result<()> {
         all.sort_by_key(|pending| matches!(pending.contents, Contents::File(_)));
-        all.into_iter().try_for_each(Pending::commit)
+        let mut directories: Vec<PathBuf> = Vec::new();
+        for pending in all {
+            let renamed = pending.output.target.as_deref().map(|target| directory(target).to_owned());
+            pending.rename()?;
+            directories.extend(renamed.filter(|renamed| !directories.contains(renamed)));
+        }
+        directories.iter().for_each(|directory| sync_directory(directory));
+        Ok(())
     }
 
     /// Gives the file its name, replacing what was there.
@@ -167,6 +175,10 @@ impl Pending {
     /// # Errors
     /// [`Error::Io`]; what was there stays then.
     pub fn commit(self) -> Result<()> {
+        Self::commit_all(vec![self])
+    }
+
+    fn rename(self) -> Result<()> {
         let Pending { output, contents } = self;
         let failed = |e| Error::io(&output.path, e);
         match contents {
@@ -197,6 +209,15 @@ fn remove_abandoned(target: &Path) {
             let _ = fs::remove_file(entry.path());
         }
     }
+}
+
+/// Forces the names in a directory to the disk, where the system can: else a loss of power may bring an old one back, with the
+/// whole file that it was of, which is no reason to fail.
+fn sync_directory(directory: &Path) {
+    #[cfg(unix)]
+    let _ = fs::File::open(directory).and_then(|directory| directory.sync_all());
+    #[cfg(not(unix))]
+    let _ = directory;
 }
 
 /// The directory that holds `path`.

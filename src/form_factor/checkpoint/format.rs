@@ -1,0 +1,197 @@
+//! The bytes of a checkpoint: its header, its records, and the pieces of these.
+
+use std::path::Path;
+
+use super::super::{
+    hemisphere::Share,
+    shadow::{Found, Link},
+};
+use crate::{Error, Result, scene::Scene, trace::sampling::mix};
+
+/// Says what the file is; the line end is lost where it was transferred as text.
+const MAGIC: &[u8; 16] = b"radiosity rays\r\n";
+/// Counts changes of the file's format, of which rays a seed stands for, and of what is kept of them.
+const FORMAT: u32 = 2;
+/// Bytes of the header,
+pub(super) const HEADER: usize = 48;
+/// of a record before its body and after it,
+pub(super) const BEFORE: usize = 12;
+pub(super) const AFTER: usize = 4;
+/// and of a link.
+pub(super) const LINK: usize = 13;
+/// Numbers of 4 bytes that a record has for each patch beside its targets and links.
+const NUMBERS: usize = 7;
+
+/// The subdivision; the patch's number, which chooses its rays; and what surface it is on, since numbers of backs depend on
+/// the order in which they were found.
+pub(super) type Key = (u64, u32, u32);
+
+/// Rays of one patch in a record. Those of a kind begin where the ones before end; there may be none of a kind.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Piece {
+    /// Where in the file the targets are; the links follow.
+    pub(super) at: u64,
+    pub(super) from: Share,
+    pub(super) to: Share,
+    pub(super) links: u32,
+}
+
+impl Piece {
+    /// Number of targets.
+    pub(super) fn targets(&self) -> usize {
+        (self.to.hemisphere - self.from.hemisphere) as usize
+    }
+
+    /// Bytes of targets and links.
+    pub(super) fn bytes(&self) -> usize {
+        4 * self.targets() + LINK * self.links as usize
+    }
+}
+
+pub(super) fn damage(path: &Path, place: &str) -> Error {
+    Error::input(path, None, format!("the checkpoint is damaged at {place}"))
+        .with_hint("delete it to begin anew, or give --checkpoint another name")
+}
+
+pub(super) fn header(scene: &Scene, seed: u64) -> [u8; HEADER] {
+    let mut bytes = [0; HEADER];
+    bytes[..16].copy_from_slice(MAGIC);
+    bytes[16..20].copy_from_slice(&FORMAT.to_le_bytes());
+    let version = env!("CARGO_PKG_VERSION").bytes().fold(0, |h, b| mix(&[h, b.into()]));
+    for (k, word) in [version, digest(scene), seed].into_iter().enumerate() {
+        bytes[20 + 8 * k..28 + 8 * k].copy_from_slice(&word.to_le_bytes());
+    }
+    let check = crc32fast::hash(&bytes[..44]);
+    bytes[44..].copy_from_slice(&check.to_le_bytes());
+    bytes
+}
+
+/// Says what the file is instead of the wanted one.
+pub(super) fn check_header(path: &Path, found: &[u8], wanted: &[u8; HEADER]) -> Result<()> {
+    let same = |range: std::ops::Range<usize>| found[range.clone()] == wanted[range];
+    let other = |what: String, advice: &str| Err(Error::input(path, None, what).with_hint(advice));
+    let name = "give --checkpoint another name, or delete the file";
+    if found.len() < HEADER || !same(0..16) {
+        return other("this file is not a checkpoint, and was left as it is".into(), name);
+    }
+    if crc32fast::hash(&found[..44]).to_le_bytes() != found[44..48] {
+        return Err(damage(path, "its start"));
+    }
+    if !same(16..28) {
+        return other("the checkpoint is of another version of the program".into(), name);
+    }
+    if !same(28..36) {
+        return other("the checkpoint is of another scene".into(), name);
+    }
+    if !same(36..44) {
+        let seed = u64::from_le_bytes(std::array::from_fn(|k| found[36 + k]));
+        return other(format!("the checkpoint is of seed {seed}"), &format!("give --seed {seed}, or {name}"));
+    }
+    Ok(())
+}
+
+/// Whatever decides where light comes from and what it meets.
+fn digest(scene: &Scene) -> u64 {
+    let mut sum = 0;
+    let mut add = |words: &[u64]| sum = mix(&[sum, mix(words)]);
+    add(&[scene.triangles.len(), scene.materials.len(), scene.textures.len()].map(|n| n as u64));
+    for (t, triangle) in scene.triangles.iter().enumerate() {
+        let corners = scene.corners(t).map(|p| mix(&p.to_array().map(f64::to_bits)));
+        add(&[triangle.material.into(), mix(&corners)]);
+    }
+    for uv in scene.texcoords.iter().flatten() {
+        add(&uv.to_array().map(f64::to_bits));
+    }
+    for m in &scene.materials {
+        add(&[m.reflectance, m.emission].map(|rgb| mix(&rgb.map(f64::to_bits))));
+        for map in [&m.reflectance_map, &m.emission_map] {
+            let Some(map) = map else { continue };
+            let placed = [map.scale.x, map.scale.y, map.offset.x, map.offset.y].map(f64::to_bits);
+            add(&[map.texture as u64, map.clamp.into(), mix(&placed)]);
+        }
+    }
+    for texture in &scene.textures {
+        add(&[texture.size().0 as u64, texture.size().1 as u64]);
+        for texels in texture.texels().chunks(1 << 10) {
+            add(&[u64::from(crc32fast::hash(texels))]);
+        }
+    }
+    sum
+}
+
+/// Begins a record of rays of one subdivision.
+pub(super) fn begin_record(bytes: &mut Vec<u8>, digest: u64) {
+    bytes.extend([0; BEFORE]);
+    bytes.extend(digest.to_le_bytes());
+}
+
+/// Puts a record's length and checksums where they belong.
+pub(super) fn seal_record(bytes: &mut Vec<u8>) {
+    let length = ((bytes.len() - BEFORE) as u64).to_le_bytes();
+    bytes[..8].copy_from_slice(&length);
+    bytes[8..BEFORE].copy_from_slice(&crc32fast::hash(&length).to_le_bytes());
+    let check = crc32fast::hash(&bytes[BEFORE..]);
+    bytes.extend(check.to_le_bytes());
+}
+
+/// The length of a record's body; `None` where the checksum says that it is none.
+pub(super) fn body_length(before: &[u8; BEFORE]) -> Option<u64> {
+    let (length, check) = before.split_at(8);
+    let length: [u8; 8] = std::array::from_fn(|k| length[k]);
+    (crc32fast::hash(&length).to_le_bytes() == check).then(|| u64::from_le_bytes(length))
+}
+
+/// The next `N` numbers of 4 bytes.
+fn numbers<const N: usize>(bytes: &[u8]) -> [u32; N] {
+    std::array::from_fn(|k| u32::from_le_bytes(std::array::from_fn(|b| bytes[4 * k + b])))
+}
+
+/// The pieces of a record's body, which begins at `at` in the file; `None` when it is none.
+pub(super) fn pieces(body: &[u8], at: u64) -> Option<Vec<(Key, Piece)>> {
+    let (digest, mut rest) = body.split_first_chunk::<8>()?;
+    let mut pieces = Vec::new();
+    while !rest.is_empty() {
+        let (start, tail) = rest.split_at_checked(4 * NUMBERS)?;
+        let [patch, surface, from_hemisphere, to_hemisphere, from_shadow, to_shadow, links] = numbers(start);
+        to_hemisphere.checked_sub(from_hemisphere)?;
+        let piece = Piece {
+            at: at + (body.len() - tail.len()) as u64,
+            from: Share { hemisphere: from_hemisphere, shadow: from_shadow },
+            to: Share { hemisphere: to_hemisphere, shadow: to_shadow },
+            links,
+        };
+        rest = tail.get(piece.bytes()..)?;
+        pieces.push(((u64::from_le_bytes(*digest), patch, surface), piece));
+    }
+    Some(pieces)
+}
+
+/// What stands before the targets and links of a piece.
+pub(super) fn piece_start((_, patch, surface): Key, piece: &Piece) -> [u8; 4 * NUMBERS] {
+    let Piece { from, to, links, .. } = *piece;
+    let numbers = [patch, surface, from.hemisphere, to.hemisphere, from.shadow, to.shadow, links];
+    std::array::from_fn(|k| numbers[k / 4].to_le_bytes()[k % 4])
+}
+
+/// A link that says what it goes to by its lasting name.
+pub(super) fn link_bytes(link: &Link) -> [u8; LINK] {
+    let numbers = [link.to, link.kernel.to_bits(), link.index];
+    let found = match link.found {
+        Found::Hemisphere => 0,
+        Found::Shadow => 1,
+        Found::Blocked => 2,
+    };
+    std::array::from_fn(|k| numbers.get(k / 4).map_or(found, |number| number.to_le_bytes()[k % 4]))
+}
+
+/// The link of these bytes; `None` when there is no such kind.
+pub(super) fn link(bytes: &[u8; LINK]) -> Option<Link> {
+    let [to, kernel, index] = numbers(bytes);
+    let found = match bytes[LINK - 1] {
+        0 => Found::Hemisphere,
+        1 => Found::Shadow,
+        2 => Found::Blocked,
+        _ => return None,
+    };
+    Some(Link { to, kernel: f32::from_bits(kernel), index, found })
+}
