@@ -6,6 +6,8 @@
 //! of both, weighted by the kernel (a ratio estimator; Cochran, *Sampling Techniques*, ch. 6): where all see each other
 //! nothing is left to chance. Rays go to pairs in proportion to their standard deviations, which is what lowers the sum of
 //! variances most (Neyman, 1934), in rounds that each learn from the ones before.
+//!
+//! A surface may be of several polygons: their exchange areas A_i F_ij sum up, and so do the variances of these.
 
 use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
@@ -29,7 +31,7 @@ use crate::{
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ViewFactorOptions {
     /// RMS error over all pairs that independent samples would have. These are stratified, and had 0.2 to 0.6 of it in rooms of
-    /// 500 and 2000 polygons. Below about 10⁻⁵ what is unoccluded is known no better.
+    /// 500 and 2000 polygons. Single precision ends at about 10⁻⁷.
     pub error: f64,
     /// Whether the polygons enclose a room: then rows sum to one exactly, else what is missing from them escapes.
     pub enclosed: bool,
@@ -59,20 +61,33 @@ const DOUBT: f32 = 0.1;
 /// Points of a pair's sequence before a new one begins.
 const SEQUENCE: u32 = 1 << 12;
 
-/// No further round is worth it for a smaller share of the rays cast.
-const ENOUGH: f64 = 0.05;
+/// Pairs that a thread casts the rays of at a time.
+const TOGETHER: usize = 256;
 
 /// Distances of centres, in sums of radii, up to which closed forms are needed, and beyond which the fewest points do.
 const NEAR: f64 = 1.1;
 const FAR: f64 = 2.0;
 
-/// How well what is unoccluded is wanted, and from how many radii on points do for that, where polygons are near or reach
-/// behind each other.
+/// How well what is unoccluded is known at least, relatively, and from how many radii on points do for that, where polygons are
+/// near or reach behind each other.
 const PRECISION: f64 = 1e-3;
 const RADII: f64 = 2.0;
 
-/// A polygon in unit space, or in the file's.
+/// What is unoccluded may be off by this share of the error wanted.
+const UNOCCLUDED: f64 = 0.1;
+
+/// What the corners of a quadrilateral may be off those of a parallelogram by, relative to its diagonal: files round.
+const SKEW: f64 = 1e-5;
+
+/// Whether these corners are a parallelogram's, but for rounding.
+fn is_parallelogram(corners: &[DVec3]) -> bool {
+    matches!(*corners, [p, q, r, s] if (r - q - (s - p)).length() <= SKEW * (r - p).length())
+}
+
+/// A polygon in unit space.
 struct Polygon {
+    /// Which surface it is of.
+    surface: u32,
     corners: Vec<DVec3>,
     /// The first corner, for rays to start from.
     origin: Vec3A,
@@ -86,20 +101,16 @@ struct Polygon {
 }
 
 impl Polygon {
-    fn new(corners: Vec<DVec3>) -> Polygon {
+    fn new(corners: Vec<DVec3>, surface: u32) -> Polygon {
         assert!(matches!(corners.len(), 3 | 4), "polygons are triangles or parallelograms");
+        assert!(corners.len() == 3 || is_parallelogram(&corners), "a quadrilateral is no parallelogram");
         let [a, b] = [corners[1] - corners[0], corners[corners.len() - 1] - corners[0]];
-        if let [p, _, r, _] = corners[..] {
-            assert!(
-                (r - p - a - b).length() <= 1e-6 * (r - p).length(),
-                "a quadrilateral is no parallelogram"
-            );
-        }
         let double_area = a.cross(b);
         assert!(double_area.length() > 0.0, "a polygon has no area");
         let normal = double_area.normalize();
         let centre = corners.iter().sum::<DVec3>() / corners.len() as f64;
         Polygon {
+            surface,
             // Off the surface once for the rounding of the origin, and once for that of what is added to it.
             origin: Tracer::leave(Tracer::leave(corners[0].as_vec3a(), normal.as_vec3a()), normal.as_vec3a()),
             edges: [a, b].map(|e| e.as_vec3a()),
@@ -165,21 +176,64 @@ impl Pair {
         let share = (self.visible() * rays + DOUBT) / (rays + 2.0 * DOUBT);
         f64::from((share * (1.0 - share)).sqrt())
     }
+
+    /// Variance of A_i F_ij.
+    fn variance(&self) -> f64 {
+        (f64::from(self.unoccluded) * self.deviation()).powi(2) / f64::from(self.rays.max(1))
+    }
 }
 
 /// View factors, and how they came about.
 #[derive(Debug, Clone)]
 pub struct ViewFactors {
-    /// F_ij of the polygons in the order given: reciprocal, and rows close.
+    /// F_ij of the surfaces in the order given: reciprocal, and rows close.
     pub form_factors: FormFactors,
     /// Rays cast.
     pub rays: u64,
-    /// RMS error over all pairs that as many independent samples would have.
+    /// RMS error over all pairs that as many independent samples would have: at most the one wanted, unless more than 2³² rays
+    /// of a pair would be needed.
     pub error: f64,
+    /// Sums of the rows as sampled, before they were closed.
+    pub row_sums: Vec<f64>,
+    /// Standard errors of exchange areas, in units of the mean area; the upper triangle.
+    errors: Matrix,
+    /// Areas in the same unit.
+    areas: Vec<f64>,
+}
+
+impl ViewFactors {
+    /// The standard error of F_ij that as many independent samples would have, before rows are closed.
+    pub fn standard_error(&self, i: usize, j: usize) -> f64 {
+        let (row, column) = (i.min(j), i.max(j));
+        let (columns, errors) = super::row(&self.errors, row);
+        columns.binary_search(&(column as u32)).map_or(0.0, |k| f64::from(errors[k]) / self.areas[i])
+    }
+
+    /// The largest standard error, and of which F_ij it is.
+    pub fn largest_standard_error(&self) -> Option<(usize, usize, f64)> {
+        let of_pair = |(&e, (i, j)): (&f32, (u32, u32))| {
+            let (i, j) = (i as usize, j as usize);
+            let (i, j) = if self.areas[j] < self.areas[i] { (j, i) } else { (i, j) };
+            (i, j, f64::from(e) / self.areas[i])
+        };
+        self.errors.iter().map(of_pair).reduce(|a, b| if b.2 > a.2 { b } else { a })
+    }
+
+    /// The standard errors of [`ViewFactors::row_sums`], of pairs that are independent of each other.
+    pub fn row_sum_errors(&self) -> Vec<f64> {
+        let mut variances = vec![0.0; self.areas.len()];
+        for (&error, (i, j)) in &self.errors {
+            variances[i as usize] += f64::from(error).powi(2);
+            if i != j {
+                variances[j as usize] += f64::from(error).powi(2);
+            }
+        }
+        variances.iter().zip(&self.areas).map(|(variance, area)| variance.sqrt() / area).collect()
+    }
 }
 
 /// View factors between triangles and parallelograms, each by its corners, counter-clockwise where it is seen. They see each
-/// other from that side, and block each other from both. Takes 28 bytes a pair that could see each other.
+/// other from that side, and block each other from both. Takes 28 bytes a pair that could see each other, and 16 for the result.
 ///
 /// # Errors
 /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -191,67 +245,110 @@ pub fn view_factors(
     options: &ViewFactorOptions,
     progress: &Progress,
 ) -> Result<ViewFactors> {
+    let surfaces: Vec<&[Vec<DVec3>]> = polygons.iter().map(std::slice::from_ref).collect();
+    view_factors_of_surfaces(&surfaces, options, progress)
+}
+
+/// View factors between surfaces, each a list of polygons as [`view_factors`] takes them. A surface may see itself.
+///
+/// # Errors
+/// Those of [`view_factors`].
+///
+/// # Panics
+/// As [`view_factors`], or when a surface has no polygon.
+pub fn view_factors_of_surfaces(
+    surfaces: &[impl AsRef<[Vec<DVec3>]>],
+    options: &ViewFactorOptions,
+    progress: &Progress,
+) -> Result<ViewFactors> {
     assert!(options.error > 0.0, "the error must be positive");
-    let tracer = tracer_of_blockers(polygons);
-    let (centre, scale) = (tracer.to_file(Vec3A::ZERO), tracer.scale());
-    let in_unit_space = |p: &Vec<DVec3>| Polygon::new(p.iter().map(|&v| (v - centre) / scale).collect());
-    let polygons: Vec<Polygon> = polygons.iter().map(in_unit_space).collect();
-    let mut pairs = pairs(&polygons);
-    let (rays, error) = sample(&mut pairs, &polygons, &tracer, options, progress)?;
-    let mean = polygons.iter().map(|p| p.area).sum::<f64>() / polygons.len() as f64;
+    let (polygons, scale) = in_unit_space(surfaces);
+    let mut areas = vec![0.0; surfaces.len()];
+    polygons.iter().for_each(|p| areas[p.surface as usize] += p.area);
+    assert!(areas.iter().all(|&area| area > 0.0), "a surface has no polygon");
+    let mean = areas.iter().sum::<f64>() / areas.len() as f64;
+    let mut pairs = pairs(&polygons, areas.len() as f64 * options.error, progress)?;
+    let (rays, error) = sample(&mut pairs, &polygons, &areas, options, progress)?;
     // In units of the mean area no exchange area leaves the range of single precision.
-    let areas: Vec<f64> = polygons.iter().map(|p| p.area / mean).collect();
-    let matrix = upper_triangle(&pairs, areas.len(), mean as f32);
-    let mut escaped = vec![0.0; areas.len()];
-    if !options.enclosed {
-        escaped.fill(1.0);
-        for (&exchange, (i, j)) in &matrix {
-            for k in [i as usize, j as usize] {
-                escaped[k] -= f64::from(exchange) / areas[k];
-            }
+    areas.iter_mut().for_each(|area| *area /= mean);
+    let [matrix, errors] = upper_triangles(&pairs, &polygons, areas.len(), mean);
+    let mut row_sums = vec![0.0; areas.len()];
+    for (&exchange, (i, j)) in &matrix {
+        let (i, j) = (i as usize, j as usize);
+        row_sums[i] += f64::from(exchange) / areas[i];
+        if i != j {
+            row_sums[j] += f64::from(exchange) / areas[j];
         }
-        escaped.iter_mut().for_each(|e| *e = e.max(0.0));
     }
-    let mut form_factors = FormFactors::from_exchange(matrix, areas, escaped);
+    let escapes = |sum: &f64| if options.enclosed { 0.0 } else { (1.0 - sum).max(0.0) };
+    let escaped = row_sums.iter().map(escapes).collect();
+    let mut form_factors = FormFactors::from_exchange(matrix, areas.clone(), escaped);
     form_factors.areas.iter_mut().for_each(|area| *area *= mean * scale * scale);
-    Ok(ViewFactors { form_factors, rays, error })
+    Ok(ViewFactors { form_factors, rays, error, row_sums, errors, areas })
+}
+
+/// The polygons recentred and rescaled so that their largest coordinate is 1, and how many of their lengths that is.
+fn in_unit_space(surfaces: &[impl AsRef<[Vec<DVec3>]>]) -> (Vec<Polygon>, f64) {
+    let all = || (0..).zip(surfaces).flat_map(|(k, s)| s.as_ref().iter().map(move |polygon| (k, polygon)));
+    let corners = || all().flat_map(|(_, polygon)| polygon);
+    let low = corners().fold(DVec3::INFINITY, |low, &v| low.min(v));
+    let high = corners().fold(DVec3::NEG_INFINITY, |high, &v| high.max(v));
+    // Halved first: the sum of two large coordinates may overflow.
+    let (centre, scale) = (low * 0.5 + high * 0.5, (high * 0.5 - low * 0.5).max_element());
+    let polygon = |(k, corners): (u32, &Vec<DVec3>)| {
+        Polygon::new(corners.iter().map(|&v| (v - centre) / scale).collect(), k)
+    };
+    (all().map(polygon).collect(), scale)
 }
 
 /// A tracer of the polygons that have others behind them: the rest, like the walls of a room, block nothing.
-fn tracer_of_blockers(polygons: &[Vec<DVec3>]) -> Tracer {
-    let polygons: Vec<Polygon> = polygons.iter().map(|p| Polygon::new(p.clone())).collect();
+fn tracer_of_blockers(polygons: &[Polygon]) -> Tracer {
     let blocks = |p: &&Polygon| polygons.iter().any(|q| !q.in_front(p).0);
     let blockers: Vec<&Polygon> = polygons.par_iter().filter(blocks).collect();
     let triangles: Vec<([DVec3; 3], u32)> =
         blockers.iter().flat_map(|p| p.triangles()).map(|t| (t, 0)).collect();
-    Tracer::new(&Scene::new(&triangles, vec![Material::new("polygons", [0.0; 3], [0.0; 3])]))
+    let mut scene = Scene::new(&triangles, vec![Material::new("polygons", [0.0; 3], [0.0; 3])]);
+    // Its unit space is that of all: blockers may be small, and rays come from afar.
+    scene.vertices.extend(polygons.iter().flat_map(|p| &p.corners));
+    Tracer::new(&scene)
 }
 
-/// All pairs that would see each other, by rows.
-fn pairs(polygons: &[Polygon]) -> Vec<Pair> {
+/// All pairs that would see each other, by rows. `sum` is what the errors of a row may sum up to.
+fn pairs(polygons: &[Polygon], sum: f64, progress: &Progress) -> Result<Vec<Pair>> {
+    let precision = (UNOCCLUDED * sum).clamp(f64::EPSILON, PRECISION);
     let pair = |i: usize, j: usize| {
-        let unoccluded = unoccluded(&polygons[i], &polygons[j]) as f32;
+        let unoccluded = unoccluded(&polygons[i], &polygons[j], precision) as f32;
         let (i, j) = (i as u32, j as u32);
         (unoccluded > 0.0).then_some(Pair { i, j, unoccluded, rays: 0, wanted: 0, kernels: 0.0, free: 0.0 })
     };
-    let row = |i: usize| (i + 1..polygons.len()).filter_map(move |j| pair(i, j));
-    (0..polygons.len()).into_par_iter().flat_map_iter(row).collect()
+    progress.begin(polygons.len() as u64);
+    let row = |i: usize| {
+        progress.advance(1);
+        let others = if progress.is_stopped() { 0..0 } else { i + 1..polygons.len() };
+        others.filter_map(move |j| pair(i, j))
+    };
+    let pairs = (0..polygons.len()).into_par_iter().flat_map_iter(row).collect();
+    progress.check()?;
+    Ok(pairs)
 }
 
 /// Casts rays until the error is as wanted. Returns how many, and the error.
 fn sample(
     pairs: &mut [Pair],
     polygons: &[Polygon],
-    tracer: &Tracer,
+    areas: &[f64],
     options: &ViewFactorOptions,
     progress: &Progress,
 ) -> Result<(u64, f64)> {
-    // What a deviation of the visible share does to both view factors of a pair.
+    // What a deviation of the visible share does to both view factors of a pair of surfaces, or to the one of a surface
+    // and itself, in which each pair of polygons counts twice.
     let weight = |pair: &Pair| {
-        let [a, b] = [pair.i, pair.j].map(|k| polygons[k as usize].area);
-        f64::from(pair.unoccluded) * (1.0 / (a * a) + 1.0 / (b * b)).sqrt()
+        let [i, j] = [pair.i, pair.j].map(|k| polygons[k as usize].surface);
+        let [a, b] = [i, j].map(|k| areas[k as usize]);
+        let squares = 1.0 / (a * a) + 1.0 / (b * b);
+        f64::from(pair.unoccluded) * if i == j { 2.0 * squares } else { squares }.sqrt()
     };
-    let (n, sequence) = (polygons.len() as f64, sequence());
+    let (n, tracer, sequence) = (areas.len() as f64, tracer_of_blockers(polygons), sequence());
     let mut rays = 0;
     loop {
         let sum = ordered_sum(pairs.len(), |k| weight(&pairs[k]) * pairs[k].deviation());
@@ -262,34 +359,68 @@ fn sample(
             u64::from(pair.wanted.saturating_sub(pair.rays))
         };
         let more: u64 = pairs.par_iter_mut().map(want).sum();
-        if more as f64 <= ENOUGH * rays as f64 {
-            let variance =
-                |pair: &Pair| (weight(pair) * pair.deviation()).powi(2) / f64::from(pair.rays.max(1));
-            return Ok((rays, ordered_sum(pairs.len(), |k| variance(&pairs[k])).sqrt() / n));
+        let variance = |pair: &Pair| (weight(pair) * pair.deviation()).powi(2) / f64::from(pair.rays.max(1));
+        let error = ordered_sum(pairs.len(), |k| variance(&pairs[k])).sqrt() / n.max(1.0);
+        // Once each pair has as many as it wants, so it is.
+        if more == 0 || (rays > 0 && error <= options.error) {
+            return Ok((rays, error));
         }
         rays += more;
-        pairs.par_iter_mut().for_each(|pair| cast(pair, polygons, tracer, &sequence, options.seed));
+        progress.begin(more);
+        let cast_some = |pairs: &mut [Pair]| {
+            let rays = |pairs: &[Pair]| pairs.iter().map(|p| u64::from(p.rays)).sum::<u64>();
+            let before = rays(pairs);
+            pairs
+                .iter_mut()
+                .for_each(|pair| cast(pair, polygons, &tracer, &sequence, options.seed, progress));
+            progress.advance(rays(pairs) - before);
+        };
+        pairs.par_chunks_mut(TOGETHER).for_each(cast_some);
         progress.check()?;
     }
 }
 
-/// The exchange areas of pairs that are sorted by rows, in this unit of area.
-fn upper_triangle(pairs: &[Pair], n: usize, unit: f32) -> Matrix {
-    let seen: Vec<&Pair> = pairs.iter().filter(|pair| pair.free > 0.0).collect();
-    let starts = (0..=n).map(|i| seen.partition_point(|pair| (pair.i as usize) < i)).collect();
-    let columns = seen.iter().map(|pair| pair.j).collect();
-    Matrix::new((n, n), starts, columns, seen.iter().map(|pair| pair.exchange() / unit).collect())
+/// Of pairs that are sorted by rows, and polygons that are by surfaces: the exchange areas of surfaces, and their standard
+/// errors, in this unit of area.
+fn upper_triangles(pairs: &[Pair], polygons: &[Polygon], n: usize, unit: f64) -> [Matrix; 2] {
+    let surface = |k: u32| polygons[k as usize].surface;
+    let row = |i: usize| {
+        let [start, end] = [0, 1].map(|k| pairs.partition_point(|p| (surface(p.i) as usize) < i + k));
+        let mut cells: Vec<(u32, f64, f64)> =
+            pairs[start..end].iter().map(|p| (surface(p.j), f64::from(p.exchange()), p.variance())).collect();
+        cells.sort_by_key(|cell| cell.0);
+        let merge = |same: &[(u32, f64, f64)]| {
+            let sum = |value: fn(&(u32, f64, f64)) -> f64| same.iter().map(value).sum::<f64>();
+            let twice = if same[0].0 as usize == i { 2.0 } else { 1.0 };
+            let (exchange, error) = (twice * sum(|c| c.1), twice * sum(|c| c.2).sqrt());
+            (same[0].0, (exchange / unit) as f32, (error / unit) as f32)
+        };
+        cells.chunk_by(|a, b| a.0 == b.0).map(merge).collect()
+    };
+    let rows: Vec<Vec<(u32, f32, f32)>> = (0..n).into_par_iter().map(row).collect();
+    [false, true].map(|errors| {
+        let (mut starts, mut columns, mut values) = (vec![0], Vec::new(), Vec::new());
+        for row in &rows {
+            let cells = row.iter().map(|&(j, exchange, error)| (j, if errors { error } else { exchange }));
+            for (j, value) in cells.filter(|&(_, value)| value > 0.0) {
+                columns.push(j);
+                values.push(value);
+            }
+            starts.push(columns.len());
+        }
+        Matrix::new((n, n), starts, columns, values)
+    })
 }
 
-/// What two polygons would exchange if nothing stood between them.
-fn unoccluded(p: &Polygon, q: &Polygon) -> f64 {
+/// What two polygons would exchange if nothing stood between them, to this relative precision.
+fn unoccluded(p: &Polygon, q: &Polygon, precision: f64) -> f64 {
     let ((p_all, p_any), (q_all, q_any)) = (p.in_front(q), q.in_front(p));
     if !p_any || !q_any {
         return 0.0;
     }
     let ratio = p.centre.distance(q.centre) / (p.radius + q.radius);
-    if !(p_all && q_all && ratio > NEAR) {
-        return exchange_area_to(&p.corners, &q.corners, RADII, PRECISION);
+    if precision < PRECISION || !(p_all && q_all && ratio > NEAR) {
+        return exchange_area_to(&p.corners, &q.corners, RADII, precision);
     }
     let (n, m) = (p.normal.as_vec3a(), q.normal.as_vec3a());
     let theirs = &q.nodes[usize::from(ratio < FAR)];
@@ -304,14 +435,26 @@ fn sequence() -> Vec<[u32; 4]> {
 }
 
 /// Casts the rays that a pair wants more of.
-fn cast(pair: &mut Pair, polygons: &[Polygon], tracer: &Tracer, sequence: &[[u32; 4]], seed: u64) {
+fn cast(
+    pair: &mut Pair,
+    polygons: &[Polygon],
+    tracer: &Tracer,
+    sequence: &[[u32; 4]],
+    seed: u64,
+    progress: &Progress,
+) {
     let [p, q] = [pair.i, pair.j].map(|k| &polygons[k as usize]);
     let (n, m) = (p.normal.as_vec3a(), q.normal.as_vec3a());
     let start = pair.rays;
     pair.rays = pair.rays.max(pair.wanted);
+    // Millions may be summed up.
+    let (mut kernels, mut free) = (0.0, 0.0);
     for block in start / SEQUENCE..pair.rays.div_ceil(SEQUENCE) {
         let shift = [0, 1].map(|k| mix(&[seed, u64::from(pair.i), u64::from(pair.j), u64::from(block), k]));
-        let range = start.max(block * SEQUENCE)..pair.rays.min((block + 1) * SEQUENCE);
+        if progress.is_stopped() {
+            return;
+        }
+        let range = start.max(block * SEQUENCE)..pair.rays.min((block + 1).saturating_mul(SEQUENCE));
         for index in range {
             let digits = sequence[(index % SEQUENCE) as usize];
             let shifted =
@@ -319,12 +462,14 @@ fn cast(pair: &mut Pair, polygons: &[Polygon], tracer: &Tracer, sequence: &[[u32
             let (from, to) = (p.point(shifted(0), shifted(1)), q.point(shifted(2), shifted(3)));
             let d = to - from;
             if d.dot(n) > 0.0 && d.dot(m) < 0.0 {
-                let kernel = kernel(d, n, m);
-                pair.kernels += kernel;
+                let kernel = f64::from(kernel(d, n, m));
+                kernels += kernel;
                 if tracer.visible(from, to) {
-                    pair.free += kernel;
+                    free += kernel;
                 }
             }
         }
     }
+    pair.kernels = (f64::from(pair.kernels) + kernels) as f32;
+    pair.free = (f64::from(pair.free) + free) as f32;
 }
