@@ -202,7 +202,7 @@ pub fn point(text: &str) -> Result<DVec3, String> {
     }
 }
 
-fn parse(text: &str, good: impl Fn(f64) -> bool, wanted: &str) -> Result<f64, String> {
+pub fn parse(text: &str, good: impl Fn(f64) -> bool, wanted: &str) -> Result<f64, String> {
     text.parse().ok().filter(|&x| good(x)).ok_or_else(|| wanted.into())
 }
 

@@ -19,7 +19,7 @@ use super::{
     shadow::kernel,
 };
 use crate::{
-    Progress, Result,
+    Error, Progress, Result,
     scene::{Material, Scene},
     trace::{
         Tracer,
@@ -33,7 +33,8 @@ pub struct ViewFactorOptions {
     /// RMS error over all pairs that independent samples would have. These are stratified, and had 0.2 to 0.6 of it in rooms of
     /// 500 and 2000 polygons. Single precision ends at about 10⁻⁷.
     pub error: f64,
-    /// Whether the polygons enclose a room: then rows sum to one exactly, else what is missing from them escapes.
+    /// Whether the polygons enclose a room and show it their fronts: then rows sum to one exactly, else what is missing from
+    /// them escapes, or is caught by backs.
     pub enclosed: bool,
     /// The same seed gives the same bytes, whatever the number of threads.
     pub seed: u64,
@@ -75,6 +76,10 @@ const RADII: f64 = 2.0;
 
 /// What is unoccluded may be off by this share of the error wanted.
 const UNOCCLUDED: f64 = 0.1;
+
+/// A sum of view factors is off one where it is so by more than this, and by more than so many standard errors.
+const OFF: f64 = 0.01;
+const STANDARD_ERRORS: f64 = 5.0;
 
 /// What the corners of a quadrilateral may be off those of a parallelogram by, relative to its diagonal: files round.
 const SKEW: f64 = 1e-5;
@@ -219,16 +224,42 @@ impl ViewFactors {
         self.errors.iter().map(of_pair).reduce(|a, b| if b.2 > a.2 { b } else { a })
     }
 
-    /// The standard errors of [`ViewFactors::row_sums`], of pairs that are independent of each other.
-    pub fn row_sum_errors(&self) -> Vec<f64> {
-        let mut variances = vec![0.0; self.areas.len()];
-        for (&error, (i, j)) in &self.errors {
-            variances[i as usize] += f64::from(error).powi(2);
-            if i != j {
-                variances[j as usize] += f64::from(error).powi(2);
-            }
+    /// The surfaces whose view factors summed up to more than 1 before rows were closed, beyond what chance explains: there are
+    /// others at the same place.
+    pub fn overfull_rows(&self) -> Vec<usize> {
+        let allowed = allowances(&self.errors, &self.areas);
+        (0..self.row_sums.len()).filter(|&i| self.row_sums[i] > 1.0 + allowed[i]).collect()
+    }
+}
+
+/// What the sum of each row may be off one by.
+fn allowances(errors: &Matrix, areas: &[f64]) -> Vec<f64> {
+    let variances = sums_of_rows(errors, areas.len(), |error| error * error);
+    let allowed = |(variance, area): (&f64, &f64)| STANDARD_ERRORS * variance.sqrt() / area;
+    variances.iter().zip(areas).map(|pair| OFF.max(allowed(pair))).collect()
+}
+
+/// The sums of the rows of a symmetric matrix, of which this is the upper triangle.
+fn sums_of_rows(upper: &Matrix, n: usize, value: impl Fn(f64) -> f64) -> Vec<f64> {
+    let mut sums = vec![0.0; n];
+    for (&entry, (i, j)) in upper {
+        let value = value(f64::from(entry));
+        sums[i as usize] += value;
+        if i != j {
+            sums[j as usize] += value;
         }
-        variances.iter().zip(&self.areas).map(|(variance, area)| variance.sqrt() / area).collect()
+    }
+    sums
+}
+
+/// The surface that contradicts most that all of them enclose a room.
+fn check_enclosed(row_sums: &[f64], errors: &Matrix, areas: &[f64]) -> Result<()> {
+    let allowed = allowances(errors, areas);
+    // Of nothing no diagonal makes one.
+    let open = |&i: &usize| row_sums[i] <= 0.0 || row_sums[i] < 1.0 - allowed[i];
+    match (0..areas.len()).filter(open).min_by(|&a, &b| row_sums[a].total_cmp(&row_sums[b])) {
+        Some(surface) => Err(Error::NotEnclosed { surface, sum: row_sums[surface] }),
+        None => Ok(()),
     }
 }
 
@@ -236,7 +267,7 @@ impl ViewFactors {
 /// other from that side, and block each other from both. Takes 28 bytes a pair that could see each other, and 16 for the result.
 ///
 /// # Errors
-/// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
+/// [`Error::NotEnclosed`] when they were said to enclose a room and do not, [`Error::Stopped`] when `progress` says so.
 ///
 /// # Panics
 /// When a polygon is neither triangle nor parallelogram, or has no area, or no positive error is wanted.
@@ -272,13 +303,10 @@ pub fn view_factors_of_surfaces(
     // In units of the mean area no exchange area leaves the range of single precision.
     areas.iter_mut().for_each(|area| *area /= mean);
     let [matrix, errors] = upper_triangles(&pairs, &polygons, areas.len(), mean);
-    let mut row_sums = vec![0.0; areas.len()];
-    for (&exchange, (i, j)) in &matrix {
-        let (i, j) = (i as usize, j as usize);
-        row_sums[i] += f64::from(exchange) / areas[i];
-        if i != j {
-            row_sums[j] += f64::from(exchange) / areas[j];
-        }
+    let mut row_sums = sums_of_rows(&matrix, areas.len(), |exchange| exchange);
+    row_sums.iter_mut().zip(&areas).for_each(|(sum, area)| *sum /= area);
+    if options.enclosed {
+        check_enclosed(&row_sums, &errors, &areas)?;
     }
     let escapes = |sum: &f64| if options.enclosed { 0.0 } else { (1.0 - sum).max(0.0) };
     let escaped = row_sums.iter().map(escapes).collect();
