@@ -2,9 +2,10 @@
 //! itself, where a lighting solution wants but their sums.
 //!
 //! What two polygons would exchange if nothing stood between them is known: by Gauss-Legendre products where they are apart,
-//! by [closed forms](super::exact) where they are near. Only the visible share of it is sampled, by rays between points
-//! of both, weighted by the kernel (a ratio estimator; Cochran, *Sampling Techniques*, ch. 6): where all see each other
-//! nothing is left to chance. Rays go to pairs in proportion to their standard deviations, which is what lowers the sum of
+//! by [closed forms](super::exact) where they are near. Only the visible share of it is sampled (a ratio estimator; Cochran,
+//! *Sampling Techniques*, ch. 6): where all see each other nothing is left to chance. Polygons that are apart are sampled by
+//! rays between points of both, weighted by the kernel. Between neighbours that has a singularity, and its square no integral:
+//! there rays leave the smaller one as light does, and those count that would meet the other. Rays go to pairs in proportion to their standard deviations, which is what lowers the sum of
 //! variances most (Neyman, 1934), in rounds that each learn from the ones before.
 //!
 //! A surface may be of several polygons: their exchange areas A_i F_ij sum up, and so do the variances of these.
@@ -57,12 +58,20 @@ const FIRST: f64 = 8.0;
 const GROWTH: f64 = 4.0;
 
 /// What counts for a pair whose rays all met the same: as if so many more had been both free and blocked.
-const DOUBT: f32 = 0.1;
+const DOUBT: f64 = 0.1;
+
+/// Distance of centres, in sums of radii, up to which rays leave the smaller polygon as light does, if at least such a share of
+/// its light meets the other.
+const NEIGHBOURS: f64 = NEAR;
+const LEAST_SHARE: f64 = 0.1;
+
+/// So many samples are those of a pair at least taken to be worth, so that none is no certainty.
+const LEAST_SAMPLES: f64 = 1.0;
 
 /// Points of a pair's sequence before a new one begins.
 const SEQUENCE: u32 = 1 << 12;
 
-/// Pairs that a thread casts the rays of at a time.
+/// The most pairs that a thread casts the rays of at a time.
 const TOGETHER: usize = 256;
 
 /// Distances of centres, in sums of radii, up to which closed forms are needed, and beyond which the fewest points do.
@@ -97,7 +106,12 @@ struct Polygon {
     /// The first corner, for rays to start from.
     origin: Vec3A,
     edges: [Vec3A; 2],
+    /// What gives a point of the plane in multiples of the edges.
+    duals: [Vec3A; 2],
     normal: DVec3,
+    /// The same, for rays.
+    facing: Vec3A,
+    is_triangle: bool,
     area: f64,
     centre: DVec3,
     radius: f64,
@@ -119,7 +133,10 @@ impl Polygon {
             // Off the surface once for the rounding of the origin, and once for that of what is added to it.
             origin: Tracer::leave(Tracer::leave(corners[0].as_vec3a(), normal.as_vec3a()), normal.as_vec3a()),
             edges: [a, b].map(|e| e.as_vec3a()),
+            duals: [b.cross(normal), normal.cross(a)].map(|d| (d / double_area.length()).as_vec3a()),
             normal,
+            facing: normal.as_vec3a(),
+            is_triangle: corners.len() == 3,
             area: double_area.length() * if corners.len() == 3 { 0.5 } else { 1.0 },
             radius: corners.iter().map(|p| p.distance(centre)).fold(0.0, f64::max),
             centre,
@@ -133,14 +150,36 @@ impl Polygon {
         (2..self.corners.len()).map(|k| [self.corners[0], self.corners[k - 1], self.corners[k]])
     }
 
+    #[inline]
     fn point(&self, u: f32, v: f32) -> Vec3A {
-        let [a, b] = if self.corners.len() == 3 {
+        if self.is_triangle {
             let [_, b, c] = square_to_triangle(u, v);
-            [b, c].map(|x| INSET / 3.0 + (1.0 - INSET) * x)
+            self.at(b, c)
         } else {
-            [u, v].map(|x| INSET / 2.0 + (1.0 - INSET) * x)
-        };
+            self.at(u, v)
+        }
+    }
+
+    /// The point at these multiples of the edges, a little off them.
+    #[inline]
+    fn at(&self, a: f32, b: f32) -> Vec3A {
+        let middle = if self.is_triangle { 1.0 / 3.0 } else { 0.5 };
+        let [a, b] = [a, b].map(|x| INSET * middle + (1.0 - INSET) * x);
         self.origin + self.edges[0] * a + self.edges[1] * b
+    }
+
+    /// Where a ray meets its front.
+    #[inline]
+    fn met(&self, from: Vec3A, direction: Vec3A) -> Option<Vec3A> {
+        let start = from - self.origin;
+        let (height, descent) = (start.dot(self.facing), -direction.dot(self.facing));
+        if !(height > 0.0 && descent > 0.0) {
+            return None;
+        }
+        let foot = start + direction * (height / descent);
+        let [a, b] = self.duals.map(|dual| foot.dot(dual));
+        let most = if self.is_triangle { 1.0 - a } else { 1.0 };
+        ((0.0..=1.0).contains(&a) && b >= 0.0 && b <= most).then(|| self.at(a, b))
     }
 
     /// Whether it is wholly, and whether it is partly, in front of another's plane.
@@ -160,14 +199,15 @@ struct Pair {
     unoccluded: f32,
     rays: u32,
     wanted: u32,
-    /// Sums of the kernels of all rays, of the free ones.
-    kernels: f32,
+    /// Sums of the weights of all rays, of the free ones, and of their squares.
+    weights: f32,
     free: f32,
+    squares: f32,
 }
 
 impl Pair {
     fn visible(&self) -> f32 {
-        if self.kernels > 0.0 { self.free / self.kernels } else { 0.0 }
+        if self.weights > 0.0 { self.free / self.weights } else { 0.0 }
     }
 
     /// A_i F_ij.
@@ -175,11 +215,13 @@ impl Pair {
         self.unoccluded * self.visible()
     }
 
-    /// Standard deviation of a sample of the visible share.
+    /// Standard deviation of the visible share by one ray. Rays of unequal weights are worth fewer of equal ones (Kish, *Survey
+    /// Sampling*, sec. 11.7).
     fn deviation(&self) -> f64 {
-        let rays = self.rays as f32;
-        let share = (self.visible() * rays + DOUBT) / (rays + 2.0 * DOUBT);
-        f64::from((share * (1.0 - share)).sqrt())
+        let [weights, squares] = [self.weights, self.squares].map(f64::from);
+        let worth = if squares > 0.0 { weights * weights / squares } else { 0.0 };
+        let share = (f64::from(self.visible()) * worth + DOUBT) / (worth + 2.0 * DOUBT);
+        (share * (1.0 - share) * f64::from(self.rays.max(1)) / worth.max(LEAST_SAMPLES)).sqrt()
     }
 
     /// Variance of A_i F_ij.
@@ -264,7 +306,7 @@ fn check_enclosed(row_sums: &[f64], errors: &Matrix, areas: &[f64]) -> Result<()
 }
 
 /// View factors between triangles and parallelograms, each by its corners, counter-clockwise where it is seen. They see each
-/// other from that side, and block each other from both. Takes 28 bytes a pair that could see each other, and 16 for the result.
+/// other from that side, and block each other from both. Takes 32 bytes a pair that could see each other, and 16 for the result.
 ///
 /// # Errors
 /// [`Error::NotEnclosed`] when they were said to enclose a room and do not, [`Error::Stopped`] when `progress` says so.
@@ -347,7 +389,16 @@ fn pairs(polygons: &[Polygon], sum: f64, progress: &Progress) -> Result<Vec<Pair
     let pair = |i: usize, j: usize| {
         let unoccluded = unoccluded(&polygons[i], &polygons[j], precision) as f32;
         let (i, j) = (i as u32, j as u32);
-        (unoccluded > 0.0).then_some(Pair { i, j, unoccluded, rays: 0, wanted: 0, kernels: 0.0, free: 0.0 })
+        (unoccluded > 0.0).then_some(Pair {
+            i,
+            j,
+            unoccluded,
+            rays: 0,
+            wanted: 0,
+            weights: 0.0,
+            free: 0.0,
+            squares: 0.0,
+        })
     };
     progress.begin(polygons.len() as u64);
     let row = |i: usize| {
@@ -403,7 +454,9 @@ fn sample(
                 .for_each(|pair| cast(pair, polygons, &tracer, &sequence, options.seed, progress));
             progress.advance(rays(pairs) - before);
         };
-        pairs.par_chunks_mut(TOGETHER).for_each(cast_some);
+        // Of few pairs each may have many rays.
+        let together = (pairs.len() / TOGETHER).clamp(1, TOGETHER);
+        pairs.par_chunks_mut(together).for_each(cast_some);
         progress.check()?;
     }
 }
@@ -450,7 +503,7 @@ fn unoccluded(p: &Polygon, q: &Polygon, precision: f64) -> f64 {
     if precision < PRECISION || !(p_all && q_all && ratio > NEAR) {
         return exchange_area_to(&p.corners, &q.corners, RADII, precision);
     }
-    let (n, m) = (p.normal.as_vec3a(), q.normal.as_vec3a());
+    let (n, m) = (p.facing, q.facing);
     let theirs = &q.nodes[usize::from(ratio < FAR)];
     let from = |&(x, w): &(Vec3A, f32)| w * theirs.iter().map(|&(y, v)| v * kernel(y - x, n, m)).sum::<f32>();
     f64::from(p.nodes[usize::from(ratio < FAR)].iter().map(from).sum::<f32>())
@@ -471,33 +524,85 @@ fn cast(
     seed: u64,
     progress: &Progress,
 ) {
-    let [p, q] = [pair.i, pair.j].map(|k| &polygons[k as usize]);
-    let (n, m) = (p.normal.as_vec3a(), q.normal.as_vec3a());
-    let start = pair.rays;
+    let ends = Ends::of(pair, polygons);
+    let [start, end] = [pair.rays, pair.rays.max(pair.wanted)].map(|rays| u64::from(rays) * ends.tries());
     pair.rays = pair.rays.max(pair.wanted);
     // Millions may be summed up.
-    let (mut kernels, mut free) = (0.0, 0.0);
-    for block in start / SEQUENCE..pair.rays.div_ceil(SEQUENCE) {
-        let shift = [0, 1].map(|k| mix(&[seed, u64::from(pair.i), u64::from(pair.j), u64::from(block), k]));
+    let (mut weights, mut free, mut squares) = (0.0, 0.0, 0.0);
+    let length = u64::from(SEQUENCE);
+    for block in start / length..end.div_ceil(length) {
         if progress.is_stopped() {
             return;
         }
-        let range = start.max(block * SEQUENCE)..pair.rays.min((block + 1).saturating_mul(SEQUENCE));
-        for index in range {
-            let digits = sequence[(index % SEQUENCE) as usize];
+        let shift = [0, 1].map(|k| mix(&[seed, u64::from(pair.i), u64::from(pair.j), block, k]));
+        for index in start.max(block * length)..end.min((block + 1) * length) {
+            let digits = sequence[(index % length) as usize];
             let shifted =
                 |k: usize| (digits[k] ^ (shift[k / 2] >> (32 * (k % 2))) as u32) as f32 * 2f32.powi(-32);
-            let (from, to) = (p.point(shifted(0), shifted(1)), q.point(shifted(2), shifted(3)));
-            let d = to - from;
-            if d.dot(n) > 0.0 && d.dot(m) < 0.0 {
-                let kernel = f64::from(kernel(d, n, m));
-                kernels += kernel;
+            if let Some((from, to, weight)) = ends.path([0, 1, 2, 3].map(shifted)) {
+                weights += weight;
+                squares += weight * weight;
                 if tracer.visible(from, to) {
-                    free += kernel;
+                    free += weight;
                 }
             }
         }
     }
-    pair.kernels = (f64::from(pair.kernels) + kernels) as f32;
-    pair.free = (f64::from(pair.free) + free) as f32;
+    let add = |sum: &mut f32, more: f64| *sum = (f64::from(*sum) + more) as f32;
+    add(&mut pair.weights, weights);
+    add(&mut pair.free, free);
+    add(&mut pair.squares, squares);
+}
+
+/// How points of a pair are chosen.
+enum Ends<'a> {
+    /// Evenly on both, weighted by the kernel; the product of the areas over what they exchange, so that weights are near 1.
+    Apart(&'a Polygon, &'a Polygon, f64),
+    /// By rays that leave the first as light does: as many as one that meets the other takes, in a frame round its normal.
+    Neighbours(&'a Polygon, &'a Polygon, u64, [Vec3A; 2]),
+}
+
+impl<'a> Ends<'a> {
+    fn of(pair: &Pair, polygons: &'a [Polygon]) -> Ends<'a> {
+        let [p, q] = [pair.i, pair.j].map(|k| &polygons[k as usize]);
+        let (small, large) = if p.area <= q.area { (p, q) } else { (q, p) };
+        let exchange = f64::from(pair.unoccluded);
+        let share = exchange / small.area;
+        if share >= LEAST_SHARE && p.centre.distance(q.centre) < NEIGHBOURS * (p.radius + q.radius) {
+            // Of the points of a square a disk holds π / 4.
+            let tries = (4.0 / std::f64::consts::PI / share).ceil() as u64;
+            let across = small.edges[0].normalize();
+            Ends::Neighbours(small, large, tries, [across, small.facing.cross(across)])
+        } else {
+            Ends::Apart(p, q, p.area * q.area / exchange)
+        }
+    }
+
+    /// Points of the sequence for a ray.
+    fn tries(&self) -> u64 {
+        if let Ends::Neighbours(_, _, tries, _) = self { *tries } else { 1 }
+    }
+
+    /// Two points and the weight of what they tell, if they face each other.
+    #[inline]
+    fn path(&self, [x, y, u, v]: [f32; 4]) -> Option<(Vec3A, Vec3A, f64)> {
+        match *self {
+            Ends::Apart(p, q, unit) => {
+                let (from, to) = (p.point(x, y), q.point(u, v));
+                let (d, n, m) = (to - from, p.facing, q.facing);
+                (d.dot(n) > 0.0 && d.dot(m) < 0.0).then(|| (from, to, unit * f64::from(kernel(d, n, m))))
+            }
+            Ends::Neighbours(p, q, _, [across, along]) => {
+                // Above even points of the disk directions have the density of light (Nusselt's analogue).
+                let (s, t) = (2.0 * u - 1.0, 2.0 * v - 1.0);
+                let squared = 1.0 - s * s - t * t;
+                if squared <= 0.0 {
+                    return None;
+                }
+                let from = p.point(x, y);
+                let to = q.met(from, across * s + along * t + p.facing * squared.sqrt())?;
+                Some((from, to, 1.0))
+            }
+        }
+    }
 }
