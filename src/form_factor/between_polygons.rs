@@ -164,8 +164,8 @@ impl Polygon {
     #[inline]
     fn at(&self, a: f32, b: f32) -> Vec3A {
         let middle = if self.is_triangle { 1.0 / 3.0 } else { 0.5 };
-        let [a, b] = [a, b].map(|x| INSET * middle + (1.0 - INSET) * x);
-        self.origin + self.edges[0] * a + self.edges[1] * b
+        let inset = |x: f32| INSET * middle + (1.0 - INSET) * x;
+        self.origin + self.edges[0] * inset(a) + self.edges[1] * inset(b)
     }
 
     /// Where a ray meets its front.
@@ -177,7 +177,7 @@ impl Polygon {
             return None;
         }
         let foot = start + direction * (height / descent);
-        let [a, b] = self.duals.map(|dual| foot.dot(dual));
+        let (a, b) = (foot.dot(self.duals[0]), foot.dot(self.duals[1]));
         let most = if self.is_triangle { 1.0 - a } else { 1.0 };
         ((0.0..=1.0).contains(&a) && b >= 0.0 && b <= most).then(|| self.at(a, b))
     }
@@ -527,6 +527,7 @@ fn cast(
     let ends = Ends::of(pair, polygons);
     let [start, end] = [pair.rays, pair.rays.max(pair.wanted)].map(|rays| u64::from(rays) * ends.tries());
     pair.rays = pair.rays.max(pair.wanted);
+    const UNIT: f32 = 1.0 / (1u64 << 32) as f32;
     // Millions may be summed up.
     let (mut weights, mut free, mut squares) = (0.0, 0.0, 0.0);
     let length = u64::from(SEQUENCE);
@@ -534,12 +535,12 @@ fn cast(
         if progress.is_stopped() {
             return;
         }
-        let shift = [0, 1].map(|k| mix(&[seed, u64::from(pair.i), u64::from(pair.j), block, k]));
+        let [a, b] = [0, 1].map(|k| mix(&[seed, u64::from(pair.i), u64::from(pair.j), block, k]));
+        let shift = [a as u32, (a >> 32) as u32, b as u32, (b >> 32) as u32];
         for index in start.max(block * length)..end.min((block + 1) * length) {
             let digits = sequence[(index % length) as usize];
-            let shifted =
-                |k: usize| (digits[k] ^ (shift[k / 2] >> (32 * (k % 2))) as u32) as f32 * 2f32.powi(-32);
-            if let Some((from, to, weight)) = ends.path([0, 1, 2, 3].map(shifted)) {
+            let shifted = |k: usize| (digits[k] ^ shift[k]) as f32 * UNIT;
+            if let Some((from, to, weight)) = ends.path([shifted(0), shifted(1), shifted(2), shifted(3)]) {
                 weights += weight;
                 squares += weight * weight;
                 if tracer.visible(from, to) {
@@ -578,7 +579,7 @@ impl<'a> Ends<'a> {
         }
     }
 
-    /// Points of the sequence for a ray.
+    /// Points of the sequence a ray.
     fn tries(&self) -> u64 {
         if let Ends::Neighbours(_, _, tries, _) = self { *tries } else { 1 }
     }
