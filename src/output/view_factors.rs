@@ -27,12 +27,10 @@ pub fn write_matrix(surfaces: &Surfaces, found: &ViewFactors, out: &mut dyn Writ
     let form_factors = &found.form_factors;
     write_rows(names.len(), out, |i, text| {
         let (area, escaped) = (form_factors.areas()[i], form_factors.escaped()[i]);
-        let _ = write!(text, "{},{},{}", names[i], number(area), number(escaped));
+        text.push_str(&names[i]);
         let mut row = vec![0.0; names.len()];
         form_factors.row(i).for_each(|(j, f)| row[j] = f);
-        for f in row {
-            let _ = write!(text, ",{}", number(f));
-        }
+        [area, escaped].into_iter().chain(row).for_each(|x| add(text, x));
         text.push('\n');
     })
 }
@@ -49,8 +47,9 @@ pub fn write_pairs(surfaces: &Surfaces, found: &ViewFactors, out: &mut dyn Write
         let mut row: Vec<(usize, f64)> = found.form_factors.row(i).collect();
         row.sort_unstable_by_key(|&(j, _)| j);
         for (j, f) in row {
-            let error = number(found.standard_error(i, j));
-            let _ = writeln!(text, "{},{},{},{error}", names[i], names[j], number(f));
+            text.extend([names[i].as_str(), ",", names[j].as_str()]);
+            [f, found.standard_error(i, j)].into_iter().for_each(|x| add(text, x));
+            text.push('\n');
         }
     })
 }
@@ -69,9 +68,9 @@ fn write_rows(n: usize, out: &mut dyn Write, row: impl Fn(usize, &mut String) + 
     Ok(())
 }
 
-/// The shortest text that reads back as the same number.
-fn number(x: f64) -> String {
-    if x == 0.0 || (1e-3..1e6).contains(&x) { x.to_string() } else { format!("{x:e}") }
+/// Adds a comma and the shortest text that reads back as the same number.
+fn add(text: &mut String, x: f64) {
+    let _ = if x == 0.0 || (1e-3..1e6).contains(&x) { write!(text, ",{x}") } else { write!(text, ",{x:e}") };
 }
 
 /// A field of a CSV file (RFC 4180).
@@ -243,9 +242,13 @@ mod tests {
     #[test]
     fn numbers_read_back_as_they_were() {
         for x in [0.0, 1.0, 0.1, 1.0 / 3.0, 1e-3, 9.9e-4, 5e-324, 1.23456789e300, f64::MAX, 123456.7] {
-            assert_eq!(number(x).parse::<f64>().unwrap().to_bits(), x.to_bits());
+            let mut text = String::new();
+            add(&mut text, x);
+            assert_eq!(text[1..].parse::<f64>().unwrap().to_bits(), x.to_bits());
         }
-        assert_eq!((number(0.25), number(1e-9), number(0.0)), ("0.25".into(), "1e-9".into(), "0".into()));
+        let mut text = String::new();
+        [0.25, 1e-9, 0.0].into_iter().for_each(|x| add(&mut text, x));
+        assert_eq!(text, ",0.25,1e-9,0");
     }
 
     #[test]
