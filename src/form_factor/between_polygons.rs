@@ -65,8 +65,10 @@ const DOUBT: f64 = 0.1;
 const NEIGHBOURS: f64 = NEAR;
 const LEAST_SHARE: f64 = 0.1;
 
-/// So many samples are those of a pair at least taken to be worth, so that none is no certainty.
+/// Samples of equal weight that those of a pair are worth at least, so that none is no certainty; and how many rays one takes
+/// at most: of polygons that single precision cannot tell apart none may ever meet the other.
 const LEAST_SAMPLES: f64 = 1.0;
+const MOST_RAYS: f64 = 100.0;
 
 /// Points of a pair's sequence before a new one begins.
 const SEQUENCE: u32 = 1 << 12;
@@ -221,7 +223,8 @@ impl Pair {
         let [weights, squares] = [self.weights, self.squares].map(f64::from);
         let worth = if squares > 0.0 { weights * weights / squares } else { 0.0 };
         let share = (f64::from(self.visible()) * worth + DOUBT) / (worth + 2.0 * DOUBT);
-        (share * (1.0 - share) * f64::from(self.rays.max(1)) / worth.max(LEAST_SAMPLES)).sqrt()
+        let rays = (f64::from(self.rays.max(1)) / worth.max(LEAST_SAMPLES)).min(MOST_RAYS);
+        (share * (1.0 - share) * rays).sqrt()
     }
 
     /// Variance of A_i F_ij.
