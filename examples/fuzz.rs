@@ -472,7 +472,7 @@ fn arguments(random: &mut Random) -> Vec<String> {
         ("--emit", &["1", "5@wall", "1,2,3@lamp", "0"]),
         ("--width", &["1", "7", "16", "1000000"]),
     ];
-    let commands = ["solve", "render", "probe", "validate", "inspect", "nonsense"];
+    let commands = ["solve", "render", "probe", "validate", "inspect", "view-factors", "nonsense"];
     let scenes = ["scene.obj", "scene.ply", "dark.obj", "missing.obj", "scene.mtl", "."];
     let mut words = vec![random.pick(&commands).to_owned(), random.pick(&scenes[..3]).to_owned()];
     if random.below(8) == 0 {

@@ -54,6 +54,14 @@ pub enum Error {
     /// The scene has no equilibrium: all light stays in it for ever.
     #[error("the scene has no equilibrium: it is closed, it emits, and nothing in it absorbs")]
     NoEquilibrium,
+    /// Surfaces that were said to enclose a room let light out, or show it their backs.
+    #[error("the view factors of surface {surface} sum to {sum:.4}: the surfaces do not enclose a room")]
+    NotEnclosed {
+        /// Index of the surface that is off most.
+        surface: usize,
+        /// The sum of its row.
+        sum: f64,
+    },
     /// [`Progress::stop`](crate::Progress::stop) was called.
     #[error("stopped")]
     Stopped,

@@ -3,7 +3,13 @@
 use std::path::Path;
 
 use glam::{DVec2, DVec3};
-use radiosity::{Error, Scene};
+use radiosity::{
+    Error, Scene,
+    scene::{
+        LoadOptions,
+        surfaces::{By, Side, Surfaces},
+    },
+};
 use tempfile::TempDir;
 
 const TRIANGLE: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n";
@@ -358,4 +364,24 @@ fn faces_without_texture_coordinates_go_without_texture() {
     assert_eq!([0, 1, 2].map(|t| scene.reflectance_at(t, middle)[0]), [0.0, 0.75, 0.75]);
     assert_eq!(count(&scene, "faces of material `m` have no texture coordinates"), 1);
     assert_eq!(count(&scene, "s.obj:11: a face corner names a texture coordinate that does not exist"), 1);
+}
+
+#[test]
+fn faces_and_what_they_belong_to_are_kept_for_who_asks() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("parts.obj");
+    let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\no a\ng b c\nf 1 2 2\nf 1 2 3\ng\nf 1 3 4\ng b c\nf 2 3 4\n";
+    std::fs::write(&path, text).unwrap();
+    assert!(Scene::load(&path).unwrap().faces.is_empty());
+    let scene = Scene::load_with(&path, &LoadOptions { faces: true, ..LoadOptions::default() }).unwrap();
+    let faces: Vec<_> = scene.faces.iter().map(|f| (f.first, f.line.unwrap(), f.part)).collect();
+    assert_eq!(faces, [(0, 5, 0), (2, 8, 1), (3, 9, 1), (4, 11, 2), (5, 13, 1)]);
+    let parts: Vec<_> = scene.parts.iter().map(|p| (p.object.as_deref(), p.group.as_deref())).collect();
+    assert_eq!(parts, [(None, None), (Some("a"), Some("b c")), (Some("a"), None)]);
+    // The one without area is no surface, and the others keep their numbers.
+    let names =
+        |by| Surfaces::of(&scene, by, Side::Front).list.into_iter().map(|s| s.name).collect::<Vec<_>>();
+    assert_eq!(names(By::Face), ["0", "2", "3", "4"]);
+    assert_eq!(names(By::Group), ["(none)", "b c"]);
+    assert_eq!(names(By::Object), ["(none)", "a"]);
 }

@@ -2,10 +2,10 @@
 
 use glam::{DQuat, DVec3, dvec3};
 use radiosity::{
-    Progress, Scene,
+    Error, Progress, Scene,
     form_factor::{
         CastOptions, FormFactors,
-        between_polygons::{ViewFactorOptions, ViewFactors, view_factors},
+        between_polygons::{ViewFactorOptions, ViewFactors, view_factors, view_factors_of_surfaces},
         exact::{opposed_rectangles, opposed_squares_with_blocker, perpendicular_rectangles},
     },
     patch::{Patches, Subdivision},
@@ -117,7 +117,7 @@ fn hemisphere_rays_find_the_same_in_any_unit_and_place() {
         let moved: Vec<Vec<DVec3>> =
             polygons.iter().map(|p| p.iter().map(|&v| v * unit + place).collect()).collect();
         let ViewFactors { form_factors, error: told, .. } = compute(&moved, error, true);
-        assert!(told < 1.1 * error, "{told} is more than {error}");
+        assert!(told <= error, "{told} is more than {error}");
         let area: f64 = form_factors.areas().iter().sum::<f64>() / (unit * unit);
         assert!((area - 6.0 - 8.0 * (0.2 * 0.15 + 0.2 * 0.25 + 0.15 * 0.25)).abs() < 1e-9, "area {area}");
         let mut sum = 0.0;
@@ -148,6 +148,87 @@ fn triangles_and_parallelograms_agree() {
     };
     let rms = (0..n * n).map(|k| difference(k / n, k % n).powi(2)).sum::<f64>().sqrt() / n as f64;
     // The mean of two rows, of the sum of two columns each: as large an error as that of one entry.
+    assert!(rms < error * 2f64.sqrt(), "differ by {rms:.2e}");
+}
+
+/// Walls that are not cut meet at edges, where the kernel has no bound; a box hides parts of each from the others. Were the
+/// errors of rows as large as told, their z-scores had a mean square of 1, here with a standard deviation of about
+/// sqrt(2 / 18), since rows share pairs. Stratified samples do better.
+#[test]
+fn errors_between_neighbours_are_no_larger_than_told() {
+    let mut polygons = sides(DVec3::splat(0.5), DVec3::splat(0.5), 0.0, -1.0, 1);
+    polygons.extend(sides(dvec3(0.45, 0.52, 0.45), dvec3(0.15, 0.17, 0.2), 0.0, 1.0, 1));
+    let (mut sum, seeds) = (0.0, 6);
+    for seed in 0..seeds {
+        let options = ViewFactorOptions { error: 1e-4, enclosed: true, seed };
+        let found = view_factors(&polygons, &options, &Progress::new()).unwrap();
+        assert!(found.error <= options.error, "{} is more than {}", found.error, options.error);
+        for i in 0..6 {
+            let variance: f64 = (0..polygons.len()).map(|j| found.standard_error(i, j).powi(2)).sum();
+            sum += (found.row_sums[i] - 1.0).powi(2) / variance;
+        }
+        let squares = |i: usize| (0..12).map(|j| found.standard_error(i, j).powi(2)).sum::<f64>();
+        let rms = ((0..12).map(squares).sum::<f64>()).sqrt() / 12.0;
+        assert!((rms / found.error - 1.0).abs() < 1e-5, "{rms} and {}", found.error);
+        let (i, j, largest) = found.largest_standard_error().unwrap();
+        assert!(largest == found.standard_error(i, j) && largest > found.error);
+    }
+    let mean = sum / (6 * seeds) as f64;
+    assert!(mean < 1.5, "mean square of z-scores {mean}");
+}
+
+/// Rays cross a room a thousand times as large as the box they go to, which nothing hides.
+#[test]
+fn what_is_small_beside_the_room_is_seen_whole() {
+    let mut polygons = sides(DVec3::splat(50.0), DVec3::splat(50.0), 0.0, -1.0, 1);
+    polygons.extend(sides(dvec3(31.0, 47.0, 22.0), DVec3::splat(0.05), 0.3, 1.0, 1));
+    let error = 1e-4;
+    let found = compute(&polygons, error, false);
+    for i in 6..12 {
+        // What is unoccluded may be off by a tenth of the error times the surfaces, relatively.
+        let off = found.row_sums[i] - 1.0;
+        assert!(off.abs() < 2.0 * 0.1 * error * 12.0, "row {i} is off one by {off:.1e}");
+    }
+}
+
+#[test]
+fn a_room_that_is_none_is_an_error() {
+    let mut polygons = sides(DVec3::ZERO, DVec3::splat(0.5), 0.0, -1.0, 1);
+    polygons.remove(3);
+    let options = ViewFactorOptions::default();
+    let error = view_factors(&polygons, &options, &Progress::new()).unwrap_err();
+    assert!(matches!(error, Error::NotEnclosed { sum, .. } if (sum - 0.8).abs() < 1e-3), "{error}");
+    // Behind the wall across from the opening there is nothing to see.
+    polygons.push(vec![dvec3(0.0, -2.0, 0.0), dvec3(1.0, -2.0, 0.0), dvec3(1.0, -1.0, 0.0)]);
+    let error = view_factors(&polygons, &options, &Progress::new()).unwrap_err();
+    assert!(matches!(error, Error::NotEnclosed { surface: 5, sum: 0.0 }), "{error}");
+}
+
+#[test]
+fn surfaces_of_several_polygons_see_each_other_and_themselves() {
+    let polygons = room_with_block();
+    let error = 3e-4;
+    let whole = compute(&polygons, error, true).form_factors;
+    // The six sides of the room, of four each, and the block.
+    let mut surfaces: Vec<&[Vec<DVec3>]> = polygons[..24].chunks(4).collect();
+    surfaces.push(&polygons[24..]);
+    let options = ViewFactorOptions { error, enclosed: true, seed: 5 };
+    let found = view_factors_of_surfaces(&surfaces, &options, &Progress::new()).unwrap();
+    let of = |i: usize| if i == 6 { 24..30 } else { 4 * i..4 * i + 4 };
+    let mut squares = 0.0;
+    for i in 0..7 {
+        let row: f64 = found.form_factors.row(i).map(|(_, f)| f).sum();
+        assert!((row - 1.0).abs() < 1e-12, "row {i} sums to {row}");
+        let area: f64 = of(i).map(|p| whole.areas()[p]).sum();
+        assert!((found.form_factors.areas()[i] - area).abs() < 1e-12);
+        for j in 0..7 {
+            let exchange = |p: usize| whole.areas()[p] * of(j).map(|q| whole.get(p, q)).sum::<f64>();
+            squares += (found.form_factors.get(i, j) - of(i).map(exchange).sum::<f64>() / area).powi(2);
+        }
+    }
+    // That of these and that of the parts, of which sixteen make one: their variances are averaged over four and summed over
+    // four.
+    let rms = squares.sqrt() / 7.0;
     assert!(rms < error * 2f64.sqrt(), "differ by {rms:.2e}");
 }
 

@@ -151,6 +151,19 @@ impl Limit {
         self.check_image("map", "texels", texels, 300.0, "a longer --texel or a smaller --resolution")
     }
 
+    /// Refuses view factors between so many polygons that may not be held.
+    pub fn check_polygons(self, polygons: usize) -> Result<()> {
+        // Pairs while they are collected, in the worst case all; then the matrix and its standard errors.
+        let need = 70.0 * (polygons as f64).powi(2) / 2.0;
+        match self.objection(need) {
+            None => Ok(()),
+            Some(objection) => Err(Error::Usage {
+                message: format!("view factors between {polygons} polygons need {objection}"),
+                hint: Some(format!("give a mesh of fewer faces, or --memory {}", exact(need))),
+            }),
+        }
+    }
+
     fn check_image(self, what: &str, of: &str, count: f64, a_piece: f64, smaller: &str) -> Result<()> {
         match self.objection(count * a_piece) {
             None => Ok(()),

@@ -18,6 +18,7 @@ mod summary;
 mod sweeps;
 mod tradeoff;
 mod validate;
+mod view_factors;
 mod watch;
 
 use std::{
@@ -52,6 +53,7 @@ enum Command {
     Probe(probe::ProbeArgs),
     Inspect(inspect::InspectArgs),
     Tradeoff(tradeoff::TradeoffArgs),
+    ViewFactors(view_factors::ViewFactorsArgs),
 }
 
 /// Options of every command.
@@ -105,6 +107,7 @@ pub fn run() -> ExitCode {
         Command::Probe(args) => probe::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Tradeoff(args) => tradeoff::run(&args),
+        Command::ViewFactors(args) => view_factors::run(&args),
     };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

@@ -31,7 +31,10 @@ struct Emission {
 impl SceneArgs {
     /// Reads the scene and lights the materials that were told to emit.
     pub fn load(&self) -> RadiosityResult<Scene> {
-        let mut scene = Scene::load_with(&self.path, &LoadOptions { reflectance: self.reflectance })?;
+        let mut scene = Scene::load_with(
+            &self.path,
+            &LoadOptions { reflectance: self.reflectance, ..LoadOptions::default() },
+        )?;
         for Emission { radiance, material } in &self.emit {
             if scene.emit(material.as_deref(), *radiance) == 0 {
                 let name = material.as_deref().unwrap_or_default();
@@ -199,7 +202,7 @@ pub fn point(text: &str) -> Result<DVec3, String> {
     }
 }
 
-fn parse(text: &str, good: impl Fn(f64) -> bool, wanted: &str) -> Result<f64, String> {
+pub fn parse(text: &str, good: impl Fn(f64) -> bool, wanted: &str) -> Result<f64, String> {
     text.parse().ok().filter(|&x| good(x)).ok_or_else(|| wanted.into())
 }
 

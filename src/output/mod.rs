@@ -18,3 +18,4 @@ pub mod tradeoff_report;
 pub mod validation_report;
 pub mod vertex_colors;
 pub mod vertices;
+pub mod view_factors;

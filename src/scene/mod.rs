@@ -6,6 +6,7 @@
 pub mod inspection;
 pub mod obj;
 mod ply;
+pub mod surfaces;
 mod text;
 mod texture;
 mod triangulate;
@@ -56,6 +57,26 @@ impl Material {
     }
 }
 
+/// A face as the file has it, before it was cut into triangles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Face {
+    /// The first of its triangles, as [`Triangle::source`] counts; those of the next face follow.
+    pub first: u32,
+    /// Its line, in files of text.
+    pub line: Option<usize>,
+    /// Index into [`Scene::parts`].
+    pub part: u32,
+}
+
+/// What an OBJ file says that some faces belong to.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
+pub struct Part {
+    /// The name after `o`.
+    pub object: Option<String>,
+    /// What stands after `g`: one name, or several that together are a group of their own.
+    pub group: Option<String>,
+}
+
 /// Triangles with materials. Build one with [`Scene::load`] or [`Scene::new`].
 #[derive(Debug, Clone, Default)]
 pub struct Scene {
@@ -65,6 +86,10 @@ pub struct Scene {
     pub triangles: Vec<Triangle>,
     /// Texture coordinates of each triangle's corners, zero where it has none; empty when no triangle has any.
     pub texcoords: Vec<[DVec2; 3]>,
+    /// The faces that the triangles come from, in file order; empty unless [`LoadOptions::faces`] asked for them.
+    pub faces: Vec<Face>,
+    /// What the faces belong to.
+    pub parts: Vec<Part>,
     /// Materials.
     pub materials: Vec<Material>,
     /// Textures that the materials refer to.
@@ -84,6 +109,8 @@ pub struct Scene {
 pub struct LoadOptions {
     /// Reflectance of surfaces that the file gives none, R G B in \[0, 1\]; [`DEFAULT_REFLECTANCE`] where `None`.
     pub reflectance: Option<[f64; 3]>,
+    /// Whether to keep which triangles were one face, and what the file says that it belongs to.
+    pub faces: bool,
 }
 
 /// Reflectance of whatever neither the file nor [`LoadOptions`] give one: grey plaster.
@@ -289,6 +316,11 @@ pub(crate) struct SceneBuilder {
 }
 
 impl SceneBuilder {
+    /// The next triangles are of a new face.
+    pub(crate) fn face(&mut self, line: Option<usize>, part: u32) {
+        self.scene.faces.push(Face { first: self.pushed, line, part });
+    }
+
     /// Adds the next triangle of the file. `texcoords` are kept when any triangle has some.
     pub(crate) fn push(&mut self, corners: [DVec3; 3], material: u32, texcoords: Option<[DVec2; 3]>) {
         assert!(corners.iter().all(|c| c.is_finite()), "a vertex is not finite");

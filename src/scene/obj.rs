@@ -61,6 +61,9 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let mut scene = builder.finish();
     scene.materials = materials.materials;
     scene.textures = materials.textures;
+    if options.faces {
+        scene.parts = scan.parts;
+    }
     scene.warnings = warnings.into_sentences();
     scene.files = vec![path.to_owned()];
     scene.files.append(&mut libraries.files);
@@ -153,6 +156,9 @@ impl Assembly<'_> {
         });
         let triangles = triangulate::polygon(&points)
             .ok_or_else(|| Error::input(self.path, Some(face.line), triangulate::TOO_MANY))?;
+        if self.materials.options.faces {
+            self.builder.face(Some(face.line), face.part);
+        }
         for triangle in triangles {
             let uv = uv.as_ref().map(|uv| triangle.map(|i| uv[i]));
             self.builder.push(triangle.map(|i| points[i]), material, uv);

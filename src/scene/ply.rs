@@ -25,7 +25,7 @@ use ply_rs::ply::{ElementDef, Encoding, Header, PropertyAccess, PropertyType};
 
 use self::element::{Face, INDICES, Ignored, Vertex};
 use super::warnings::Warnings;
-use super::{LoadOptions, Material, Scene, SceneBuilder, text, triangulate};
+use super::{LoadOptions, Material, Part, Scene, SceneBuilder, text, triangulate};
 use crate::{Error, Result, tone};
 
 /// Reads `path`.
@@ -310,6 +310,9 @@ impl Mesh<'_> {
         let points: Vec<DVec3> = corners.iter().map(|(p, _)| *p).collect();
         let triangles = triangulate::polygon(&points).ok_or_else(|| error(triangulate::TOO_MANY.into()))?;
         let material = self.material(reflectance, emission);
+        if self.options.faces {
+            self.builder.face(at.line, 0);
+        }
         for triangle in triangles {
             self.builder.push(triangle.map(|i| points[i]), material, None);
         }
@@ -354,6 +357,9 @@ impl Mesh<'_> {
                 .with_hint("check that the vertices of the faces are at different places"));
         }
         scene.materials = self.materials;
+        if self.options.faces {
+            scene.parts = vec![Part::default()];
+        }
         scene.warnings = self.warnings.into_sentences();
         scene.files = vec![self.path.to_owned()];
         Ok(scene)

@@ -1,9 +1,11 @@
 //! The layer before tobj for the OBJ itself: checks every line, remembers where it was, and writes the text that
 //! tobj reads without stumbling.
 
+use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
+use crate::scene::Part;
 use crate::scene::text::{self, split_keyword, without_comment};
 use crate::scene::warnings::Warnings;
 use crate::{Error, Result};
@@ -16,6 +18,8 @@ pub(super) struct Face {
     pub(super) line: usize,
     /// Whether every corner has a texture coordinate.
     pub(super) textured: bool,
+    /// Index into the parts.
+    pub(super) part: u32,
 }
 
 /// An OBJ file, checked.
@@ -24,6 +28,8 @@ pub(super) struct Scan {
     pub(super) text: String,
     /// The polygons of `text`, in order.
     pub(super) faces: Vec<Face>,
+    /// What faces belong to.
+    pub(super) parts: Vec<Part>,
     /// `mtllib` lines.
     pub(super) libraries: Vec<(usize, String)>,
     /// Names after `usemtl`, each with the line where a face first needed it.
@@ -40,6 +46,10 @@ struct Scanner<'a> {
     vertex_text: String,
     face_text: String,
     material: Option<String>,
+    part: Part,
+    /// Index of `part`, once a face needed it.
+    current: Option<u32>,
+    known: HashMap<Part, u32>,
     skipped: Noted,
     bad_texcoords: Noted,
     absent_texcoords: Noted,
@@ -75,6 +85,9 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
         vertex_text: String::new(),
         face_text: String::new(),
         material: None,
+        part: Part::default(),
+        current: None,
+        known: HashMap::new(),
         skipped: Noted::default(),
         bad_texcoords: Noted::default(),
         absent_texcoords: Noted::default(),
@@ -82,6 +95,7 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
         scan: Scan {
             text: String::new(),
             faces: Vec::new(),
+            parts: Vec::new(),
             libraries: Vec::new(),
             used: Vec::new(),
             warnings: Warnings::default(),
@@ -94,6 +108,8 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
             "vt" => scanner.texcoord(number, without_comment(rest))?,
             "f" | "fo" => scanner.face(number, without_comment(rest))?,
             "usemtl" => scanner.material = Some(if rest.is_empty() { UNNAMED } else { rest }.into()),
+            "o" => scanner.belongs(|part| &mut part.object, rest),
+            "g" => scanner.belongs(|part| &mut part.group, rest),
             "mtllib" => scanner.scan.libraries.push((number, rest.into())),
             "surf" => scanner.surfaces.add(number),
             _ => {}
@@ -161,8 +177,27 @@ impl Scanner<'_> {
             };
         }
         self.face_text.push('\n');
-        self.scan.faces.push(Face { line, textured });
+        let part = self.part();
+        self.scan.faces.push(Face { line, textured, part });
         Ok(())
+    }
+
+    /// The faces that follow are of another object or group; of none where there is no name.
+    fn belongs(&mut self, to: impl Fn(&mut Part) -> &mut Option<String>, name: &str) {
+        *to(&mut self.part) = (!name.is_empty()).then(|| name.into());
+        self.current = None;
+    }
+
+    fn part(&mut self) -> u32 {
+        let (part, parts, known) = (&self.part, &mut self.scan.parts, &mut self.known);
+        *self.current.get_or_insert_with(|| match known.get(part) {
+            Some(&index) => index,
+            None => {
+                parts.push(part.clone());
+                known.insert(part.clone(), parts.len() as u32 - 1);
+                parts.len() as u32 - 1
+            }
+        })
     }
 
     /// Writes `usemtl` only where a face needs it.

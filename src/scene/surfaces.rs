@@ -1,0 +1,186 @@
+//! Surfaces as heat transfer counts them: the faces of a file, or its groups, objects or materials, each of triangles and
+//! parallelograms.
+//!
+//! A quadrilateral that is a parallelogram stays one; all other faces are the triangles that the reader cut them into.
+
+use std::collections::{HashMap, HashSet};
+
+use glam::DVec3;
+
+use super::{Material, Part, Scene, Triangle};
+
+/// What one surface is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum By {
+    /// A face; its name is its number in the file, from 0.
+    Face,
+    /// All faces of a group.
+    Group,
+    /// All faces of an object.
+    Object,
+    /// All faces of a material.
+    Material,
+}
+
+/// Which sides of faces are surfaces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// Where vertices run counter-clockwise.
+    Front,
+    /// Where they run clockwise.
+    Back,
+    /// All fronts, then all backs, whose names end in ` back`.
+    Both,
+}
+
+/// A surface.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Surface {
+    /// Its name.
+    pub name: String,
+    /// The line of its first face, in files of text.
+    pub line: Option<usize>,
+    /// Faces.
+    pub faces: usize,
+    /// Triangles and parallelograms, counter-clockwise where they are seen.
+    pub polygons: Vec<Vec<DVec3>>,
+}
+
+impl AsRef<[Vec<DVec3>]> for Surface {
+    fn as_ref(&self) -> &[Vec<DVec3>] {
+        &self.polygons
+    }
+}
+
+/// The surfaces of a scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Surfaces {
+    /// In the order in which they begin in the file.
+    pub list: Vec<Surface>,
+    /// Polygons left out because an earlier one is at the same place and faces the same way.
+    pub doubled: usize,
+    /// Triangles left out because they are below [`SMALLEST`].
+    pub tiny: usize,
+}
+
+/// What belongs to no group, object or material.
+pub const NONE: &str = "(none)";
+
+/// Triangles whose area is a smaller share of the square of the scene's extent are left out: their corners are as good as on
+/// one line.
+pub const SMALLEST: f64 = 1e-24;
+
+/// What the fourth corner of a quadrilateral may be off that of a parallelogram by, as a share of its diagonal and of the
+/// scene's extent: files round to six digits. More would bring points that are thought to be on it behind it.
+const SKEW: (f64, f64) = (5e-6, 2e-7);
+
+impl Surfaces {
+    /// The surfaces of `scene`, which was read with [`LoadOptions::faces`](super::LoadOptions::faces); else each triangle is a
+    /// face.
+    pub fn of(scene: &Scene, by: By, side: Side) -> Surfaces {
+        let mut surfaces = Surfaces { list: Vec::new(), doubled: 0, tiny: 0 };
+        let extent = extent(scene);
+        let (mut known, mut seen): (HashMap<String, usize>, HashSet<Vec<u32>>) = Default::default();
+        let mut rest = &scene.triangles[..];
+        while let Some(triangle) = rest.first() {
+            let after = scene.faces.partition_point(|face| face.first <= triangle.source);
+            let end = scene.faces.get(after).map_or(u32::MAX, |face| face.first);
+            let count = if scene.faces.is_empty() { 1 } else { rest.partition_point(|t| t.source < end) };
+            let (triangles, others) = rest.split_at(count);
+            rest = others;
+            let large = |t: &&Triangle| is_large(scene, t, extent);
+            let all: Vec<&Triangle> = triangles.iter().filter(large).collect();
+            surfaces.tiny += triangles.len() - all.len();
+            let mut polygons = polygons(scene, &all, extent);
+            let before = polygons.len();
+            polygons.retain(|polygon| seen.insert(cycle(polygon)));
+            surfaces.doubled += before - polygons.len();
+            if polygons.is_empty() {
+                continue;
+            }
+            let face = after.checked_sub(1).map(|k| scene.faces[k]);
+            let part = face.and_then(|face| scene.parts.get(face.part as usize));
+            let named = |name: fn(&Part) -> &Option<String>| part.and_then(|part| name(part).clone());
+            let name = match by {
+                By::Face => Some(after.checked_sub(1).map_or(triangle.source as usize, |k| k).to_string()),
+                By::Group => named(|part| &part.group),
+                By::Object => named(|part| &part.object),
+                By::Material => Some(scene.materials[triangle.material as usize].name.clone()),
+            };
+            let name = name.unwrap_or_else(|| NONE.into());
+            let at = *known.entry(name.clone()).or_insert(surfaces.list.len());
+            if at == surfaces.list.len() {
+                let line = face.and_then(|face| face.line);
+                surfaces.list.push(Surface { name, line, faces: 0, polygons: Vec::new() });
+            }
+            let surface = &mut surfaces.list[at];
+            surface.faces += 1;
+            let corners = |p: Vec<u32>| p.into_iter().map(|v| scene.vertices[v as usize]).collect();
+            surface.polygons.extend(polygons.into_iter().map(corners));
+        }
+        surfaces.turned(side)
+    }
+
+    fn turned(mut self, side: Side) -> Surfaces {
+        let turn = |surface: &mut Surface| surface.polygons.iter_mut().for_each(|p| p.reverse());
+        match side {
+            Side::Front => {}
+            Side::Back => self.list.iter_mut().for_each(turn),
+            Side::Both => {
+                let mut backs = self.list.clone();
+                for back in &mut backs {
+                    turn(back);
+                    back.name += " back";
+                }
+                self.list.append(&mut backs);
+            }
+        }
+        self
+    }
+
+    /// How many triangles and parallelograms they are of.
+    pub fn polygons(&self) -> usize {
+        self.list.iter().map(|surface| surface.polygons.len()).sum()
+    }
+
+    /// A scene of these fronts alone, for rays.
+    pub fn scene(&self) -> Scene {
+        let polygons = self.list.iter().flat_map(|surface| &surface.polygons);
+        let triangles: Vec<([DVec3; 3], u32)> =
+            polygons.flat_map(|p| (2..p.len()).map(|k| ([p[0], p[k - 1], p[k]], 0))).collect();
+        Scene::new(&triangles, vec![Material::new("surfaces", [0.0; 3], [0.0; 3])])
+    }
+}
+
+/// Longest side of the box round everything; halved, for what is as large as numbers are.
+fn extent(scene: &Scene) -> f64 {
+    let low = scene.vertices.iter().fold(DVec3::INFINITY, |low, &v| low.min(v));
+    let high = scene.vertices.iter().fold(DVec3::NEG_INFINITY, |high, &v| high.max(v));
+    (high * 0.5 - low * 0.5).max_element()
+}
+
+fn is_large(scene: &Scene, triangle: &Triangle, extent: f64) -> bool {
+    let [a, b, c] = triangle.vertices.map(|v| scene.vertices[v as usize] / extent);
+    (b - a).cross(c - a).length() > SMALLEST
+}
+
+/// The corners of one parallelogram where the triangles of a face are one, else those of each.
+fn polygons(scene: &Scene, triangles: &[&Triangle], extent: f64) -> Vec<Vec<u32>> {
+    if let [first, second] = triangles {
+        let ([p, q, r], [a, b, s]) = (first.vertices, second.vertices);
+        let at = |v: u32| scene.vertices[v as usize] / extent;
+        let off = (at(r) - at(q) - (at(s) - at(p))).length();
+        if (a, b) == (p, r) && off <= SKEW.0 * at(r).distance(at(p)) && off <= SKEW.1 {
+            return vec![vec![p, q, r, s]];
+        }
+    }
+    triangles.iter().map(|triangle| triangle.vertices.to_vec()).collect()
+}
+
+/// The corners from the one of least index on: the same for polygons that are the same.
+fn cycle(polygon: &[u32]) -> Vec<u32> {
+    let mut corners = polygon.to_vec();
+    let least = (0..corners.len()).min_by_key(|&k| corners[k]).unwrap_or(0);
+    corners.rotate_left(least);
+    corners
+}

@@ -1,0 +1,392 @@
+//! `radiosity view-factors`: tables that hold what closed forms say, whatever a file calls a surface.
+
+mod cli_common;
+
+use std::{collections::HashMap, fs};
+
+use cli_common::{Here, stderr};
+use radiosity::form_factor::exact::{
+    opposed_rectangles, opposed_squares_with_blocker, perpendicular_rectangles,
+};
+
+/// What is stored in single precision, and more than closed forms are off.
+const STORED: f64 = 3e-7;
+
+/// A table: names, areas, escaped shares, and rows.
+struct Table {
+    names: Vec<String>,
+    areas: Vec<f64>,
+    escaped: Vec<f64>,
+    rows: Vec<Vec<f64>>,
+}
+
+impl Table {
+    fn read(here: &Here, file: &str) -> Table {
+        let text = String::from_utf8(here.read(file)).unwrap();
+        let mut lines = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
+        let head = lines.next().unwrap();
+        assert_eq!(head[..3], ["surface", "area", "escaped"]);
+        let names: Vec<String> = head[3..].iter().map(|name| name.to_string()).collect();
+        let mut table = Table { names, areas: Vec::new(), escaped: Vec::new(), rows: Vec::new() };
+        for line in lines {
+            assert_eq!(line[0], table.names[table.rows.len()]);
+            let numbers: Vec<f64> = line[1..].iter().map(|word| word.parse().unwrap()).collect();
+            table.areas.push(numbers[0]);
+            table.escaped.push(numbers[1]);
+            table.rows.push(numbers[2..].to_vec());
+        }
+        table.check();
+        table
+    }
+
+    /// What holds of all tables.
+    fn check(&self) {
+        let n = self.names.len();
+        assert!(self.rows.len() == n && self.rows.iter().all(|row| row.len() == n));
+        for i in 0..n {
+            let sum = self.escaped[i] + self.rows[i].iter().sum::<f64>();
+            assert!((sum - 1.0).abs() < 1e-12, "row {i} sums to {sum}");
+            for j in 0..n {
+                let [there, back] = [(i, j), (j, i)].map(|(i, j)| self.areas[i] * self.rows[i][j]);
+                let size = self.areas[i].min(self.areas[j]);
+                assert!((0.0..=1.0).contains(&self.rows[i][j]));
+                assert!((there - back).abs() <= 1e-14 * size, "{i} {j}: {there} and {back}");
+            }
+        }
+    }
+
+    fn get(&self, from: &str, to: &str) -> f64 {
+        let index = |name: &str| self.names.iter().position(|n| n == name).expect(name);
+        self.rows[index(from)][index(to)]
+    }
+}
+
+/// Runs it on an OBJ file; what it says on stderr.
+fn run(obj: &str, options: &str) -> (Here, String) {
+    let here = Here::new(obj, "");
+    let output = here.run(&format!("view-factors scene.obj -o out.csv --quiet {options}"));
+    let errors = stderr(&output);
+    assert_eq!(output.status.code(), Some(0), "{options}: {errors}");
+    assert!(output.stdout.is_empty());
+    (here, errors)
+}
+
+fn table(obj: &str, options: &str) -> Table {
+    Table::read(&run(obj, options).0, "out.csv")
+}
+
+/// Faces of a file: each with what stands before it, and its corners.
+fn obj<'a>(faces: impl IntoIterator<Item = (&'a str, Vec<[f64; 3]>)>) -> String {
+    let mut text = String::new();
+    for (before, corners) in faces {
+        text += before;
+        text += "\n";
+        corners.iter().for_each(|[x, y, z]| text += &format!("v {x} {y} {z}\n"));
+        text += "f";
+        (0..corners.len()).for_each(|k| text += &format!(" -{}", corners.len() - k));
+        text += "\n";
+    }
+    // A face without a material is worth a warning, though not here.
+    format!("mtllib scene.mtl\nusemtl grey\n{text}")
+}
+
+/// A rectangle of a × b at a height, that faces up or down.
+fn flat(a: f64, b: f64, z: f64, up: bool) -> Vec<[f64; 3]> {
+    let mut corners = vec![[0.0, 0.0, z], [a, 0.0, z], [a, b, z], [0.0, b, z]];
+    if !up {
+        corners.reverse();
+    }
+    corners
+}
+
+const WALLS: [&str; 6] = ["left", "right", "front", "rear", "floor", "ceiling"];
+
+/// The walls of the unit cube, seen from inside, each cut in n × n.
+fn cube(n: u32, before: impl Fn(usize) -> &'static str) -> Vec<(&'static str, Vec<[f64; 3]>)> {
+    let mut faces = Vec::new();
+    for wall in 0..6 {
+        let (axis, far) = (wall / 2, wall % 2 == 1);
+        for k in 0..n * n {
+            let at = |u: u32, v: u32| {
+                let mut p = [0.0; 3];
+                p[axis] = f64::from(u8::from(far));
+                p[(axis + 1) % 3] = f64::from(u) / f64::from(n);
+                p[(axis + 2) % 3] = f64::from(v) / f64::from(n);
+                p
+            };
+            let (u, v) = (k % n, k / n);
+            let mut corners = vec![at(u, v), at(u + 1, v), at(u + 1, v + 1), at(u, v + 1)];
+            if far {
+                corners.reverse();
+            }
+            faces.push((before(wall), corners));
+        }
+    }
+    faces
+}
+
+/// Cubes have two view factors.
+fn of_cube(i: usize, j: usize) -> f64 {
+    match (i == j, i / 2 == j / 2) {
+        (true, _) => 0.0,
+        (false, true) => opposed_rectangles(1.0, 1.0, 1.0),
+        (false, false) => perpendicular_rectangles(1.0, 1.0, 1.0),
+    }
+}
+
+#[test]
+fn two_rectangles_are_closed_forms() {
+    for (a, b, c) in [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 1.0, 0.1), (1.0, 1.0, 10.0), (1e-4, 1e-4, 1e-4)]
+    {
+        let found = table(&obj([("", flat(a, b, 0.0, true)), ("", flat(a, b, c, false))]), "");
+        let exact = opposed_rectangles(a, b, c);
+        assert!((found.get("0", "1") - exact).abs() < STORED, "{} not {exact}", found.get("0", "1"));
+        assert!((found.escaped[0] - (1.0 - exact)).abs() < STORED);
+    }
+    for (l, w, h) in [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 1.0, 2.0), (300.0, 300.0, 1.0)] {
+        let wall = vec![[0.0, 0.0, 0.0], [0.0, l, 0.0], [0.0, l, h], [0.0, 0.0, h]];
+        let found = table(&obj([("", flat(w, l, 0.0, true)), ("", wall)]), "");
+        let exact = perpendicular_rectangles(l, w, h);
+        assert!((found.get("0", "1") - exact).abs() < STORED, "{} not {exact}", found.get("0", "1"));
+        assert!(
+            (found.areas[0] - l * w).abs() < 1e-9 * l * w && (found.areas[1] - l * h).abs() < 1e-9 * l * h
+        );
+    }
+    // Numbers published with these formulas.
+    let opposed = table(&obj([("", flat(1.0, 1.0, 0.0, true)), ("", flat(1.0, 1.0, 1.0, false))]), "");
+    assert!((opposed.rows[0][1] - 0.199824895698).abs() < STORED);
+}
+
+#[test]
+fn a_blocker_hides_what_the_closed_form_says_within_the_told_error() {
+    let middle = |up| {
+        let mut corners = flat(0.5, 0.5, 0.5, up);
+        corners.iter_mut().for_each(|p| (p[0], p[1]) = (p[0] + 0.25, p[1] + 0.25));
+        corners
+    };
+    // A thin sheet: its lower and upper side are faces of their own.
+    let scene = obj([
+        ("", flat(1.0, 1.0, 0.0, true)),
+        ("", flat(1.0, 1.0, 1.0, false)),
+        ("", middle(true)),
+        ("", middle(false)),
+    ]);
+    let (here, said) = run(&scene, "--error 2e-4 --pairs pairs.csv --report r.json");
+    assert!(!said.contains("same place"), "{said}");
+    let found = Table::read(&here, "out.csv");
+    let pairs = String::from_utf8(here.read("pairs.csv")).unwrap();
+    let mut lines = pairs.lines();
+    assert_eq!(lines.next(), Some("from,to,view_factor,standard_error"));
+    let mut known = HashMap::new();
+    for line in lines {
+        let words: Vec<&str> = line.split(',').collect();
+        let (f, error): (f64, f64) = (words[2].parse().unwrap(), words[3].parse().unwrap());
+        assert_eq!(f, found.get(words[0], words[1]), "{line}");
+        known.insert((words[0], words[1]), (f, error));
+    }
+    assert_eq!(known.len(), found.rows.iter().flatten().filter(|&&f| f > 0.0).count());
+    let (f, error) = known[&("0", "1")];
+    let exact = opposed_squares_with_blocker(1.0, 1.0, 0.5);
+    assert!((f - exact).abs() < 4.5 * error, "{f} ± {error}, not {exact}");
+    // Nearly all of the error is this pair's, both ways; RMS over the sixteen.
+    let told = here.json("r.json")["error"]["rms"].as_f64().unwrap();
+    assert!(told <= 2e-4 && error > 4.0 * told / 2f64.sqrt() * 0.9, "{told} {error}");
+    assert_eq!(here.json("r.json")["enclosed"], false);
+}
+
+#[test]
+fn a_cube_is_closed_and_its_parts_sum_up() {
+    let whole = table(&obj(cube(1, |_| "")), "");
+    let named = |wall: usize| ["g left", "g right", "g front", "g rear", "g floor", "g ceiling"][wall];
+    let groups = table(&obj(cube(3, named)), "--by group --error 1e-3");
+    assert_eq!(groups.names, WALLS);
+    let parts = table(&obj(cube(3, named)), "--error 1e-3");
+    assert_eq!((parts.names.len(), &parts.names[53][..]), (54, "53"));
+    for i in 0..6 {
+        assert_eq!(whole.escaped[i], 0.0);
+        assert!((groups.areas[i] - 1.0).abs() < 1e-12);
+        for j in 0..6 {
+            assert!((whole.rows[i][j] - of_cube(i, j)).abs() < STORED);
+            // Nothing is hidden, so there is no chance in it: what is unoccluded is known to a thousandth.
+            assert!((groups.rows[i][j] - of_cube(i, j)).abs() < 1e-3 * of_cube(i, j) + STORED, "{i} {j}");
+            let of_part = |k: usize| parts.rows[k][9 * j..9 * j + 9].iter().sum::<f64>();
+            let sum = (9 * i..9 * i + 9).map(of_part).sum::<f64>() / 9.0;
+            assert!((sum - of_cube(i, j)).abs() < 1e-3 * of_cube(i, j) + STORED, "{i} {j}: {sum}");
+        }
+    }
+}
+
+#[test]
+fn surfaces_may_see_themselves() {
+    // Floor and ceiling are one object, one of the walls has no name.
+    let named = |wall: usize| ["o a", "o a", "o b", "o", "o plates", "o plates"][wall];
+    let found = table(&obj(cube(1, named)), "--by object");
+    assert_eq!(found.names, ["a", "b", "(none)", "plates"]);
+    let (opposed, beside) = (of_cube(0, 1), of_cube(0, 2));
+    for (from, to, exact) in [
+        ("a", "a", opposed),
+        ("a", "b", beside),
+        ("a", "(none)", beside),
+        ("b", "a", 2.0 * beside),
+        ("a", "plates", 2.0 * beside),
+        ("plates", "plates", opposed),
+        ("b", "(none)", opposed),
+        ("b", "b", 0.0),
+    ] {
+        assert!((found.get(from, to) - exact).abs() < 1e-6, "{from} {to}: {} {exact}", found.get(from, to));
+    }
+}
+
+#[test]
+fn faces_of_any_shape_are_surfaces() {
+    // The floor as a trapezoid, a triangle, and an L that is left; the ceiling as a hexagon with corners on its edges.
+    let mut faces = cube(1, |_| "");
+    faces.truncate(4);
+    let corners = |list: &[(f64, f64)], z: f64| list.iter().map(|&(x, y)| [x, y, z]).collect::<Vec<_>>();
+    faces.push(("", corners(&[(0.0, 0.0), (1.0, 0.0), (0.75, 0.25), (0.0, 0.25)], 0.0)));
+    faces.push(("", corners(&[(1.0, 0.0), (1.0, 0.25), (0.75, 0.25)], 0.0)));
+    faces.push((
+        "",
+        corners(&[(0.0, 0.25), (0.5, 0.25), (0.5, 0.5), (1.0, 0.5), (1.0, 1.0), (0.0, 1.0)], 0.0),
+    ));
+    faces.push(("", corners(&[(0.5, 0.25), (0.75, 0.25), (1.0, 0.25), (1.0, 0.5), (0.5, 0.5)], 0.0)));
+    let mut ceiling = corners(&[(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (1.0, 1.0), (0.3, 1.0), (0.0, 1.0)], 1.0);
+    ceiling.reverse();
+    faces.push(("", ceiling));
+    let found = table(&obj(faces), "--error 1e-5");
+    assert_eq!(found.names.len(), 9);
+    let areas = [0.21875, 0.03125, 0.625, 0.125];
+    for (k, area) in areas.into_iter().enumerate() {
+        assert!((found.areas[4 + k] - area).abs() < 1e-12);
+        assert_eq!(found.escaped[4 + k], 0.0);
+    }
+    for (j, wall) in [0, 1, 2, 3, 8].into_iter().zip([0, 1, 2, 3, 5]) {
+        let sum: f64 = areas.iter().enumerate().map(|(k, area)| area * found.rows[4 + k][j]).sum();
+        assert!((sum - of_cube(4, wall)).abs() < 2e-5, "{wall}: {sum}");
+    }
+}
+
+#[test]
+fn what_a_room_is_is_told_by_rays_or_by_the_user() {
+    let closed = obj(cube(1, |_| ""));
+    let open = obj(cube(1, |_| "").into_iter().take(5));
+    let outward = obj(cube(1, |_| "").into_iter().map(|(b, c)| (b, c.into_iter().rev().collect())));
+    let report = |scene: &str, options: &str| {
+        let (here, said) = run(scene, &format!("--report r.json {options}"));
+        (here.json("r.json"), Table::read(&here, "out.csv"), said)
+    };
+    let (told, _, _) = report(&closed, "");
+    assert_eq!((&told["enclosed"], &told["look"]["escaped"]), (&true.into(), &0.into()));
+    let (told, found, _) = report(&open, "");
+    assert_eq!(told["enclosed"], false);
+    for wall in 0..5 {
+        assert!((found.escaped[wall] - of_cube(wall, 5)).abs() < 1e-6, "{:?}", found.escaped);
+    }
+    // What sums to one is what was said to escape.
+    let (_, found, _) = report(&closed, "--open");
+    assert!(found.escaped.iter().all(|&e| e < 1e-6));
+    // A room shown its outside.
+    let (told, found, _) = report(&outward, "");
+    assert!(found.escaped.iter().all(|&e| e == 1.0) && told["non_zeros"] == 0);
+    let (told, found, _) = report(&outward, "--side back");
+    assert_eq!(told["enclosed"], true);
+    assert!((found.rows[0][1] - of_cube(0, 1)).abs() < STORED);
+    // All walls twice: the inside as above, the outside alone.
+    let (told, found, said) = report(&closed, "--side both");
+    assert_eq!(found.names[6..8], ["0 back", "1 back"]);
+    assert!(told["enclosed"] == false && !said.contains("backs"), "{said}");
+    assert!((found.rows[0][1] - of_cube(0, 1)).abs() < 1e-6 && found.escaped[0] < 1e-6);
+    assert!(found.escaped[6..].iter().all(|&e| e == 1.0));
+    // Nobody is believed who says that an open box encloses a room.
+    let here = Here::new(&open, "");
+    let errors = here.fails("view-factors scene.obj -o out.csv --enclosed", 2);
+    assert!(errors.contains("error: scene.obj:") && errors.contains("no room is enclosed"), "{errors}");
+    assert!(errors.contains("hint: ") && errors.contains("rays left the room"), "{errors}");
+}
+
+#[test]
+fn a_turned_wall_and_faces_at_one_place_are_told() {
+    let mut faces = cube(1, |_| "");
+    faces[5].1.reverse();
+    let (_, said) = run(&obj(faces.clone()), "");
+    assert!(said.contains("% of what surfaces see are backs"), "{said}");
+    faces[5].1.reverse();
+    // Once more from another corner: the same face.
+    let mut again = faces[4].clone();
+    again.1.rotate_left(1);
+    faces.push(again);
+    let (here, said) = run(&obj(faces.clone()), "");
+    assert!(said.contains("left out 1 faces at the same place"), "{said}");
+    assert_eq!(Table::read(&here, "out.csv").names.len(), 6);
+    // Half of the floor once more is no longer the same.
+    faces[6].1 = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.5, 0.0], [0.0, 0.5, 0.0]];
+    let (_, said) = run(&obj(faces), "");
+    assert!(said.contains("do faces overlap?"), "{said}");
+}
+
+#[test]
+fn names_reach_the_table_as_they_are() {
+    let scene = obj([("g a,b", flat(1.0, 1.0, 0.0, true)), ("g \"c\" d", flat(1.0, 1.0, 1.0, false))]);
+    let (here, _) = run(&scene, "--by group");
+    let text = String::from_utf8(here.read("out.csv")).unwrap();
+    assert!(text.starts_with("surface,area,escaped,\"a,b\",\"\"\"c\"\" d\"\n\"a,b\",1,"), "{text}");
+    let materials = "mtllib scene.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\n\
+                     usemtl warm\nf 1 2 3\nusemtl cold\nf 6 5 4\n";
+    assert_eq!(table(materials, "--by material").names, ["warm", "cold"]);
+}
+
+#[test]
+fn the_same_bytes_for_any_number_of_threads_and_what_is_said() {
+    let here = Here::new("", "");
+    let scene = format!("{}/meshes/furnace.obj", env!("CARGO_MANIFEST_DIR"));
+    let bytes = |options: &str| {
+        let output = here.run(&format!("view-factors {scene} -o out.csv --error 1e-3 {options}"));
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert!(said.contains("enclosed      yes") && said.contains("12 by face"), "{said}");
+        here.read("out.csv")
+    };
+    let one = bytes("--threads 1");
+    assert!(one == bytes("--threads 3") && one != bytes("--seed 1"));
+}
+
+#[test]
+fn a_ply_has_faces_too() {
+    let here = Here::new("", "");
+    let mut ply = String::from(
+        "ply\nformat ascii 1.0\nelement vertex 24\nproperty double x\nproperty double y\nproperty double z\n\
+         element face 6\nproperty list uchar int vertex_indices\nend_header\n",
+    );
+    let walls = cube(1, |_| "");
+    walls.iter().flat_map(|(_, wall)| wall).for_each(|[x, y, z]| ply += &format!("{x} {y} {z}\n"));
+    (0..6).for_each(|k| ply += &format!("4 {} {} {} {}\n", 4 * k, 4 * k + 1, 4 * k + 2, 4 * k + 3));
+    fs::write(here.path("room.ply"), ply).unwrap();
+    let output = here.run("view-factors room.ply -o out.csv --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let found = Table::read(&here, "out.csv");
+    assert_eq!(found.names.len(), 6);
+    assert!((found.rows[0][1] - of_cube(0, 1)).abs() < STORED);
+    assert!(here.fails("view-factors room.ply --by group", 2).contains("no face belongs to a named group"));
+}
+
+#[test]
+fn what_cannot_be_done_is_refused_with_nothing_left_behind() {
+    let here = Here::new(&obj(cube(1, |_| "")), "");
+    fs::write(here.path("bad.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n").unwrap();
+    for (arguments, said) in [
+        ("missing.obj -o out.csv", "error: missing.obj: "),
+        ("bad.obj -o out.csv", "error: bad.obj:4: "),
+        ("scene.obj -o scene.obj", "replace the input"),
+        ("scene.obj -o other.mtl", "may not take the name"),
+        ("scene.obj -o a.csv --pairs a.csv", "the same file"),
+        ("scene.obj -o nowhere/a.csv", "nowhere/a.csv"),
+        ("scene.obj --error 0", "between 1e-7 and 0.1"),
+        ("scene.obj --open --enclosed", "--enclosed"),
+        ("scene.obj --by group", "no face belongs to a named group"),
+        ("scene.obj --memory 1k", "--memory allows"),
+        ("", "SCENE"),
+    ] {
+        let errors = here.fails(&format!("view-factors {arguments}"), 2);
+        assert!(errors.contains(said), "{arguments}: {errors}");
+    }
+}
