@@ -240,8 +240,7 @@ fn solved(scene: &Scene, tracer: &Tracer, patches: Patches, rays: f64) -> Solved
 
 fn told(solved: &Solved) -> f64 {
     let Solved { patches, form_factors, solution, .. } = solved;
-    let options = SolveOptions::default();
-    let found = Discretisation::of(form_factors, patches, solution, &options, &Progress::new());
+    let found = Discretisation::of(form_factors, patches, solution, &Progress::new());
     found.unwrap().unwrap().relative
 }
 

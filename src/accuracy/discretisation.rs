@@ -10,10 +10,15 @@ use std::ops::Range;
 use crate::{
     Progress, Result,
     accuracy::error_bars::relative_rms,
-    form_factor::FormFactors,
+    form_factor::{FormFactors, magnitude, ordered_sum},
     patch::Patches,
-    solve::{Radiometry, Solution, SolveOptions, solve_from},
+    solve::Solution,
 };
+
+/// The share of the change that may be missing from it,
+const ENOUGH: f64 = 0.02;
+/// or after so many bounces.
+const MOST_BOUNCES: usize = 200;
 
 /// The discretisation error of a solution.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,7 +42,6 @@ impl Discretisation {
         form_factors: &FormFactors,
         patches: &Patches,
         solution: &Solution,
-        options: &SolveOptions,
         progress: &Progress,
     ) -> Result<Option<Discretisation>> {
         let areas = form_factors.areas();
@@ -50,32 +54,77 @@ impl Discretisation {
         }
         let families: Vec<Range<usize>> = patches.families(1).collect();
         let channels = solution.channels;
-        let coarse = form_factors.merged(&families);
-        let mean = |values: &[f64]| {
-            let mut means = vec![0.0; families.len() * channels];
-            for (p, family) in families.iter().enumerate() {
-                for i in family.clone() {
-                    for c in 0..channels {
-                        let share = areas[i] / coarse.areas()[p];
-                        means[p * channels + c] += share * values[i * channels + c];
-                    }
-                }
-            }
-            means
+        let coarse = match channels {
+            1 => coarse_irradiance::<1>(form_factors, patches, solution, &families, progress)?,
+            _ => coarse_irradiance::<3>(form_factors, patches, solution, &families, progress)?,
         };
-        let (emission, reflectance) = (mean(patches.emission()), mean(patches.reflectance()));
-        let radiometry = Radiometry { channels, emission: &emission, reflectance: &reflectance };
-        let start = mean(&solution.radiosity);
-        let solved = solve_from(Some(&start), &coarse, radiometry, &options.rough(), progress)?;
-        let fine = mean(&solution.irradiance);
+        let fine = means(&families, areas, &solution.irradiance, channels);
         let of_family = |p: usize| (0..channels).map(move |c| p * channels + c);
         let change: Vec<f64> = families
             .iter()
             .enumerate()
             .flat_map(|(p, family)| family.clone().flat_map(move |_| of_family(p)))
-            .map(|q| solved.irradiance[q] - fine[q])
+            .map(|q| coarse[q] - fine[q])
             .collect();
         let relative = relative_rms(&change, &solution.irradiance, areas);
         Ok(Some(Discretisation { change, relative }))
     }
+}
+
+/// The means of interleaved channels over the patches of every family.
+fn means(families: &[Range<usize>], areas: &[f64], values: &[f64], channels: usize) -> Vec<f64> {
+    let of_family = |family: &Range<usize>| -> Vec<f64> {
+        let area: f64 = areas[family.clone()].iter().sum();
+        let weighted = |c: usize| family.clone().map(|i| areas[i] * values[i * channels + c]).sum::<f64>();
+        (0..channels).map(|c| weighted(c) / area).collect()
+    };
+    families.iter().flat_map(of_family).collect()
+}
+
+/// The irradiance of every family were its patches one: B is the same on all of them. The form factors of parents are sums of their
+/// children's, so that no matrix of theirs is made; from what the children have, light bounces until the rest that is to come is
+/// small beside the change.
+fn coarse_irradiance<const C: usize>(
+    form_factors: &FormFactors,
+    patches: &Patches,
+    solution: &Solution,
+    families: &[Range<usize>],
+    progress: &Progress,
+) -> Result<Vec<f64>> {
+    let areas = form_factors.areas();
+    let mean = |values: &[f64]| means(families, areas, values, C);
+    let (emission, reflectance) = (mean(patches.emission()), mean(patches.reflectance()));
+    let unit = magnitude(&solution.radiosity);
+    let fine = mean(&solution.irradiance);
+    let mut irradiance = fine.clone();
+    let mut radiosity: Vec<[f32; C]> = vec![[0.0; C]; areas.len()];
+    let mut arriving = radiosity.clone();
+    let weights: Vec<f64> = families.iter().map(|family| areas[family.clone()].iter().sum()).collect();
+    let distance = |a: &[f64], b: &[f64]| {
+        let squares = |p: usize| (C * p..C * (p + 1)).map(|q| (a[q] - b[q]).powi(2)).sum::<f64>();
+        ordered_sum(weights.len(), |p| weights[p] * squares(p)).sqrt()
+    };
+    let mut before = f64::INFINITY;
+    for _ in 0..MOST_BOUNCES {
+        progress.check()?;
+        for (p, family) in families.iter().enumerate() {
+            let of_parent = std::array::from_fn(|c| {
+                let q = C * p + c;
+                ((emission[q] + reflectance[q] * irradiance[q]) / unit) as f32
+            });
+            radiosity[family.clone()].fill(of_parent);
+        }
+        form_factors.irradiance_into::<f32, C>(radiosity.as_flattened(), arriving.as_flattened_mut());
+        let last = std::mem::take(&mut irradiance);
+        let arrived: Vec<f64> = arriving.as_flattened().iter().map(|&e| unit * f64::from(e)).collect();
+        irradiance = mean(&arrived);
+        let step = distance(&irradiance, &last);
+        // What is to come is a geometric series.
+        let ratio = if before < f64::INFINITY { (step / before).min(1.0) } else { 1.0 };
+        if step * ratio <= ENOUGH * (1.0 - ratio) * distance(&irradiance, &fine) {
+            break;
+        }
+        before = step;
+    }
+    Ok(irradiance)
 }

@@ -16,7 +16,7 @@ use crate::{
     form_factor::{
         FormFactors,
         hemisphere::REPLICATES,
-        magnitude,
+        magnitude, ordered_sum,
         replicates::Deviation,
         siblings::with_mean,
         stratification::{half_differences, variance_of_all},
@@ -144,12 +144,12 @@ fn smoothed_errors<const C: usize>(
     form_factors: &FormFactors,
     solution: &Solution,
     local: &[Deviation<C>],
-    [own, all]: [&[Deviation<1>]; 2],
+    [own, all]: [&[[f32; REPLICATES]]; 2],
 ) -> Vec<f64> {
     let variance = |deviation: &[f32; REPLICATES]| standard_error_of(&deviation.map(f64::from)).powi(2);
     let of_patch = |i: usize| -> [f64; C] {
         let irradiance = &solution.irradiance[C * i..][..C];
-        let inherited = variance(&all[i][0]) - variance(&own[i][0]);
+        let inherited = variance(&all[i]) - variance(&own[i]);
         let light = irradiance.iter().sum::<f64>().max(f64::MIN_POSITIVE);
         std::array::from_fn(|c| {
             let own = variance(&local[i][c]);
@@ -160,7 +160,7 @@ fn smoothed_errors<const C: usize>(
     with_mean(form_factors.siblings(), &variances, |own, mean| (0.5 * (own + mean)).sqrt())
 }
 
-/// How well the parts of sequences complement each other: sums over patches and channels.
+/// How well the parts of sequences complement each other: sums over patches.
 #[derive(Debug, Clone, Copy, Default)]
 struct Strata {
     /// Squares of the standard errors that the whole would have, were its parts independent.
@@ -170,14 +170,9 @@ struct Strata {
 }
 
 impl Strata {
-    fn of<const C: usize>(deviation: &Deviation<C>) -> Strata {
-        let mut strata = Strata::default();
-        for channel in deviation {
-            let mut runs = channel.map(f64::from);
-            let spread = standard_error_of(&runs).powi(2);
-            strata = strata.plus(&Strata { spread, halves: half_differences(&mut runs) }, 1.0);
-        }
-        strata
+    fn of(deviation: &[f32; REPLICATES]) -> Strata {
+        let mut runs = deviation.map(f64::from);
+        Strata { spread: standard_error_of(&runs).powi(2), halves: half_differences(&mut runs) }
     }
 
     fn sum(strata: &[Strata], patches: impl Iterator<Item = usize>, weight: impl Fn(usize) -> f64) -> Strata {
@@ -257,12 +252,12 @@ fn propagate<const C: usize>(
     reflectance: &[[f64; C]],
     solution: &Solution,
     local: &[Deviation<C>],
-) -> [Vec<Deviation<1>>; 2] {
-    let sum = |local: &Deviation<C>, weight: &dyn Fn(usize) -> f64| -> Deviation<1> {
-        [std::array::from_fn(|k| (0..C).map(|c| weight(c) as f32 * local[c][k]).sum())]
+) -> [Vec<[f32; REPLICATES]>; 2] {
+    let sum = |local: &Deviation<C>, weight: [f32; C]| -> [f32; REPLICATES] {
+        std::array::from_fn(|k| (0..C).map(|c| weight[c] * local[c][k]).sum())
     };
-    let own: Vec<Deviation<1>> =
-        local.par_iter().with_min_len(256).map(|local| sum(local, &|_| 1.0)).collect();
+    let own: Vec<[f32; REPLICATES]> =
+        local.par_iter().with_min_len(256).map(|local| sum(local, [1.0; C])).collect();
     // What is inherited is reflected as the irradiance is.
     let mean = |rho: &[f64; C], e: &[f64]| {
         let all: f64 = e.iter().sum();
@@ -271,24 +266,19 @@ fn propagate<const C: usize>(
     let irradiance = solution.irradiance.par_chunks_exact(C);
     let means: Vec<f64> =
         reflectance.par_iter().zip(irradiance).with_min_len(256).map(|(rho, e)| mean(rho, e)).collect();
-    let mut total = own.clone();
+    let (mut total, mut reflected) = (own.clone(), own.clone());
     let mut size = root_mean_square(&total);
     for _ in 0..MOST_BOUNCES {
-        let reflected: Vec<Deviation<1>> = (0..own.len())
-            .into_par_iter()
-            .with_min_len(256)
-            .map(|i| {
-                let mut reflected = sum(&local[i], &|c| reflectance[i][c]);
-                for k in 0..REPLICATES {
-                    reflected[0][k] += means[i] as f32 * (total[i][0][k] - own[i][0][k]);
-                }
-                reflected
-            })
-            .collect();
-        total = form_factors.gather_replicates(&reflected);
+        reflected.par_iter_mut().enumerate().with_min_len(256).for_each(|(i, reflected)| {
+            *reflected = sum(&local[i], reflectance[i].map(|rho| rho as f32));
+            for k in 0..REPLICATES {
+                reflected[k] += means[i] as f32 * (total[i][k] - own[i][k]);
+            }
+        });
+        form_factors.irradiance_into::<f32, REPLICATES>(reflected.as_flattened(), total.as_flattened_mut());
         total.par_iter_mut().zip(&own).with_min_len(256).for_each(|(total, own)| {
             for k in 0..REPLICATES {
-                total[0][k] += own[0][k];
+                total[k] += own[k];
             }
         });
         let before = size;
@@ -307,9 +297,9 @@ fn standard_error_of(deviations: &[f64; REPLICATES]) -> f64 {
     (squares / (many * (many - 1.0))).sqrt()
 }
 
-fn root_mean_square<const C: usize>(values: &[Deviation<C>]) -> f64 {
-    let squares: f64 = values.iter().flatten().flatten().map(|&v| f64::from(v).powi(2)).sum();
-    (squares / values.len() as f64).sqrt()
+fn root_mean_square(values: &[[f32; REPLICATES]]) -> f64 {
+    let squares = |i: usize| values[i].iter().map(|&v| f64::from(v).powi(2)).sum::<f64>();
+    (ordered_sum(values.len(), squares) / values.len() as f64).sqrt()
 }
 
 #[cfg(test)]

@@ -251,7 +251,7 @@ impl Sampling<'_> {
     /// Patches small enough for a wanted error, or for the time there is, smaller where light varies.
     fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<SmallPatches> {
         let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
-        let (options, progress) = (self.args.solve_options(), self.watch.progress());
+        let progress = self.watch.progress();
         let (limit, bytes) = (self.args.common.limit(), self.bytes(Estimator::Pooled));
         let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
         let mut floor = None;
@@ -263,8 +263,7 @@ impl Sampling<'_> {
         for _ in 0..MOST_CUTS {
             let (solved, _) = first.insert(self.begin(patches.clone(), &cast)?);
             let Solved { patches: solved, form_factors, solution, .. } = &*solved;
-            floor =
-                Discretisation::of(form_factors, solved, solution, &options, progress)?.map(|d| d.relative);
+            floor = Discretisation::of(form_factors, solved, solution, progress)?.map(|d| d.relative);
             let growth = match (wanted, floor) {
                 (Some(wanted), Some(floor)) => (floor / (OF_PATCHES * wanted)).powf(1.0 / RATE),
                 (None, _) => ENOUGH_PATCHES as f64 / patches.fronts() as f64,
@@ -302,8 +301,7 @@ impl Sampling<'_> {
     /// Says that the patches someone chose are too large for the error that he wants.
     fn warn_of_patches(&self, solved: &Solved, wanted: f64) -> Result<()> {
         let Solved { patches, form_factors, solution, .. } = solved;
-        let options = self.args.solve_options();
-        let found = Discretisation::of(form_factors, patches, solution, &options, self.watch.progress())?;
+        let found = Discretisation::of(form_factors, patches, solution, self.watch.progress())?;
         if let Some(found) = found.filter(|d| d.relative > wanted) {
             self.watch.warn(&format!(
                 "patches of this size leave about {:.2} % themselves, which no ray lowers: give more --patches, or none",

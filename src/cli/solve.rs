@@ -270,7 +270,7 @@ impl Errors {
         let unit = relative_rms(&unit, &solution.irradiance, form_factors.areas());
         Ok(Errors {
             energy: EnergyLedger::of(form_factors, patches, solution),
-            discretisation: Discretisation::of(form_factors, patches, solution, options, progress)?,
+            discretisation: Discretisation::of(form_factors, patches, solution, progress)?,
             bias: bias::relative(form_factors, tracer, patches, solution, options, progress)?,
             solver: Some(solution.error_bound * unit).filter(|x| x.is_finite() && unit > 0.0),
         })

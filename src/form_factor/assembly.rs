@@ -1,7 +1,5 @@
 //! From hits to form factors.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 
 use super::{
@@ -81,51 +79,6 @@ impl FormFactors {
             form_factors.reciprocity_deviation = BeforeAfter { before: after, after };
         }
         form_factors
-    }
-
-    /// The form factors of patches that are put together, a run of them each. Nothing tells how they were sampled.
-    ///
-    /// # Panics
-    /// When the sizes disagree.
-    pub(crate) fn merged(&self, families: &[Range<usize>]) -> FormFactors {
-        let mut parents = Vec::with_capacity(self.len());
-        for (p, family) in families.iter().enumerate() {
-            parents.extend(family.clone().map(|_| p as u32));
-        }
-        assert_eq!(parents.len(), self.len(), "one parent a patch is wanted");
-        let areas: Vec<f64> = families.iter().map(|f| self.areas[f.clone()].iter().sum()).collect();
-        let lost = |f: &Range<usize>| f.clone().map(|i| self.areas[i] * self.escaped[i]).sum::<f64>();
-        let escaped = families.iter().zip(&areas).map(|(f, area)| lost(f) / area).collect();
-        let mean = areas.iter().sum::<f64>() / families.len() as f64;
-        let entry = |i: usize, j: usize, s: f32| {
-            let exchange = self.areas[i] * self.left[i] * f64::from(s) * self.right[j] / mean;
-            // Within a family both directions fall together.
-            let both = if parents[i] == parents[j] && i != j { 2.0 } else { 1.0 };
-            (parents[i], parents[j], (both * exchange) as f32)
-        };
-        let lists: Vec<Vec<(u32, u32, f32)>> = match &self.stored {
-            Stored::Symmetric(matrix) => {
-                let on_diagonal = matrix.diagonal().map(|(i, s)| entry(i, i, s)).collect();
-                let mut lists: Vec<Vec<_>> =
-                    matrix.tiles().map(|tile| tile.map(|(i, j, s)| entry(i, j, s)).collect()).collect();
-                lists.push(on_diagonal);
-                lists
-            }
-            // Not reciprocal: what lies above the diagonal stands for both.
-            Stored::Rows(matrix) => vec![
-                matrix
-                    .iter()
-                    .filter(|&(_, (i, j))| i <= j)
-                    .map(|(&s, (i, j))| entry(i as usize, j as usize, s))
-                    .collect(),
-            ],
-        };
-        let matrix = Symmetric::from_lists(families.len(), &lists);
-        let relative = areas.iter().map(|a| a / mean).collect();
-        let mut merged = Self::closed(matrix, relative, escaped, |_| 0.0, ROUGH);
-        merged.areas = areas;
-        merged.estimator = self.estimator;
-        merged
     }
 
     /// The form factors from the first or second half of every patch's rays; `None` when they are too few or unknown.

@@ -72,40 +72,18 @@ impl FormFactors {
         }
     }
 
-    /// F z for a value a replicate and channel, in single precision: for error bars.
-    pub(crate) fn gather_replicates<const C: usize>(&self, z: &[Deviation<C>]) -> Vec<Deviation<C>> {
-        let z: Vec<Deviation<C>> =
-            z.par_iter().zip(&self.right).with_min_len(SHORT).map(|(z, right)| scaled(z, *right)).collect();
-        let mut sums = vec![[[0f32; REPLICATES]; C]; self.len()];
-        match &self.stored {
-            Stored::Symmetric(matrix) => {
-                matrix.diagonal().for_each(|(i, s)| add(&mut sums[i], s, &z[i]));
-                matrix.accumulate(&z, &mut sums, |s, z_i, z_j, at_i, at_j| {
-                    add(at_i, s, z_j);
-                    add(at_j, s, z_i);
-                });
-            }
-            Stored::Rows(matrix) => sums.par_iter_mut().enumerate().with_min_len(128).for_each(|(i, sum)| {
-                let (columns, values) = row(matrix, i);
-                columns.iter().zip(values).for_each(|(&j, &s)| add(sum, s, &z[j as usize]));
-            }),
-        }
-        self.scale_rows(&mut sums);
-        sums
-    }
-
-    /// The same where z is zero but for what `value` says of the patches `from`: those of pooled form factors that shadow rays
-    /// went to, few or many.
+    /// F z for a value a replicate and channel, in single precision, where z is zero but for what `value` says of each patch of
+    /// `from`, by its place there and its number: those of pooled form factors that shadow rays went to, few or many.
     pub(super) fn gather_from<const C: usize>(
         &self,
         from: &[u32],
-        value: impl Fn(usize) -> Deviation<C>,
+        value: impl Fn(usize, usize) -> Deviation<C>,
     ) -> Vec<Deviation<C>> {
         let Stored::Symmetric(matrix) = &self.stored else {
             unreachable!("one-way form factors have no sources")
         };
         let z: Vec<Deviation<C>> =
-            from.iter().map(|&i| scaled(&value(i as usize), self.right[i as usize])).collect();
+            (0..).zip(from).map(|(k, &i)| scaled(&value(k, i as usize), self.right[i as usize])).collect();
         let mut of = vec![None; self.len()];
         (1..).zip(from).for_each(|(k, &i)| of[i as usize] = NonZeroU32::new(k));
         let add_from = |to: &mut Deviation<C>, s: f32, k: &Option<NonZeroU32>| {
@@ -117,13 +95,9 @@ impl FormFactors {
             add_from(at_i, s, of_j);
             add_from(at_j, s, of_i);
         });
-        self.scale_rows(&mut sums);
-        sums
-    }
-
-    fn scale_rows<const C: usize>(&self, sums: &mut [Deviation<C>]) {
         let rows = sums.par_iter_mut().zip(&self.left).with_min_len(SHORT);
         rows.for_each(|(sum, left)| *sum = scaled(sum, *left));
+        sums
     }
 }
 

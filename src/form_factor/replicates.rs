@@ -127,31 +127,27 @@ impl FormFactors {
     pub(crate) fn deviations<const C: usize>(&self, radiosity: &[[f64; C]]) -> Option<Vec<Deviation<C>>> {
         let samples = self.samples.as_ref()?;
         let single: Vec<[f32; C]> = radiosity.iter().map(|b| b.map(|b| b as f32)).collect();
-        let parts = samples.deviations(&single, |parts| parts);
         let add = |to: &mut [f32], what: &[f32], factor: f32| {
             to.iter_mut().zip(what).for_each(|(to, what)| *to += factor * what);
         };
-        let mut whole: Vec<Deviation<C>> = parts
-            .par_iter()
-            .with_min_len(SHORT)
-            .map(|p| {
-                let mut whole = p.hemisphere;
-                add(whole.as_flattened_mut(), p.shadow.as_flattened(), 1.0);
-                whole
-            })
-            .collect();
+        let mut whole: Vec<Deviation<C>> = vec![[[0.0; REPLICATES]; C]; radiosity.len()];
+        let scales = samples.deviations(&single, &mut whole, |parts| {
+            let mut whole = parts.hemisphere;
+            add(whole.as_flattened_mut(), parts.shadow.as_flattened(), 1.0);
+            whole
+        });
         if !samples.shine_alike(radiosity) {
             // What sources scale by is scaled in the rows of the others too, whose light from sources as a whole stays. With the
             // brightness b_l of the sources dE_i = Σ_l F_il ds_l (B_l - b_l Σ_m F_im B_m / Σ_m F_im b_m).
             let brightness = samples.densities.brightness();
             let sources = samples.hits.sources.patches();
-            let scale = self.gather_from(sources, |i| [parts[i].scale.map(|s| s * brightness[i] as f32)]);
-            let sent: Vec<Deviation<C>> = self.gather_from(sources, |i| {
-                std::array::from_fn(|c| parts[i].scale.map(|s| s * radiosity[i][c] as f32))
+            let scale = self.gather_from(sources, |k, i| [scales[k].map(|s| s * brightness[i] as f32)]);
+            let sent: Vec<Deviation<C>> = self.gather_from(sources, |k, i| {
+                std::array::from_fn(|c| scales[k].map(|s| s * radiosity[i][c] as f32))
             });
             let known = self.irradiance(brightness, 1);
             let of_source = |i: usize| radiosity[i].map(|b| if brightness[i] > 0.0 { b } else { 0.0 });
-            let light = self.irradiance(&(0..parts.len()).flat_map(of_source).collect::<Vec<_>>(), C);
+            let light = self.irradiance(&(0..radiosity.len()).flat_map(of_source).collect::<Vec<_>>(), C);
             let rows = whole.par_iter_mut().enumerate().with_min_len(SHORT);
             rows.filter(|&(i, _)| !samples.hits.sources.contains(i)).for_each(|(i, whole)| {
                 for c in 0..C {
@@ -189,17 +185,21 @@ impl Samples {
 
     fn variances_of<const C: usize>(&self) -> Vec<[f64; 2]> {
         let squares = |d: &Deviation<C>| d.as_flattened().iter().map(|&d| f64::from(d).powi(2)).sum();
-        self.deviations::<C, _>(self.radiosity.as_chunks().0, |parts| {
+        let mut variances = vec![[0.0; 2]; self.areas.len()];
+        self.deviations::<C, _>(self.radiosity.as_chunks().0, &mut variances, |parts| {
             [squares(&parts.hemisphere), squares(&parts.shadow)]
-        })
+        });
+        variances
     }
 
-    /// What `make` makes of the deviations of every patch.
+    /// Fills `out` with what `make` makes of the deviations of every patch. Returns by what closing their rows scales the links of
+    /// sources, one after the other.
     fn deviations<const C: usize, T: Send>(
         &self,
         radiosity: &[[f32; C]],
-        make: impl Fn(Parts<C>) -> T + Sync,
-    ) -> Vec<T> {
+        out: &mut [T],
+        make: impl Fn(&Parts<C>) -> T + Sync,
+    ) -> Vec<[f32; REPLICATES]> {
         let pooled = self.options.estimator == Estimator::Pooled;
         let blocks = Blocks::of_rows(self.areas.len(), LEAST_ROWS, MOST_ROWS);
         let incoming = if pooled { Incoming::new(&self.hits, blocks) } else { Incoming::default() };
@@ -207,16 +207,27 @@ impl Samples {
         let density = |i: usize| (f64::from(self.hits.rays_of(i)) / self.areas[i]) as f32;
         let seen = |(i, &radiosity)| Seen { radiosity, density: density(i) };
         let seen: Vec<Seen<C>> = radiosity.par_iter().enumerate().with_min_len(SHORT).map(seen).collect();
-        let of_block = |block: usize| -> Vec<T> {
-            let mut sums = vec![Sums::ZERO; blocks.range(block).len()];
+        let of_block = |sums: &mut Vec<Sums<C>>, (block, out): (usize, &mut [T])| {
+            sums.clear();
+            sums.resize(out.len(), Sums::ZERO);
             if pooled {
-                self.pooled(block, &incoming, &seen, &of_lamps, &mut sums);
+                self.pooled(block, &incoming, &seen, &of_lamps, sums);
             } else {
-                self.one_way(blocks.range(block), radiosity, &mut sums);
+                self.one_way(blocks.range(block), radiosity, sums);
             }
-            blocks.range(block).zip(&sums).map(|(i, sums)| make(self.deviation(i, sums))).collect()
+            let mut scales = Vec::new();
+            for ((i, sums), out) in blocks.range(block).zip(sums).zip(out) {
+                let parts = self.deviation(i, sums);
+                *out = make(&parts);
+                if self.hits.sources.patches().binary_search(&(i as u32)).is_ok() {
+                    scales.push(parts.scale);
+                }
+            }
+            scales
         };
-        (0..blocks.count()).into_par_iter().with_max_len(1).flat_map_iter(of_block).collect()
+        let parts = out.par_chunks_mut(blocks.rows()).enumerate().with_max_len(1);
+        let scales: Vec<_> = parts.map_init(Vec::new, of_block).collect();
+        scales.concat()
     }
 
     fn one_way<const C: usize>(&self, range: Range<usize>, radiosity: &[[f32; C]], sums: &mut [Sums<C>]) {

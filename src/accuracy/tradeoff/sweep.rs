@@ -72,7 +72,7 @@ impl<'a> Sweep<'a> {
         let first = solved(0)?;
         let one = averaged(&common, &first.patches, &first.solution.irradiance);
         let Solved { patches, form_factors, solution, .. } = &first;
-        let size = Discretisation::of(form_factors, patches, solution, &SolveOptions::default(), progress)?;
+        let size = Discretisation::of(form_factors, patches, solution, progress)?;
         let (count, rays) = (patches.len(), rays_a_patch(form_factors));
         let change = size.map(|size| averaged(&common, patches, &size.change));
         drop(first);
@@ -281,8 +281,7 @@ impl<'a> Sweep<'a> {
         let start = Instant::now();
         let error_bars = ErrorBars::of(form_factors, patches, &solution).expect("rays were cast");
         let seconds = Times { casting, solving, error_bars: start.elapsed().as_secs_f64() };
-        let precise = SolveOptions::default();
-        let size = Discretisation::of(form_factors, patches, &solution, &precise, self.progress)?;
+        let size = Discretisation::of(form_factors, patches, &solution, self.progress)?;
         let change = size.map(|size| averaged(&self.common, patches, &size.change));
         let errors = averaged_errors(&self.common, patches, &error_bars.standard_error);
         let point = Point {
