@@ -232,13 +232,15 @@ fn importance<const C: usize>(form_factors: &FormFactors, reflectance: &[[f64; C
     for _ in 0..MOST_BOUNCES {
         form_factors.irradiance_into::<f32, C>(importance.as_flattened(), arriving.as_flattened_mut());
         let rows = importance.par_iter_mut().zip(&arriving).zip(reflectance).with_min_len(256);
-        let change = rows.map(|((v, arriving), rho)| {
-            let next: [f32; C] = std::array::from_fn(|c| 1.0 + rho[c] as f32 * arriving[c]);
-            let change = (0..C).map(|c| (next[c] - v[c]).abs() / next[c]).fold(0.0, f32::max);
-            *v = next;
-            change
-        });
-        if change.reduce(|| 0.0, f32::max) <= ENOUGH as f32 {
+        let change: Vec<f32> = rows
+            .map(|((v, arriving), rho)| {
+                let next: [f32; C] = std::array::from_fn(|c| 1.0 + rho[c] as f32 * arriving[c]);
+                let change = (0..C).map(|c| (next[c] / v[c] - 1.0).abs()).fold(0.0, f32::max);
+                *v = next;
+                change
+            })
+            .collect();
+        if ordered_sum(areas.len(), |i| areas[i] * f64::from(change[i])) <= ENOUGH * area {
             break;
         }
     }
@@ -266,7 +268,8 @@ fn propagate<const C: usize>(
     let irradiance = solution.irradiance.par_chunks_exact(C);
     let means: Vec<f64> =
         reflectance.par_iter().zip(irradiance).with_min_len(256).map(|(rho, e)| mean(rho, e)).collect();
-    let (mut total, mut reflected) = (own.clone(), own.clone());
+    let copy = || -> Vec<[f32; REPLICATES]> { own.par_iter().copied().with_min_len(256).collect() };
+    let (mut total, mut reflected) = (copy(), copy());
     let mut size = root_mean_square(&total);
     for _ in 0..MOST_BOUNCES {
         reflected.par_iter_mut().enumerate().with_min_len(256).for_each(|(i, reflected)| {

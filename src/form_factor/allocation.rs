@@ -5,8 +5,10 @@
 //! proportion to sqrt(A_i V_i), and N_i to sqrt(A_i W_i) (Neyman, "On the Two Different Aspects of the Representative
 //! Method", JRSS 97, 1934). A part of the rays is cast evenly first and tells the variances.
 
+use rayon::prelude::*;
+
 use super::{
-    CastOptions,
+    CastOptions, SHORT,
     hemisphere::{Hits, REPLICATES, Share},
     ordered_sum,
 };
@@ -19,6 +21,9 @@ const COMMON: f64 = 0.1;
 /// A patch gets at most this many times as many rays of a kind as it has. On a block in the open at 256 rays, 4 left 0.68 %
 /// and 8 leave 0.50 %.
 const MOST_GROWTH: f64 = 8.0;
+
+/// Halvings of the range of a logarithm, 120, in which the level is looked for: to a tenth of a ray in a thousand.
+const HALVINGS: usize = 20;
 
 /// Whole numbers of rays for every replicate. Parts of one and of two rays would tell more variance than the whole has, by an
 /// eighth where they are equally many: on five scenes at 64 rays a patch error bars were a tenth to a fifth too long. Nets
@@ -67,7 +72,8 @@ pub(super) fn by_variance(
     for v in &mut of_ray {
         v[0] = (1.0 - COMMON) * v[0] + COMMON * mean;
     }
-    let roots: Vec<[f64; 2]> = (0..areas.len()).map(|i| of_ray[i].map(|v| (areas[i] * v).sqrt())).collect();
+    let rows = of_ray.par_iter().zip(areas).with_min_len(SHORT);
+    let roots: Vec<[f64; 2]> = rows.map(|(of_ray, area)| of_ray.map(|v| (area * v).sqrt())).collect();
     let wanted = |i: usize, level: f64| -> [f64; 2] {
         std::array::from_fn(|kind| {
             let now = now(i)[kind];
@@ -78,7 +84,7 @@ pub(super) fn by_variance(
     // The number of rays grows with the level: bisect its logarithm.
     let scale = roots.iter().map(|root| root[0].max(root[1])).fold(0.0, f64::max);
     let (mut low, mut high) = (-60.0f64, 60.0f64);
-    for _ in 0..60 {
+    for _ in 0..HALVINGS {
         let middle = 0.5 * (low + high);
         if sum(middle.exp() / scale) > rays { high = middle } else { low = middle }
     }

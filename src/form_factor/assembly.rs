@@ -205,7 +205,7 @@ impl Assembled {
         let radiosity =
             calibration::calibrate(&mut plain, buckets, &self.measured(), patches, &self.samples.radiosity);
         let Assembled { mut samples, links, link_sums, mut escaped, areas, .. } = self;
-        closure::settle(&mut plain, &link_sums, &samples.areas, &mut escaped);
+        closure::settle(&mut plain, &link_sums, &samples.areas, &mut escaped, precision);
         plain.append(links);
         let spare = |i: usize| 0.5 / f64::from(samples.hits.rays_of(i));
         let mut form_factors = FormFactors::closed(plain, samples.areas.clone(), escaped, spare, precision);

@@ -101,7 +101,14 @@ pub(super) fn balance(links: &mut Symmetric, brightness: &[f64], areas: &[f64], 
 /// what escapes. `links` are the sums of what else is in each row. Rows that this cannot bring there are left to [`close`].
 ///
 /// The first rounds choose between the two; Newton's method then scales both alike.
-pub(super) fn settle(plain: &mut Symmetric, links: &[f64], areas: &[f64], escaped: &mut [f64]) {
+pub(super) fn settle(
+    plain: &mut Symmetric,
+    links: &[f64],
+    areas: &[f64],
+    escaped: &mut [f64],
+    precision: f64,
+) {
+    let settled = precision.max(SETTLED);
     let n = areas.len();
     let mut scale = vec![1.0; n];
     for _ in 0..SETTLING_ROUNDS {
@@ -119,45 +126,55 @@ pub(super) fn settle(plain: &mut Symmetric, links: &[f64], areas: &[f64], escape
             *scale = (*scale * wanted / sums[i]).sqrt().clamp(FACTORS.0, FACTORS.1);
             off.abs()
         };
-        if rows.map(settle_row).reduce(|| 0.0, f64::max) < SETTLED {
+        if rows.map(settle_row).reduce(|| 0.0, f64::max) < settled {
             break;
         }
     }
-    settle_exactly(plain, links, areas, escaped, &mut scale);
+    settle_exactly(plain, links, areas, escaped, &mut scale, settled);
     plain.update(|i, j, s| s * (scale[i] * scale[j]) as f32);
 }
 
-/// Brings rows that are nearly settled to [`SETTLED`]: as [`close`], but for the rows' sums of links, which stay.
-fn settle_exactly(plain: &Symmetric, links: &[f64], areas: &[f64], escaped: &mut [f64], scale: &mut [f64]) {
+/// Brings rows that are nearly settled to `precision`: as [`close`], but for the rows' sums of links, which stay.
+fn settle_exactly(
+    plain: &Symmetric,
+    links: &[f64],
+    areas: &[f64],
+    escaped: &mut [f64],
+    scale: &mut [f64],
+    precision: f64,
+) {
+    let patches = || (0..areas.len()).into_par_iter().with_min_len(SHORT);
     // What escapes, but for the scale that is on it next.
-    let mut outside: Vec<f64> = (0..areas.len()).map(|i| areas[i] * escaped[i] / scale[i]).collect();
+    let mut outside: Vec<f64> = patches().map(|i| areas[i] * escaped[i] / scale[i]).collect();
     let mut before = f64::INFINITY;
     for _ in 0..SETTLING_STEPS {
         let mut arriving = plain.product(scale);
-        let mut wanted: Vec<f64> = areas.iter().zip(links).map(|(area, links)| area - links).collect();
-        let mut deviation = 0f64;
-        for i in 0..areas.len() {
-            let all = arriving[i] + outside[i];
-            if NEARLY.contains(&(wanted[i] / (scale[i] * all))) {
-                arriving[i] = all;
+        let mut wanted: Vec<f64> = patches().map(|i| areas[i] - links[i]).collect();
+        let rows = arriving.par_iter_mut().zip(&mut wanted).zip(&mut outside).enumerate();
+        let off = |(i, ((arriving, wanted), outside)): (usize, ((&mut f64, &mut f64), &mut f64))| {
+            let all = *arriving + *outside;
+            if NEARLY.contains(&(*wanted / (scale[i] * all))) {
+                *arriving = all;
             } else {
                 // Rows of links alone, and those that links fill already: left as they are for good.
-                outside[i] = f64::NAN;
-                arriving[i] = arriving[i].max(areas[i]);
-                wanted[i] = scale[i] * arriving[i];
+                *outside = f64::NAN;
+                *arriving = arriving.max(areas[i]);
+                *wanted = scale[i] * *arriving;
             }
-            deviation = deviation.max((wanted[i] - scale[i] * arriving[i]).abs() / areas[i]);
-        }
-        if deviation < SETTLED || deviation > PROGRESS * before {
+            (*wanted - scale[i] * *arriving).abs() / areas[i]
+        };
+        let deviation = rows.with_min_len(SHORT).map(off).reduce(|| 0.0, f64::max);
+        if deviation < precision || deviation > PROGRESS * before {
             break;
         }
         before = deviation;
-        let Some(step) = step(plain, &wanted, scale, &arriving, deviation, SETTLED) else { break };
-        scale.iter_mut().zip(step).for_each(|(scale, [step])| *scale *= 1.0 + f64::from(step));
+        let Some(step) = step(plain, &wanted, scale, &arriving, deviation, precision) else { break };
+        let scales = scale.par_iter_mut().zip(step).with_min_len(SHORT);
+        scales.for_each(|(scale, [step])| *scale *= 1.0 + f64::from(step));
     }
-    for i in (0..areas.len()).filter(|&i| outside[i] > 0.0) {
-        escaped[i] = outside[i] * scale[i] / areas[i];
-    }
+    let rows = escaped.par_iter_mut().zip(&outside).zip(&*scale).zip(areas).with_min_len(SHORT);
+    rows.filter(|(((_, outside), _), _)| **outside > 0.0)
+        .for_each(|(((escaped, outside), scale), area)| *escaped = outside * scale / area);
 }
 
 /// Newton's method takes over where no row is off by more than this, as long as each step

@@ -43,6 +43,15 @@ pub(super) struct Samples {
     pub(super) options: CastOptions,
 }
 
+/// Which hemisphere rays tell of a patch without a source.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Rays {
+    /// Those that come in too, as the matrix counts them.
+    All,
+    /// Its own, which is nearly as good to tell who needs more.
+    Own,
+}
+
 /// Sums over each replicate for a patch: of links and of everything else.
 #[derive(Debug, Clone, Copy)]
 struct Sums<const C: usize> {
@@ -131,7 +140,7 @@ impl FormFactors {
             to.iter_mut().zip(what).for_each(|(to, what)| *to += factor * what);
         };
         let mut whole: Vec<Deviation<C>> = vec![[[0.0; REPLICATES]; C]; radiosity.len()];
-        let scales = samples.deviations(&single, &mut whole, |parts| {
+        let scales = samples.deviations(&single, Rays::All, &mut whole, |parts| {
             let mut whole = parts.hemisphere;
             add(whole.as_flattened_mut(), parts.shadow.as_flattened(), 1.0);
             whole
@@ -186,7 +195,7 @@ impl Samples {
     fn variances_of<const C: usize>(&self) -> Vec<[f64; 2]> {
         let squares = |d: &Deviation<C>| d.as_flattened().iter().map(|&d| f64::from(d).powi(2)).sum();
         let mut variances = vec![[0.0; 2]; self.areas.len()];
-        self.deviations::<C, _>(self.radiosity.as_chunks().0, &mut variances, |parts| {
+        self.deviations::<C, _>(self.radiosity.as_chunks().0, Rays::Own, &mut variances, |parts| {
             [squares(&parts.hemisphere), squares(&parts.shadow)]
         });
         variances
@@ -197,12 +206,13 @@ impl Samples {
     fn deviations<const C: usize, T: Send>(
         &self,
         radiosity: &[[f32; C]],
+        rays: Rays,
         out: &mut [T],
         make: impl Fn(&Parts<C>) -> T + Sync,
     ) -> Vec<[f32; REPLICATES]> {
         let pooled = self.options.estimator == Estimator::Pooled;
         let blocks = Blocks::of_rows(self.areas.len(), LEAST_ROWS, MOST_ROWS);
-        let incoming = if pooled { Incoming::new(&self.hits, blocks) } else { Incoming::default() };
+        let incoming = if pooled { Incoming::new(&self.hits, blocks, rays) } else { Incoming::default() };
         let of_lamps = self.per_brightness(radiosity);
         let density = |i: usize| (f64::from(self.hits.rays_of(i)) / self.areas[i]) as f32;
         let seen = |(i, &radiosity)| Seen { radiosity, density: density(i) };
@@ -262,7 +272,7 @@ impl Samples {
         of_lamps: &Exchange<C>,
         sums: &mut [Sums<C>],
     ) {
-        let (hits, blocks) = (&self.hits, incoming.plain.blocks);
+        let (hits, blocks) = (&self.hits, incoming.blocks);
         let resistance = |i: usize| calibration::RESISTANCE as f32 / hits.rays_of(i) as f32;
         let resistance: Vec<f32> = blocks.range(block).map(resistance).collect();
         for ((i, sums), &resistance) in blocks.range(block).zip(&mut *sums).zip(&resistance) {
@@ -275,7 +285,10 @@ impl Samples {
                         ESCAPED => sums.escaped[replicate] += share,
                         j => {
                             let other = &seen[j as usize];
-                            let exchange = counted(TRUST, seen[i].density, other.density, resistance);
+                            let exchange = match incoming.plain {
+                                Some(_) => counted(TRUST, seen[i].density, other.density, resistance),
+                                None => seen[i].density.recip(),
+                            };
                             sums.plain[replicate].add(many * exchange, &other.radiosity);
                         }
                     }
@@ -294,10 +307,13 @@ impl Samples {
         }
         let start = blocks.range(block).start;
         // A replicate of all patches of a block stays in a near cache.
-        for (replicate, many) in incoming.many.iter().enumerate() {
+        for (plain, replicate) in
+            incoming.plain.iter().flat_map(|plain| (0..REPLICATES).map(move |k| (plain, k)))
+        {
+            let many = &incoming.many[replicate];
             for other in 0..blocks.count() {
                 let from = blocks.range(other).start;
-                for (r, c) in incoming.plain.of_replicate(other, block, replicate) {
+                for (r, c) in plain.of_replicate(other, block, replicate) {
                     let sender = &seen[from + r];
                     let exchange = counted(1.0, seen[start + c].density, sender.density, resistance[c]);
                     sums[c].plain[replicate].add(many[from + r] * exchange, &sender.radiosity);
@@ -409,7 +425,9 @@ impl Samples {
 /// Samples by the blocks of patches that they come from and go to.
 #[derive(Default)]
 struct Incoming {
-    plain: Buckets,
+    blocks: Blocks,
+    /// Of hemisphere rays that come in, where they are counted.
+    plain: Option<Buckets>,
     /// By how much the rays of each replicate, of each patch, stand for all of its rays.
     many: Vec<Vec<f32>>,
     /// The patch that each link comes from, and which of its links it is.
@@ -417,8 +435,8 @@ struct Incoming {
 }
 
 impl Incoming {
-    fn new(hits: &Hits, blocks: Blocks) -> Incoming {
-        let plain = Buckets::by_replicates(hits, blocks);
+    fn new(hits: &Hits, blocks: Blocks, rays: Rays) -> Incoming {
+        let plain = (rays == Rays::All).then(|| Buckets::by_replicates(hits, blocks));
         let many = |replicate: usize| {
             let many = |i| hits.rays_of(i) as f32 / hits.of_replicate(i, replicate).len() as f32;
             (0..hits.len()).map(many).collect()
@@ -434,6 +452,7 @@ impl Incoming {
             lists
         };
         Incoming {
+            blocks,
             plain,
             many: (0..REPLICATES).into_par_iter().map(many).collect(),
             links: (0..blocks.count()).into_par_iter().with_max_len(1).flat_map_iter(of_block).collect(),
