@@ -86,8 +86,7 @@ fn obj<'a>(faces: impl IntoIterator<Item = (&'a str, Vec<[f64; 3]>)>) -> String 
         (0..corners.len()).for_each(|k| text += &format!(" -{}", corners.len() - k));
         text += "\n";
     }
-    // A face without a material is worth a warning, though not here.
-    format!("mtllib scene.mtl\nusemtl grey\n{text}")
+    text
 }
 
 /// A rectangle of a × b at a height, that faces up or down.
@@ -275,7 +274,9 @@ fn what_a_room_is_is_told_by_rays_or_by_the_user() {
         let (here, said) = run(scene, &format!("--report r.json {options}"));
         (here.json("r.json"), Table::read(&here, "out.csv"), said)
     };
-    let (told, _, _) = report(&closed, "");
+    // Not a word on the reflectance that the file lacks.
+    let (told, _, said) = report(&closed, "");
+    assert_eq!(said, "");
     assert_eq!((&told["enclosed"], &told["look"]["escaped"]), (&true.into(), &0.into()));
     let (told, found, _) = report(&open, "");
     assert_eq!(told["enclosed"], false);
@@ -332,7 +333,10 @@ fn names_reach_the_table_as_they_are() {
     assert!(text.starts_with("surface,area,escaped,\"a,b\",\"\"\"c\"\" d\"\n\"a,b\",1,"), "{text}");
     let materials = "mtllib scene.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\n\
                      usemtl warm\nf 1 2 3\nusemtl cold\nf 6 5 4\n";
-    assert_eq!(table(materials, "--by material").names, ["warm", "cold"]);
+    let here = Here::new(materials, "newmtl warm\nnewmtl cold\n");
+    let output = here.run("view-factors scene.obj -o out.csv --quiet --by material");
+    assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
+    assert_eq!(Table::read(&here, "out.csv").names, ["warm", "cold"]);
 }
 
 #[test]
@@ -362,7 +366,7 @@ fn a_ply_has_faces_too() {
     (0..6).for_each(|k| ply += &format!("4 {} {} {} {}\n", 4 * k, 4 * k + 1, 4 * k + 2, 4 * k + 3));
     fs::write(here.path("room.ply"), ply).unwrap();
     let output = here.run("view-factors room.ply -o out.csv --quiet");
-    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
     let found = Table::read(&here, "out.csv");
     assert_eq!(found.names.len(), 6);
     assert!((found.rows[0][1] - of_cube(0, 1)).abs() < STORED);

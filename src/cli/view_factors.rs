@@ -16,7 +16,7 @@ use radiosity::{
         },
     },
     scene::{
-        LoadOptions,
+        DEFAULT_REFLECTANCE, LoadOptions,
         surfaces::{By, Side, Surface, Surfaces},
     },
     trace::Tracer,
@@ -33,7 +33,9 @@ use super::{Common, Outcome, options, outputs, summary, to_stdout, watch::Watch}
     The table has a line a surface: its name, area, the share of what leaves it that escapes, and the view factors from\n\
     it to all surfaces. These and what escapes sum to 1, and A_i F_ij = A_j F_ji, to rounding. Where the surfaces enclose\n\
     a room nothing escapes; rays tell whether they do, unless --enclosed or --open says so. What meets the back of a\n\
-    face escapes too. Reads into Python with numpy.loadtxt(\"view-factors.csv\", delimiter=\",\", skiprows=1)[:, 3:],\n\
+    face escapes too. Errors told are of sampling alone, of what is hidden, before rows are made to sum to 1. What two\n\
+    surfaces would exchange with nothing between them is computed, to 1e-3 of itself or a tenth of --error, whichever is\n\
+    less. Reads into Python with numpy.loadtxt(\"view-factors.csv\", delimiter=\",\", skiprows=1)[:, 3:],\n\
     or pandas.read_csv(\"view-factors.csv\", index_col=0) where surfaces have names."
 )]
 pub struct ViewFactorsArgs {
@@ -232,7 +234,9 @@ fn place(args: &ViewFactorsArgs, surfaces: &Surfaces, i: usize) -> String {
 /// The scene and its surfaces.
 fn read(args: &ViewFactorsArgs, outputs: &[&OutputFile], told: &mut Told) -> Result<(Scene, Surfaces)> {
     let path = &args.scene;
-    let scene = Scene::load_with(path, &LoadOptions { faces: true, ..LoadOptions::default() })?;
+    // Nothing here depends on it: given, it needs no warning where the file has none.
+    let reflectance = Some([DEFAULT_REFLECTANCE; 3]);
+    let scene = Scene::load_with(path, &LoadOptions { reflectance, faces: true })?;
     outputs.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
     scene.warnings.iter().for_each(|warning| told.warn(warning.clone()));
     if scene.degenerate > 0 {

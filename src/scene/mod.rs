@@ -107,7 +107,8 @@ pub struct Scene {
 /// What to take where a file says nothing.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct LoadOptions {
-    /// Reflectance of surfaces that the file gives none, R G B in \[0, 1\]; [`DEFAULT_REFLECTANCE`] where `None`.
+    /// Reflectance of surfaces that the file gives none, R G B in \[0, 1\]; [`DEFAULT_REFLECTANCE`] where `None`, and
+    /// then a warning says so.
     pub reflectance: Option<[f64; 3]>,
     /// Whether to keep which triangles were one face, and what the file says that it belongs to.
     pub faces: bool,

@@ -127,7 +127,9 @@ impl Assembly<'_> {
             }
         }
         assert!(faces.next().is_none(), "tobj and the layer before it agree on the faces");
-        if let Some(line) = without_material {
+        if let Some(line) = without_material
+            && self.materials.options.reflectance.is_none()
+        {
             self.materials.warnings.push(format!(
                 "{}:{line}: faces without a material get {}",
                 self.path.display(),

@@ -108,7 +108,7 @@ impl Materials {
         }
         let plain = if reflectance_map.is_some() { [1.0; 3] } else { self.options.default_reflectance() };
         let told = map_of(definition, "map_Kd").is_some() || !origin.notes.is_empty() || !origin.defined;
-        if definition.diffuse.is_none() && !told {
+        if definition.diffuse.is_none() && !told && self.options.reflectance.is_none() {
             let after = format!(" has no Kd; {} is used", self.options.default_in_words());
             self.warnings.repeat(origin.place("newmtl"), "material", name, &after);
         }
