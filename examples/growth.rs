@@ -1,9 +1,14 @@
 //! How time and memory grow from a thousand patches to a million. Prints a Markdown table and draws `docs/images/growth.svg`.
 //!
-//!     cargo run --release --example growth -- [MOST_PATCHES [SCENE.obj]]
+//!     cargo run --release --example growth -- [MOST_PATCHES [SCENE.obj | spheres | walls]]
+//!
+//! `spheres` and `walls` have a million triangles, one patch each, and leave the picture as it is.
 //!
 //! The most memory that a process ever held never falls again, so each size runs in a process of its own: this program,
 //! started anew.
+
+#[path = "../benches/scenes/mod.rs"]
+mod scenes;
 
 use std::{error::Error, fmt::Write, path::PathBuf, process::Command, time::Instant};
 
@@ -44,23 +49,33 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
     let most: usize = args.next().map_or(Ok(1_000_000), |n| n.parse())?;
     let here = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
-    let file = args.next().map_or(here.join("meshes/cornell-box.obj"), PathBuf::from);
+    let named = args.next();
+    let scene = named.clone().unwrap_or_else(|| here.join("meshes/cornell-box.obj").display().to_string());
     if let Ok(patches) = std::env::var(TASK) {
-        return run(&file, patches.parse()?);
+        let scene = match scene.as_str() {
+            "spheres" => (scenes::SPHERES_1E6.make)(),
+            "walls" => (scenes::WALLS_1E6.make)(),
+            file => Scene::load(file)?,
+        };
+        return run(&scene, patches.parse()?);
     }
     println!("| patches | {} | all | all / casting | peak MiB | bytes a pair |", STAGES.join(" | "));
     println!("|---|{}---|---|---|---|", "---|".repeat(STAGES.len()));
-    let mut runs = Vec::new();
+    let mut runs: Vec<Run> = Vec::new();
     for count in
         [1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000].into_iter().filter(|&n| n <= most)
     {
         let mut again = Command::new(std::env::current_exe()?);
-        let out = again.args([most.to_string()]).arg(&file).env(TASK, count.to_string()).output()?;
+        let out = again.args([most.to_string()]).arg(&scene).env(TASK, count.to_string()).output()?;
         let text = String::from_utf8(out.stdout)?;
         let numbers: Vec<f64> = text.split_whitespace().map(str::parse).collect::<Result<_, _>>()?;
         let [patches, seconds @ .., peak, pair] = &numbers[..] else {
             return Err(format!("{count} patches: {}", String::from_utf8_lossy(&out.stderr)).into());
         };
+        // Of fewer patches than triangles there are none.
+        if runs.last().is_some_and(|last| last.patches == *patches) {
+            continue;
+        }
         let run = Run { patches: *patches, seconds: seconds.to_vec(), peak: *peak };
         let stages: Vec<String> = run.seconds.iter().map(|s| format!("{s:.3}")).collect();
         let ratio = run.total() / run.seconds[0];
@@ -82,15 +97,17 @@ fn main() -> Result<(), Box<dyn Error>> {
             exponent(&Run::total),
             exponent(&|r| r.peak)
         );
-        std::fs::write(here.join("docs/images/growth.svg"), svg(&runs))?;
+        if named.is_none() {
+            std::fs::write(here.join("docs/images/growth.svg"), svg(&runs))?;
+        }
     }
     Ok(())
 }
 
-fn run(file: &std::path::Path, count: usize) -> Result<(), Box<dyn Error>> {
-    let (scene, progress, options) = (Scene::load(file)?, Progress::new(), SolveOptions::default());
-    let tracer = Tracer::new(&scene);
-    let mut patches = Patches::subdivide(&scene, &Subdivision::Count(count));
+fn run(scene: &Scene, count: usize) -> Result<(), Box<dyn Error>> {
+    let (progress, options) = (Progress::new(), SolveOptions::default());
+    let tracer = Tracer::new(scene);
+    let mut patches = Patches::subdivide(scene, &Subdivision::Count(count));
     let mut seconds = Vec::new();
     let mut start = Instant::now();
     let mut lap = |seconds: &mut Vec<f64>| {
@@ -98,7 +115,7 @@ fn run(file: &std::path::Path, count: usize) -> Result<(), Box<dyn Error>> {
         start = Instant::now();
     };
     let cast = CastOptions { rays: RAYS, ..CastOptions::default() };
-    let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &cast, &progress)?;
+    let form_factors = FormFactors::cast(scene, &tracer, &mut patches, &cast, &progress)?;
     lap(&mut seconds);
     let casting = form_factors.hits().map_or(0.0, |hits| hits.seconds());
     seconds.insert(0, casting);
@@ -114,7 +131,7 @@ fn run(file: &std::path::Path, count: usize) -> Result<(), Box<dyn Error>> {
     let ledger = EnergyLedger::of(&form_factors, &patches, &solution);
     assert!(ledger.imbalance().abs() < 1e-9);
     let options = PlyOptions { standard_errors: Some(&error_bars.standard_error), ..PlyOptions::default() };
-    ply::encode(&mut std::io::sink(), &scene, &patches, &solution, &options)?;
+    ply::encode(&mut std::io::sink(), scene, &patches, &solution, &options)?;
     lap(&mut seconds);
     let pair = form_factors.matrix_bytes() as f64 / (0.5 * form_factors.non_zeros() as f64);
     let peak = peak_bytes().ok_or("this system does not tell how much memory was held")?;

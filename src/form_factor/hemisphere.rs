@@ -93,24 +93,38 @@ impl Hits {
 
     /// The first or second half of every patch's rays; `None` when some patch has but one of a kind.
     pub(super) fn half(&self, half: usize) -> Option<Hits> {
-        let mut hits = Hits { mean_kernels: self.mean_kernels.clone(), ..Hits::none(self.sources.clone()) };
-        let of = |rays: u32| [0..rays / 2, rays / 2..rays][half].clone();
-        for (i, share) in self.shares.iter().enumerate() {
-            if share.hemisphere < 2 || share.shadow == 1 {
-                return None;
-            }
-            let (own, shadow) = (of(share.hemisphere), of(share.shadow));
-            hits.targets.extend_from_slice(&self.of(i)[own.start as usize..own.end as usize]);
-            hits.offsets.push(hits.targets.len());
-            for link in self.links_of(i) {
-                let range = if link.found == Found::Hemisphere { &own } else { &shadow };
-                if range.contains(&link.index) {
-                    hits.links.push(Link { index: link.index - range.start, ..*link });
-                }
-            }
-            hits.link_offsets.push(hits.links.len());
-            hits.shares.push(Share { hemisphere: own.len() as u32, shadow: shadow.len() as u32 });
+        if self.shares.iter().any(|share| share.hemisphere < 2 || share.shadow == 1) {
+            return None;
         }
+        let of = |rays: u32| [0..rays / 2, rays / 2..rays][half].clone();
+        let mut hits = Hits { mean_kernels: self.mean_kernels.clone(), ..Hits::none(self.sources.clone()) };
+        let share = |share: &Share| Share {
+            hemisphere: of(share.hemisphere).len() as u32,
+            shadow: of(share.shadow).len() as u32,
+        };
+        hits.shares = self.shares.iter().map(share).collect();
+        let add_targets = || {
+            hits.targets.reserve_exact(self.targets.len().div_ceil(2) + self.len());
+            for (i, share) in self.shares.iter().enumerate() {
+                let own = of(share.hemisphere);
+                hits.targets.extend_from_slice(&self.of(i)[own.start as usize..own.end as usize]);
+                hits.offsets.push(hits.targets.len());
+            }
+        };
+        let add_links = || {
+            hits.links.reserve(self.links.len() / 2);
+            for (i, share) in self.shares.iter().enumerate() {
+                let (own, shadow) = (of(share.hemisphere), of(share.shadow));
+                for link in self.links_of(i) {
+                    let range = if link.found == Found::Hemisphere { &own } else { &shadow };
+                    if range.contains(&link.index) {
+                        hits.links.push(Link { index: link.index - range.start, ..*link });
+                    }
+                }
+                hits.link_offsets.push(hits.links.len());
+            }
+        };
+        rayon::join(add_targets, add_links);
         Some(hits)
     }
 
