@@ -97,7 +97,8 @@ impl ViewFactors {
 /// other from that side, and block each other from both. Takes 32 bytes a pair that could see each other, and 16 for the result.
 ///
 /// # Errors
-/// [`Error::NotEnclosed`] when they were said to enclose a room and do not, [`Error::Stopped`] when `progress` says so.
+/// [`Error::NotEnclosed`](crate::Error::NotEnclosed) when they were said to enclose a room and do not,
+/// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
 ///
 /// # Panics
 /// When a polygon is neither triangle nor parallelogram, or has no area, or no positive error is wanted.
