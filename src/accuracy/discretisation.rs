@@ -10,14 +10,15 @@ use std::ops::Range;
 use crate::{
     Progress, Result,
     accuracy::error_bars::relative_rms,
-    form_factor::{FormFactors, magnitude, ordered_sum},
+    form_factor::{FormFactors, magnitude, ordered_sum, together},
     patch::Patches,
     solve::Solution,
 };
 
 /// The share of the change that may be missing from it,
 const ENOUGH: f64 = 0.02;
-/// or after so many bounces.
+/// or when a bounce changes no more of the light than some roundings of single precision, or after so many of them.
+const ROUNDING: f64 = 1e-6;
 const MOST_BOUNCES: usize = 200;
 
 /// The discretisation error of a solution.
@@ -30,11 +31,11 @@ pub struct Discretisation {
 }
 
 impl Discretisation {
-    /// Solves the scene with patches twice as large and compares; `None` where more than half of the area is in triangles
+    /// Lets light bounce between patches twice as large and compares; `None` where more than half of the area is in triangles
     /// that are patches as a whole, which have no parents.
     ///
     /// # Errors
-    /// As [`solve()`](crate::solve::solve()).
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
     ///
     /// # Panics
     /// When the sizes disagree.
@@ -54,10 +55,10 @@ impl Discretisation {
         }
         let families: Vec<Range<usize>> = patches.families(1).collect();
         let channels = solution.channels;
-        let coarse = match channels {
-            1 => coarse_irradiance::<1>(form_factors, patches, solution, &families, progress)?,
-            _ => coarse_irradiance::<3>(form_factors, patches, solution, &families, progress)?,
-        };
+        let coarse = together(|| match channels {
+            1 => coarse_irradiance::<1>(form_factors, patches, solution, &families, progress),
+            _ => coarse_irradiance::<3>(form_factors, patches, solution, &families, progress),
+        })?;
         let fine = means(&families, areas, &solution.irradiance, channels);
         let of_family = |p: usize| (0..channels).map(move |c| p * channels + c);
         let change: Vec<f64> = families
@@ -104,6 +105,7 @@ fn coarse_irradiance<const C: usize>(
         let squares = |p: usize| (C * p..C * (p + 1)).map(|q| (a[q] - b[q]).powi(2)).sum::<f64>();
         ordered_sum(weights.len(), |p| weights[p] * squares(p)).sqrt()
     };
+    let rounding = ROUNDING * distance(&fine, &vec![0.0; fine.len()]);
     let mut before = f64::INFINITY;
     for _ in 0..MOST_BOUNCES {
         progress.check()?;
@@ -121,7 +123,7 @@ fn coarse_irradiance<const C: usize>(
         let step = distance(&irradiance, &last);
         // What is to come is a geometric series.
         let ratio = if before < f64::INFINITY { (step / before).min(1.0) } else { 1.0 };
-        if step * ratio <= ENOUGH * (1.0 - ratio) * distance(&irradiance, &fine) {
+        if step <= rounding || step * ratio <= ENOUGH * (1.0 - ratio) * distance(&irradiance, &fine) {
             break;
         }
         before = step;

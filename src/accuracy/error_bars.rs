@@ -118,7 +118,7 @@ impl ErrorBars {
         let others = Strata::sum(&strata, patches.clone().filter(|i| !is_source(i)), |i| areas[i]);
         let sources = Strata::sum(&strata, patches.clone().filter(is_source), |i| areas[i])
             .beside(&others, 1.0 / patches.filter(is_source).count() as f64);
-        let mut standard_error = smoothed_errors(form_factors, solution, &local, [&own, &all]);
+        let mut standard_error = smoothed_errors(form_factors, solution, &local, &own, &strata);
         for family in form_factors.siblings() {
             let typical = if is_source(&family.start) { &sources } else { &others };
             let near = Strata::sum(&strata, family.clone(), |_| 1.0);
@@ -128,7 +128,7 @@ impl ErrorBars {
                     (unit * stratified * standard_error[q]).hypot(LEAST * solution.irradiance[q]);
             }
         }
-        let of_mean = |deviations| unit * others.factor() * standard_error_of(deviations);
+        let of_mean = |deviations| unit * others.factor() * variance_of(deviations).sqrt();
         let of_mean = mean.iter().map(of_mean).collect();
         Some(ErrorBars { channels: C, standard_error, of_mean })
     }
@@ -138,18 +138,19 @@ impl ErrorBars {
 /// siblings, up to 16 patches of a triangle. By itself it has 15 degrees of freedom, and knows nothing of rare paths that
 /// its own rays have missed.
 ///
-/// `own` and `all` are what the replicates of a patch deviate by, the channels together, without and with what it inherits: that is
-/// shared out among the channels as its irradiance is.
+/// `own` is what the replicates of a patch deviate by, the channels together, without what it inherits, `strata` tell of it with
+/// that: which is shared out among the channels as its irradiance is.
 fn smoothed_errors<const C: usize>(
     form_factors: &FormFactors,
     solution: &Solution,
     local: &[Deviation<C>],
-    [own, all]: [&[[f32; REPLICATES]]; 2],
+    own: &[[f32; REPLICATES]],
+    strata: &[Strata],
 ) -> Vec<f64> {
-    let variance = |deviation: &[f32; REPLICATES]| standard_error_of(&deviation.map(f64::from)).powi(2);
+    let variance = |deviation: &[f32; REPLICATES]| variance_of(&deviation.map(f64::from));
     let of_patch = |i: usize| -> [f64; C] {
         let irradiance = &solution.irradiance[C * i..][..C];
-        let inherited = variance(&all[i]) - variance(&own[i]);
+        let inherited = strata[i].spread - variance(&own[i]);
         let light = irradiance.iter().sum::<f64>().max(f64::MIN_POSITIVE);
         std::array::from_fn(|c| {
             let own = variance(&local[i][c]);
@@ -172,7 +173,7 @@ struct Strata {
 impl Strata {
     fn of(deviation: &[f32; REPLICATES]) -> Strata {
         let mut runs = deviation.map(f64::from);
-        Strata { spread: standard_error_of(&runs).powi(2), halves: half_differences(&mut runs) }
+        Strata { spread: variance_of(&runs), halves: half_differences(&mut runs) }
     }
 
     fn sum(strata: &[Strata], patches: impl Iterator<Item = usize>, weight: impl Fn(usize) -> f64) -> Strata {
@@ -268,8 +269,7 @@ fn propagate<const C: usize>(
     let irradiance = solution.irradiance.par_chunks_exact(C);
     let means: Vec<f64> =
         reflectance.par_iter().zip(irradiance).with_min_len(256).map(|(rho, e)| mean(rho, e)).collect();
-    let copy = || -> Vec<[f32; REPLICATES]> { own.par_iter().copied().with_min_len(256).collect() };
-    let (mut total, mut reflected) = (copy(), copy());
+    let (mut total, mut reflected) = (own.clone(), vec![[0.0; REPLICATES]; own.len()]);
     let mut size = root_mean_square(&total);
     for _ in 0..MOST_BOUNCES {
         reflected.par_iter_mut().enumerate().with_min_len(256).for_each(|(i, reflected)| {
@@ -293,11 +293,11 @@ fn propagate<const C: usize>(
     [own, total]
 }
 
-/// Standard error of the mean of deviations, which sum to zero but for rounding.
-fn standard_error_of(deviations: &[f64; REPLICATES]) -> f64 {
+/// Variance of the mean of deviations, which sum to zero but for rounding.
+fn variance_of(deviations: &[f64; REPLICATES]) -> f64 {
     let many = REPLICATES as f64;
     let squares: f64 = deviations.iter().map(|d| d * d).sum();
-    (squares / (many * (many - 1.0))).sqrt()
+    squares / (many * (many - 1.0))
 }
 
 fn root_mean_square(values: &[[f32; REPLICATES]]) -> f64 {

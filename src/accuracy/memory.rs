@@ -44,8 +44,6 @@ pub struct Memory {
     pub calibration: f64,
     /// For a time: sums of every replicate, and deviations.
     pub error_bars: f64,
-    /// For a time: rows of patches put together.
-    pub merging: f64,
     /// For a time: half of the hits, and the form factors that they give.
     pub halves: f64,
 }
@@ -72,8 +70,6 @@ impl Memory {
         let hits = 4.0 * hemisphere + LINK * links + 100.0;
         let entry = if pooled { SHARED_ENTRY } else { ENTRY };
         let entries = row(both * rays, n);
-        // Of a family of four put together: as they are found, 16 bytes and room to spare, then as a matrix.
-        let merging = if pooled { 12.0 } else { 28.0 } * row(4.0 * both * rays, 0.25 * n) * 0.25;
         let factors = if pooled { 10.0 * entries + 8.0 * row(rays, n) } else { 2.0 * ENTRY * row(rays, n) };
         let half = entry * row(0.5 * both * rays, n);
         let (sums, deviations) = (16.0 + 8.0 * channels, 4.0 * (7.0 * channels + 3.0));
@@ -84,7 +80,6 @@ impl Memory {
             matrix: n * entry * entries,
             calibration: n * factors,
             error_bars: n * REPLICATES as f64 * (sums + deviations),
-            merging: n * merging,
             // Copied into vectors that grow as they are filled.
             halves: n * (hits + 2.0 * half),
         }
@@ -92,7 +87,7 @@ impl Memory {
 
     /// The most at any time.
     pub fn peak(&self) -> f64 {
-        let for_a_time = [self.calibration, self.error_bars, self.merging, self.halves];
+        let for_a_time = [self.calibration, self.error_bars, self.halves];
         let kept = self.scene + self.patches + self.hits + self.matrix;
         kept + for_a_time.into_iter().fold(0.0, f64::max)
     }

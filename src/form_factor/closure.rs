@@ -168,9 +168,9 @@ fn settle_exactly(
             break;
         }
         before = deviation;
-        let Some(step) = step(plain, &wanted, scale, &arriving, deviation, precision) else { break };
-        let scales = scale.par_iter_mut().zip(step).with_min_len(SHORT);
-        scales.for_each(|(scale, [step])| *scale *= 1.0 + f64::from(step));
+        if !step(plain, &wanted, scale, &arriving, deviation, precision) {
+            break;
+        }
     }
     let rows = escaped.par_iter_mut().zip(&outside).zip(&*scale).zip(areas).with_min_len(SHORT);
     rows.filter(|(((_, outside), _), _)| **outside > 0.0)
@@ -224,11 +224,7 @@ pub(super) fn close(
         if newton && deviation < NEAR {
             newton = deviation <= PROGRESS * before;
             before = deviation;
-            if let Some(step) =
-                newton.then(|| step(matrix, areas, &scale, &arriving, deviation, precision)).flatten()
-            {
-                let scales = scale.par_iter_mut().zip(step).with_min_len(SHORT);
-                scales.for_each(|(scale, [step])| *scale *= 1.0 + f64::from(step));
+            if newton && step(matrix, areas, &mut scale, &arriving, deviation, precision) {
                 continue;
             }
             newton = false;
@@ -240,15 +236,15 @@ pub(super) fn close(
 }
 
 /// A step of Newton's method in ln d: the δ of (diag(R) + D S D) δ = A - R with the rows' sums R, by conjugate gradients in
-/// single precision; what rows shall sum to is A here. `None` where it goes too far to be believed.
+/// single precision; what rows shall sum to is A here. Scales by it, unless it goes too far to be believed.
 fn step(
     matrix: &Symmetric,
     areas: &[f64],
-    scale: &[f64],
+    scale: &mut [f64],
     arriving: &[f64],
     deviation: f64,
     precision: f64,
-) -> Option<Vec<[f32; 1]>> {
+) -> bool {
     const MOST: usize = 40;
     let n = areas.len();
     let patches = || (0..n).into_par_iter().with_min_len(SHORT);
@@ -269,12 +265,12 @@ fn step(
         if !(size > enough) {
             break;
         }
-        let directions = scaled.par_iter_mut().zip(&mut image).zip(&direction).zip(scale);
+        let directions = scaled.par_iter_mut().zip(&mut image).zip(&direction).zip(&*scale);
         directions.with_min_len(SHORT).for_each(|(((scaled, image), direction), scale)| {
             (*scaled, *image) = ([direction * *scale as f32], [0.0]);
         });
         matrix.add_product(&scaled, &mut image);
-        let images = image.par_iter_mut().zip(&direction).zip(&rows).zip(scale).with_min_len(SHORT);
+        let images = image.par_iter_mut().zip(&direction).zip(&rows).zip(&*scale).with_min_len(SHORT);
         images.for_each(|((([image], direction), row), scale)| {
             *image = *image * *scale as f32 + row * direction;
         });
@@ -290,7 +286,12 @@ fn step(
         directions.for_each(|((direction, residual), row)| *direction = residual / row + growth * *direction);
     }
     step.par_iter_mut().with_min_len(SHORT).for_each(|[step]| *step *= deviation as f32);
-    step.iter().all(|[step]| step.abs() < 0.5).then_some(step)
+    let believed = step.iter().all(|[step]| step.abs() < 0.5);
+    if believed {
+        let scales = scale.par_iter_mut().zip(&step).with_min_len(SHORT);
+        scales.for_each(|(scale, [step])| *scale *= 1.0 + f64::from(*step));
+    }
+    believed
 }
 
 /// Largest |row sum + escaped share - 1|.

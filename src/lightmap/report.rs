@@ -277,9 +277,8 @@ impl BakeReport {
     ///
     /// # Errors
     /// What `out` says.
-    pub fn write(&self, mut out: &mut dyn Write) -> io::Result<()> {
-        serde_json::to_writer_pretty(&mut out, self)?;
-        out.write_all(b"\n")
+    pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
+        crate::output::write_json(self, out)
     }
 }
 

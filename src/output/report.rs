@@ -285,9 +285,8 @@ impl SolveReport {
     ///
     /// # Errors
     /// What `out` says.
-    pub fn write(&self, mut out: &mut dyn Write) -> io::Result<()> {
-        serde_json::to_writer_pretty(&mut out, self)?;
-        out.write_all(b"\n")
+    pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
+        super::write_json(self, out)
     }
 }
 

@@ -115,9 +115,8 @@ impl TradeoffReport {
     ///
     /// # Errors
     /// What `out` says.
-    pub fn write_json(&self, mut out: &mut dyn Write) -> io::Result<()> {
-        serde_json::to_writer_pretty(&mut out, self)?;
-        out.write_all(b"\n")
+    pub fn write_json(&self, out: &mut dyn Write) -> io::Result<()> {
+        super::write_json(self, out)
     }
 
     /// Writes the points as CSV, names first, without quotes: no name has a comma. The columns are the fields of

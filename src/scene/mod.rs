@@ -302,6 +302,17 @@ fn scaled_cross(e: DVec3, f: DVec3) -> (DVec3, f64) {
     ((e / scale).cross(f / scale), scale)
 }
 
+/// Centre and half of the longest side of the box round some points: what makes a unit space of them.
+pub(crate) fn centre_and_extent(points: impl Iterator<Item = DVec3>) -> (DVec3, f64) {
+    let none = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+    let [low, high] = points.fold(none, |[low, high], v| [low.min(v), high.max(v)]);
+    if low.cmpgt(high).any() {
+        return (DVec3::ZERO, 1.0);
+    }
+    // Halved first: the sum of two large coordinates may overflow.
+    (low * 0.5 + high * 0.5, (high * 0.5 - low * 0.5).max_element())
+}
+
 /// Area of a triangle.
 pub(crate) fn triangle_area([a, b, c]: [DVec3; 3]) -> f64 {
     let (cross, scale) = scaled_cross(b - a, c - a);

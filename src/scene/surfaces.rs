@@ -7,7 +7,7 @@ use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
 
-use super::{Material, Part, Scene, Triangle};
+use super::{Material, Part, Scene, Triangle, centre_and_extent};
 
 /// What one surface is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,7 +79,7 @@ impl Surfaces {
     /// face.
     pub fn of(scene: &Scene, by: By, side: Side) -> Surfaces {
         let mut surfaces = Surfaces { list: Vec::new(), doubled: 0, tiny: 0 };
-        let extent = extent(scene);
+        let (_, extent) = centre_and_extent(scene.vertices.iter().copied());
         let (mut known, mut seen): (HashMap<String, usize>, HashSet<Vec<u32>>) = Default::default();
         let mut rest = &scene.triangles[..];
         while let Some(triangle) = rest.first() {
@@ -150,13 +150,6 @@ impl Surfaces {
             polygons.flat_map(|p| (2..p.len()).map(|k| ([p[0], p[k - 1], p[k]], 0))).collect();
         Scene::new(&triangles, vec![Material::new("surfaces", [0.0; 3], [0.0; 3])])
     }
-}
-
-/// Longest side of the box round everything; halved, for what is as large as numbers are.
-fn extent(scene: &Scene) -> f64 {
-    let low = scene.vertices.iter().fold(DVec3::INFINITY, |low, &v| low.min(v));
-    let high = scene.vertices.iter().fold(DVec3::NEG_INFINITY, |high, &v| high.max(v));
-    (high * 0.5 - low * 0.5).max_element()
 }
 
 fn is_large(scene: &Scene, triangle: &Triangle, extent: f64) -> bool {

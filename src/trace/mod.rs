@@ -12,7 +12,7 @@ mod wide;
 
 use glam::{DVec3, Vec3A};
 
-use crate::scene::Scene;
+use crate::scene::{Scene, centre_and_extent};
 use bvh::Bvh;
 use wide::Kernel;
 
@@ -92,7 +92,7 @@ impl std::fmt::Debug for Tracer {
 impl Tracer {
     /// Builds the bounding volume hierarchy over the scene's triangles.
     pub fn new(scene: &Scene) -> Tracer {
-        let (centre, scale) = unit_space(scene);
+        let (centre, scale) = centre_and_extent(scene.vertices.iter().copied());
         let triangles: Vec<UnitTriangle> = (0..scene.triangles.len())
             .map(|t| {
                 let corners = scene.corners(t).map(|p| (p - centre) / scale);
@@ -182,20 +182,4 @@ fn one_ulp_towards(towards: f32, x: f32) -> f32 {
     } else {
         x
     }
-}
-
-/// Centre and half of the largest extent of the scene.
-fn unit_space(scene: &Scene) -> (DVec3, f64) {
-    let mut low = DVec3::INFINITY;
-    let mut high = DVec3::NEG_INFINITY;
-    for &v in &scene.vertices {
-        low = low.min(v);
-        high = high.max(v);
-    }
-    if low.cmpgt(high).any() {
-        return (DVec3::ZERO, 1.0);
-    }
-    // Halved first: the sum of two large coordinates may overflow.
-    let centre = low * 0.5 + high * 0.5;
-    (centre, (high * 0.5 - low * 0.5).max_element())
 }

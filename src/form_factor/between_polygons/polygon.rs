@@ -3,7 +3,10 @@
 use glam::{DVec3, Vec3A};
 
 use super::super::exact::nodes;
-use crate::trace::{Tracer, sampling::square_to_triangle};
+use crate::{
+    scene::centre_and_extent,
+    trace::{Tracer, sampling::square_to_triangle},
+};
 
 /// Points keep this share of a polygon's size from its edges: rounding would carry them through the adjoining wall.
 const INSET: f32 = 1e-5;
@@ -111,11 +114,7 @@ fn is_parallelogram(corners: &[DVec3]) -> bool {
 /// The polygons recentred and rescaled so that their largest coordinate is 1, and how many of their lengths that is.
 pub(super) fn in_unit_space(surfaces: &[impl AsRef<[Vec<DVec3>]>]) -> (Vec<Polygon>, f64) {
     let all = || (0..).zip(surfaces).flat_map(|(k, s)| s.as_ref().iter().map(move |polygon| (k, polygon)));
-    let corners = || all().flat_map(|(_, polygon)| polygon);
-    let low = corners().fold(DVec3::INFINITY, |low, &v| low.min(v));
-    let high = corners().fold(DVec3::NEG_INFINITY, |high, &v| high.max(v));
-    // Halved first: the sum of two large coordinates may overflow.
-    let (centre, scale) = (low * 0.5 + high * 0.5, (high * 0.5 - low * 0.5).max_element());
+    let (centre, scale) = centre_and_extent(all().flat_map(|(_, polygon)| polygon).copied());
     let polygon = |(k, corners): (u32, &Vec<DVec3>)| {
         Polygon::new(corners.iter().map(|&v| (v - centre) / scale).collect(), k)
     };

@@ -41,7 +41,7 @@ pub(crate) type Deviation<const C: usize> = [[f32; REPLICATES]; C];
 /// The deviations of a patch, to first order.
 #[derive(Debug, Clone)]
 struct Parts<const C: usize> {
-    /// By hemisphere rays, those that come in included.
+    /// By hemisphere rays.
     hemisphere: Deviation<C>,
     /// By shadow rays.
     shadow: Deviation<C>,
@@ -101,8 +101,8 @@ impl Samples {
         })
     }
 
-    /// Variances of every patch's irradiance, all channels together, that come from its hemisphere rays, those that come
-    /// in included, and from its shadow rays. Light reflected from patches that are off counts to none.
+    /// Variances of every patch's irradiance, all channels together, that come from its own hemisphere rays, and from its
+    /// shadow rays. Light reflected from patches that are off counts to none.
     pub(super) fn variances(&self, channels: usize) -> Vec<[f64; 2]> {
         match channels {
             1 => self.variances_of::<1>(),
