@@ -40,7 +40,9 @@ pub(super) fn refine(
     // What lamps send in all is known but for shadows; only how it divides among them is left to chance, and other rows
     // would pay for setting that right.
     let lamps = hits.sources.are_lamps();
-    let variance = if lamps { Vec::new() } else { link_variance(hits, densities, areas) };
+    // Where no source loses light, as in closed rooms, nobody asks for it.
+    let asked = !lamps && hits.sources.patches().iter().any(|&i| escaped[i as usize] > 0.0);
+    let variance = if asked { link_variance(hits, densities, areas) } else { Vec::new() };
     let source = |i: usize| hits.sources.patches().binary_search(&(i as u32)).expect("asked of sources only");
     (0..escaped.len())
         .into_par_iter()
