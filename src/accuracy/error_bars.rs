@@ -19,7 +19,7 @@ use crate::{
         magnitude, ordered_sum,
         replicates::Deviation,
         siblings::with_mean,
-        stratification::{half_differences, variance_of_all},
+        stratification::{half_differences, variance_of_nets},
         together,
     },
     solve::{Radiometry, Solution},
@@ -30,10 +30,12 @@ const MOST_BOUNCES: usize = 40;
 /// The series ends when a term changes the root mean square of the deviations by less than this share.
 const ENOUGH: f64 = 0.01;
 
-/// The variance of a run of rays falls with this power of its length, at least and at most: as that of independent rays, or
-/// of scrambled nets where all is smooth (Owen, "Scrambled net variance for integrals of smooth functions", Annals of
-/// Statistics 25, 1997). Steeper ones are luck.
-const RATES: (f64, f64) = (1.0, 3.0);
+/// The variance of a run of rays falls with these powers of its length: of scrambled nets in d dimensions, where edges cut what
+/// they integrate (1 + 1/d: He and Wang, "On the Convergence Rate of Randomized Quasi-Monte Carlo for Discontinuous Functions",
+/// SIAM Journal on Numerical Analysis 53, 2015), and where all is smooth (Owen, "Scrambled net variance for integrals of
+/// smooth functions", Annals of Statistics 25, 1997). Rays have four dimensions, of which an edge need not cut all. Intervals
+/// of 95 % held, at 64 to 1024 rays on five scenes, 93.5 to 98.5 % with 1 + 1/4, and 91.0 to 97.6 % with 1 + 1/3.
+const POWERS: [f64; 2] = [1.3, 3.0];
 
 /// How many patches the mean of all counts as, beside a run of siblings, where it is told how much better the parts are together:
 /// it differs from place to place, but few patches tell it badly. In door-ajar, whose second room is lit by rare paths, the mean
@@ -199,7 +201,7 @@ impl Strata {
         if !(self.spread > 0.0) || self.halves.contains(&0.0) {
             return 1.0;
         }
-        (variance_of_all(&self.halves, REPLICATES, RATES) / self.spread).sqrt().min(1.0)
+        (variance_of_nets(&self.halves, REPLICATES, POWERS) / self.spread).sqrt().min(1.0)
     }
 }
 

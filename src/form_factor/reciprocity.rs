@@ -122,11 +122,13 @@ impl Densities {
     /// What a shadow ray of patch `i` to one of few lamps adds to what it gets: a ratio estimate, all of them together.
     #[inline]
     fn received(&self, i: usize, link: &Link) -> f64 {
-        if link.found != Found::Shadow {
-            return 0.0;
-        }
-        let kernel = f64::from(link.kernel) / self.unit;
-        self.ratio[i] * kernel / (self.shadow[i] * self.source[link.to as usize])
+        if link.found == Found::Shadow { self.light(i, link) / self.source[link.to as usize] } else { 0.0 }
+    }
+
+    /// The light of a shadow ray of patch `i`, if it arrives, in the unit of brightness.
+    #[inline]
+    fn light(&self, i: usize, link: &Link) -> f64 {
+        self.ratio[i] * f64::from(link.kernel) / (self.unit * self.shadow[i])
     }
 }
 
@@ -301,7 +303,9 @@ pub(super) fn pool(hits: &Hits, buckets: &Buckets, densities: &Densities, areas:
 }
 
 /// The exchange areas S_ij of all pairs with a source. Where lamps are few, what each other patch gets from all of them is what
-/// its shadow rays say, which is nearly known; how that divides among pairs is told by the hemisphere rays of lamps too.
+/// its shadow rays say, which is nearly known; how that divides among pairs is told by the hemisphere rays of lamps too. Where less
+/// than one shadow ray is expected to arrive, they are believed as much less: a lamp that is dim beside others gets next to none, and
+/// would be cut off from all patches that see it alone.
 pub(super) fn links(hits: &Hits, densities: &mut Densities) -> Symmetric {
     let blocks = Blocks::new(hits.len());
     let of_block = |block: usize| -> Vec<(u32, u32, f32)> {
@@ -314,9 +318,19 @@ pub(super) fn links(hits: &Hits, densities: &mut Densities) -> Symmetric {
     if hits.sources.are_lamps() {
         let divided = links.product(densities.brightness());
         let restore = |i: usize| {
-            let of_link = |l: &Link| densities.received(i, l) * densities.source[l.to as usize];
-            let known: f64 = hits.links_of(i).iter().map(of_link).sum();
-            if densities.source[i] == 0.0 && divided[i] > 0.0 { known / divided[i] } else { 1.0 }
+            // Of all shadow rays, and of those that arrive.
+            let (mut all, mut squares, mut known) = (0.0, 0.0, 0.0);
+            for link in hits.links_of(i).iter().filter(|l| l.found != Found::Hemisphere) {
+                let light = densities.light(i, link);
+                all += light;
+                squares += light * light;
+                known += if link.found == Found::Shadow { light } else { 0.0 };
+            }
+            if densities.source[i] > 0.0 || divided[i] <= 0.0 || all <= 0.0 {
+                return 1.0;
+            }
+            let arriving = all * all / squares * (divided[i] / all).min(1.0);
+            1.0 + arriving.min(1.0) * (known / divided[i] - 1.0)
         };
         densities.restored = (0..hits.len()).into_par_iter().with_min_len(128).map(restore).collect();
         links.update(|i, j, s| s * (densities.restored[i] * densities.restored[j]) as f32);

@@ -7,6 +7,8 @@
 
 use std::f64::consts::LN_2;
 
+use nalgebra::{Matrix2, Vector2};
+
 /// D_1, D_2, D_4, …, of which the parts become the means of ever longer runs; zero where there is no longer run.
 pub(crate) fn half_differences<const LEVELS: usize>(parts: &mut [f64]) -> [f64; LEVELS] {
     let mut pairs = parts.len();
@@ -35,6 +37,39 @@ pub(crate) fn variance_of_all(half_differences: &[f64], parts: usize, rates: (f6
     (y - rate * ((parts as f64).ln() - x)).exp() / (1.0 - 0.5f64.powf(rate))
 }
 
+/// The variance of the mean of `parts`, as that of a run of b is v b^-p + w b^-q: `powers` are p and q. The v and w, neither
+/// negative, are those of least squares, relative to what they give; each D_b counts as [`variance_of_all`] has it.
+pub(crate) fn variance_of_nets(half_differences: &[f64], parts: usize, powers: [f64; 2]) -> f64 {
+    // Of the first fit relative to what was measured: that prefers what is small by chance.
+    const FITS: usize = 3;
+    let mut fitted = half_differences.to_vec();
+    let mut shares = [0.0; 2];
+    for _ in 0..FITS {
+        let (mut squares, mut values) = (Matrix2::zeros(), Vector2::zeros());
+        for (k, (&d, fitted)) in (0..).zip(half_differences.iter().zip(&fitted)) {
+            let row = Vector2::from(powers.map(|p| half_difference(p, k) / fitted));
+            let weight = 0.5f64.powi(k);
+            squares += weight * row * row.transpose();
+            values += weight * d / fitted * row;
+        }
+        let both = squares.try_inverse().map_or(Vector2::repeat(-1.0), |inverse| inverse * values);
+        shares = match (both[0] > 0.0, both[1] > 0.0) {
+            (true, true) => [both[0], both[1]],
+            (false, true) => [0.0, values[1] / squares[(1, 1)]],
+            _ => [values[0] / squares[(0, 0)], 0.0],
+        };
+        for (k, fitted) in (0..).zip(&mut fitted) {
+            *fitted = (0..2).map(|m| shares[m] * half_difference(powers[m], k)).sum();
+        }
+    }
+    (0..2).map(|m| shares[m] * (parts as f64).powf(-powers[m])).sum()
+}
+
+/// D_b of b = 2^k parts where the variance of a run is b^-p.
+fn half_difference(p: f64, k: i32) -> f64 {
+    2f64.powf(-p * f64::from(k)) * (1.0 - 2f64.powf(-p))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -50,9 +85,23 @@ mod tests {
     #[test]
     fn a_power_of_the_length_is_found() {
         for rate in [1.0, 1.7, 3.0] {
-            let difference = |k: i32| 3.0 * 2f64.powf(-rate * f64::from(k)) * (1.0 - 2f64.powf(-rate));
-            let found = variance_of_all(&[0, 1, 2, 3].map(difference), 16, (1.0, 3.0));
+            let found =
+                variance_of_all(&[0, 1, 2, 3].map(|k| 3.0 * half_difference(rate, k)), 16, (1.0, 3.0));
             assert!((found / (3.0 * 16f64.powf(-rate)) - 1.0).abs() < 1e-12, "{rate}: {found}");
         }
+    }
+
+    /// Two powers are taken apart, one alone or both, and of steeper ones than either the steeper is left.
+    #[test]
+    fn two_powers_are_taken_apart() {
+        let powers = [1.25, 3.0];
+        for shares in [[2.0, 5.0], [2.0, 0.0], [0.0, 5.0], [0.01, 50.0]] {
+            let sum = |k: i32| (0..2).map(|m| shares[m] * half_difference(powers[m], k)).sum();
+            let found = variance_of_nets(&[0, 1, 2, 3].map(sum), 16, powers);
+            let wanted: f64 = (0..2).map(|m| shares[m] * 16f64.powf(-powers[m])).sum();
+            assert!((found / wanted - 1.0).abs() < 1e-9, "{shares:?}: {found}");
+        }
+        let steep = variance_of_nets(&[0, 1, 2, 3].map(|k| half_difference(4.0, k)), 16, powers);
+        assert!(steep > 16f64.powi(-4) && steep < 16f64.powi(-2), "{steep}");
     }
 }
