@@ -123,3 +123,73 @@ fn unblocked_light_of_lamps_is_known_to_its_bar() {
         assert!(of_bar <= 1.0 && off <= 1e-5, "{off:e}, {of_bar} bars");
     }
 }
+
+/// Off and told of the irradiance of all black patches that a scene's lamps light, against Lambert's formula: the light of the
+/// lamp, and its radiosity, that each patch sees, `None` where it sees none. Returns the share within [`T95`] bars, and the root
+/// mean squares of errors and of bars, weighted by area, over the mean irradiance.
+fn against_lambert<'a>(lit: &Cast, lamp: impl Fn(DVec3) -> Option<(&'a [DVec3], f64)>) -> [f64; 3] {
+    let radiosity = lit.patches.emission();
+    let irradiance = lit.form_factors.irradiance(radiosity, 1);
+    let errors = standard_errors(&lit.form_factors, radiosity);
+    let (mut within, mut many, mut off, mut told, mut light, mut area) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    for i in (0..lit.patches.fronts()).filter(|&i| radiosity[i] == 0.0) {
+        let t = lit.scene.corners(lit.patches.triangle(i));
+        let corners = lit.patches.corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2]);
+        let Some((lamp, brightness)) = lamp((corners[0] + corners[1] + corners[2]) / 3.0) else { continue };
+        let truth = brightness * polygon_form_factor(&corners, lamp);
+        let a = lit.patches.area(i);
+        within += f64::from(u8::from((irradiance[i] - truth).abs() <= T95 * errors[i]));
+        many += 1.0;
+        off += a * (irradiance[i] - truth).powi(2);
+        told += a * errors[i].powi(2);
+        light += a * truth;
+        area += a;
+    }
+    let relative = |squares: f64| (squares / area).sqrt() * area / light;
+    [within / many, relative(off), relative(told)]
+}
+
+/// Of a patch close under a lamp no ray tells where the light goes that passes the lamp by. That must not be made good from the
+/// light of the lamp, which is known: in a black room all of it is.
+#[test]
+fn light_of_a_lamp_close_to_the_floor_is_known_to_its_bar() {
+    let lamp = rectangle(DVec3::new(0.3, 0.3, 0.03), DVec3::Y * 0.4, DVec3::X * 0.4);
+    let parts = [black(room(DVec3::ZERO, DVec3::ONE)), part(lamp, 0.0, 1.0)];
+    let corners = [(0.3, 0.3), (0.3, 0.7), (0.7, 0.7), (0.7, 0.3)].map(|(x, y)| DVec3::new(x, y, 0.03));
+    for rays in [64.0, 256.0] {
+        let options = CastOptions { rays, ..CastOptions::default() };
+        let lit = cast(scene(&parts), Subdivision::Count(1000), options);
+        let [within, off, told] = against_lambert(&lit, |at| (at.z < 1e-9).then_some((&corners[..], 1.0)));
+        println!("{rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
+        assert!(within >= 0.95 && off <= 2.0 * told && told <= 1e-3, "{within}, {off:e}, {told:e}");
+    }
+}
+
+/// Two closed rooms, a ceiling in each, of which one shines ten thousand times as brightly: its power must not draw all shadow rays
+/// of the other room, where nobody sees it.
+#[test]
+fn light_of_a_dim_lamp_is_known_to_its_bar() {
+    let side = |x: f64| DVec3::new(x, 0.0, 0.0);
+    let mut parts = Vec::new();
+    for (x, brightness) in [(0.0, 1.0), (1.5, 1e4)] {
+        let [x0, x1, y0, y1, floor, ceiling] = room_faces(side(x), side(x) + DVec3::ONE);
+        parts.extend([black([x0, x1, y0, y1, floor].concat()), part(ceiling, 0.0, brightness)]);
+    }
+    let above =
+        |x: f64| [(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)].map(|(u, v)| DVec3::new(x + u, v, 1.0));
+    let (dim, bright) = (above(0.0), above(1.5));
+    for rays in [64.0, 256.0] {
+        let options = CastOptions { rays, ..CastOptions::default() };
+        let lit = cast(scene(&parts), Subdivision::Count(600), options);
+        for (name, first, lamp, brightness) in [("dim", 0.0, &dim, 1.0), ("bright", 1.5, &bright, 1e4)] {
+            let is_there = |at: DVec3| (first - 0.1..first + 1.1).contains(&at.x);
+            let [within, off, told] =
+                against_lambert(&lit, |at| is_there(at).then_some((&lamp[..], brightness)));
+            println!("{name}, {rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
+            assert!(
+                within >= 0.95 && off <= 2.0 * told && told <= 1e-3,
+                "{name} {within}, {off:e}, {told:e}"
+            );
+        }
+    }
+}

@@ -205,8 +205,11 @@ impl Assembled {
         let radiosity =
             calibration::calibrate(&mut plain, buckets, &self.measured(), patches, &self.samples.radiosity);
         let Assembled { mut samples, links, link_sums, mut escaped, areas, .. } = self;
-        closure::settle(&mut plain, &link_sums, &samples.areas, &mut escaped, precision);
+        let is_source = |i: usize| samples.hits.sources.contains(i);
+        let missing =
+            closure::settle(&mut plain, &link_sums, is_source, &samples.areas, &mut escaped, precision);
         plain.append(links);
+        plain.set_diagonal(missing);
         let spare = |i: usize| 0.5 / f64::from(samples.hits.rays_of(i));
         let mut form_factors = FormFactors::closed(plain, samples.areas.clone(), escaped, spare, precision);
         samples.radiosity = radiosity;

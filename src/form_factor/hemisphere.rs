@@ -65,7 +65,7 @@ pub struct Hits {
     /// Where the links of patch `i` begin in `links`.
     link_offsets: Vec<usize>,
     links: Vec<Link>,
-    /// The mean kernel of each patch's shadow rays, were none blocked.
+    /// The mean kernel of each patch's shadow rays to each lamp, were none blocked.
     mean_kernels: Vec<f64>,
     pub(super) sources: Sources,
     back_hits: u64,
@@ -181,9 +181,10 @@ impl Hits {
         if link.found == Found::Hemisphere { share.hemisphere } else { share.shadow }
     }
 
-    /// The mean kernel of patch `i`'s shadow rays, were none blocked; 1 where lamps are many.
-    pub(super) fn mean_kernel(&self, i: usize) -> f64 {
-        self.mean_kernels[i]
+    /// The mean kernels of patch `i`'s shadow rays to each lamp, were they chosen by power and none blocked; 1 where lamps are many.
+    pub(super) fn mean_kernels_of(&self, i: usize) -> &[f64] {
+        let lamps = self.sources.lamps();
+        &self.mean_kernels[i * lamps..][..lamps]
     }
 
     /// What the hemisphere rays of patch `i` met: patches, [`ESCAPED`] or [`LINKED`].
@@ -220,9 +221,9 @@ impl Hits {
         let mut first = 0;
         while first < patches.len() {
             let last = patches.len();
-            let kernels: Vec<f64> = (self.mean_kernels.len()..last)
+            let kernels: Vec<f64> = (self.mean_kernels.len() / self.sources.lamps()..last)
                 .into_par_iter()
-                .map(|i| self.sources.mean_kernel(&Footprint::new(tracer, patches, i)))
+                .flat_map_iter(|i| self.sources.mean_kernels(&Footprint::new(tracer, patches, i)))
                 .collect();
             self.mean_kernels.extend(kernels);
             let before = self.rays();
@@ -275,7 +276,7 @@ impl Hits {
         let old = self.shares.clone();
         self.shares.resize(range.end, Share::default());
         for i in range.clone() {
-            let want = wanted(i, self.mean_kernels[i]);
+            let want = wanted(i, self.mean_kernels_of(i).iter().sum());
             let have = &mut self.shares[i];
             have.hemisphere = have.hemisphere.max(want.hemisphere);
             have.shadow = have.shadow.max(want.shadow);

@@ -10,7 +10,10 @@ use super::{
     exact::{lambert, polygon_form_factor},
     shadow::Sources,
 };
-use crate::{patch::Patches, trace::Tracer};
+use crate::{
+    patch::Patches,
+    trace::{Tracer, UnitTriangle},
+};
 
 /// More lamps than this are sampled only: each costs about as much as a ray, at every patch.
 pub(crate) const MOST_LAMPS: usize = 16;
@@ -36,9 +39,23 @@ const FIFTH_DEGREE: [(f64, f64, f64); 3] = [
 /// One that is exact to the second (Strang and Fix, *An Analysis of the Finite Element Method*, 1973, section 4.3).
 const SECOND_DEGREE: [(f64, f64, f64); 1] = [(2.0 / 3.0, 1.0 / 6.0, 1.0 / 3.0)];
 
+/// The cosine between triangles of one lamp.
+const FLAT: f32 = 0.999;
+
+/// The lamps of a scene: triangles that follow each other in the file, in one plane, and share a corner, are one.
+#[derive(Debug, Clone)]
+pub(super) struct Lamps {
+    triangles: Vec<Triangle>,
+    /// How many there are.
+    pub(super) count: usize,
+    /// Which of them each source is part of.
+    pub(super) of_sources: Vec<u8>,
+}
+
 /// A triangle of one brightness, in unit space.
 #[derive(Debug, Clone)]
-pub(super) struct Lamp {
+struct Triangle {
+    lamp: usize,
     corners: [DVec3; 3],
     normal: DVec3,
     /// Probability of a shadow ray a unit area, in proportion to the lamp's radiosity.
@@ -46,8 +63,9 @@ pub(super) struct Lamp {
 }
 
 /// The lamps of the scene; `None` when they are too many, or one is too small.
-pub(super) fn few(tracer: &Tracer, patches: &Patches, sources: &Sources) -> Option<Vec<Lamp>> {
-    let mut lamps: Vec<Lamp> = Vec::new();
+pub(super) fn few(tracer: &Tracer, patches: &Patches, sources: &Sources) -> Option<Lamps> {
+    let mut lamps = Lamps { triangles: Vec::new(), count: 0, of_sources: Vec::new() };
+    let mut last: Option<&UnitTriangle> = None;
     let of_triangle = |&i: &u32, &j: &u32| patches.triangle(i as usize) == patches.triangle(j as usize);
     for part in sources.patches().chunk_by(of_triangle) {
         let triangle = &tracer.triangles()[patches.triangle(part[0] as usize)];
@@ -58,13 +76,22 @@ pub(super) fn few(tracer: &Tracer, patches: &Patches, sources: &Sources) -> Opti
         if area < LEAST_AREA {
             return None;
         }
+        let goes_on = last.is_some_and(|last| {
+            last.normal.dot(triangle.normal) > FLAT
+                && last.corners.iter().any(|corner| triangle.corners.contains(corner))
+        });
+        last = Some(triangle);
+        lamps.count += usize::from(!goes_on);
+        let lamp = lamps.count - 1;
+        lamps.of_sources.extend(part.iter().map(|_| lamp as u8));
         let whole = patches.triangle_areas()[patches.triangle(part[0] as usize)];
         let density =
             |i: u32| sources.probability(i as usize) * (whole / patches.area(i as usize)) / f64::from(area);
         let mut add = |corners: [[f64; 3]; 3], density: f64| {
             let corners =
                 corners.map(|b| (0..3).map(|k| triangle.corners[k].as_dvec3() * b[k]).sum::<DVec3>());
-            lamps.push(Lamp { corners, normal: triangle.normal.as_dvec3(), density });
+            let normal = triangle.normal.as_dvec3();
+            lamps.triangles.push(Triangle { lamp, corners, normal, density });
         };
         let even = part.len() == patches.leaves(patches.triangle(part[0] as usize))
             && part.iter().all(|&i| (density(i) / density(part[0]) - 1.0).abs() <= f64::from(f32::EPSILON));
@@ -73,21 +100,26 @@ pub(super) fn few(tracer: &Tracer, patches: &Patches, sources: &Sources) -> Opti
         } else {
             part.iter().take(MOST_LAMPS + 1).for_each(|&i| add(patches.corners(i as usize), density(i)));
         }
-        if lamps.len() > MOST_LAMPS {
+        if lamps.triangles.len() > MOST_LAMPS {
             return None;
         }
     }
     Some(lamps)
 }
 
-/// The mean over a triangle of the density-weighted form factors to all lamps: a shadow ray's kernel, visible or not,
-/// has this mean.
-pub(super) fn mean_kernel(lamps: &[Lamp], corners: [DVec3; 3], normal: DVec3) -> f64 {
-    lamps.iter().map(|lamp| lamp.density * form_factor(lamp, corners, normal)).sum()
+/// The means over a triangle of the density-weighted form factors to each lamp: a shadow ray's kernel, visible or not, zero if it
+/// goes to another lamp, has this mean.
+pub(super) fn mean_kernels(lamps: &Lamps, corners: [DVec3; 3], normal: DVec3) -> Vec<f64> {
+    // Where there is none at all, one that is dark.
+    let mut means = vec![0.0; lamps.count.max(1)];
+    for lamp in &lamps.triangles {
+        means[lamp.lamp] += lamp.density * form_factor(lamp, corners, normal);
+    }
+    means
 }
 
 /// The form factor of a triangle to a lamp.
-fn form_factor(lamp: &Lamp, corners: [DVec3; 3], normal: DVec3) -> f64 {
+fn form_factor(lamp: &Triangle, corners: [DVec3; 3], normal: DVec3) -> f64 {
     let heights = corners.map(|c| (c - lamp.corners[0]).dot(lamp.normal));
     // What rounding lifts out of the lamp's plane is in it.
     if heights.iter().all(|&h| h <= f64::from(f32::EPSILON)) {
@@ -109,7 +141,7 @@ fn form_factor(lamp: &Lamp, corners: [DVec3; 3], normal: DVec3) -> f64 {
 }
 
 /// The corners of what is in front of a patch of the lamp, one more at most.
-fn above_horizon(lamp: &Lamp, on_patch: DVec3, normal: DVec3) -> ([DVec3; 4], usize) {
+fn above_horizon(lamp: &Triangle, on_patch: DVec3, normal: DVec3) -> ([DVec3; 4], usize) {
     let heights = lamp.corners.map(|c| (c - on_patch).dot(normal));
     let (mut above, mut count) = ([DVec3::ZERO; 4], 0);
     for k in 0..3 {
@@ -132,7 +164,7 @@ fn longest([a, b, c]: [DVec3; 3]) -> f64 {
 }
 
 /// Distance from a point to the lamp.
-fn distance(lamp: &Lamp, point: DVec3) -> f64 {
+fn distance(lamp: &Triangle, point: DVec3) -> f64 {
     let [a, b, c] = lamp.corners;
     let edges = [(a, b), (b, c), (c, a)];
     let height = (point - a).dot(lamp.normal);
@@ -148,7 +180,7 @@ fn distance(lamp: &Lamp, point: DVec3) -> f64 {
 }
 
 /// The mean form factor of a triangle to what it sees of the lamp.
-fn over_triangle(lamp: &Lamp, above: &[DVec3], corners: [DVec3; 3], normal: DVec3) -> f64 {
+fn over_triangle(lamp: &Triangle, above: &[DVec3], corners: [DVec3; 3], normal: DVec3) -> f64 {
     let [a, b, c] = corners;
     let size = longest(corners) / distance(lamp, (a + b + c) / 3.0);
     if size > NEAR {

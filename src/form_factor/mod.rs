@@ -240,6 +240,24 @@ impl FormFactors {
         self.samples.as_ref().map_or(&[], |samples| &samples.siblings)
     }
 
+    /// What share of patch `i`'s light is taken to stay there, since no ray told where it goes.
+    pub(crate) fn unseen(&self, i: usize) -> f64 {
+        match &self.stored {
+            Stored::Symmetric(_) => self.get(i, i),
+            Stored::Rows(_) => 0.0,
+        }
+    }
+
+    /// By what share the closure has moved what patch `i` exchanges with others, and what sources do, in the mean.
+    pub(crate) fn moved(&self) -> impl Fn(usize) -> f64 + '_ {
+        let brightness = self.samples.as_ref().map_or(&[][..], |samples| samples.densities.brightness());
+        let power = || brightness.iter().zip(&self.areas).zip(&self.right).filter(|((b, _), _)| **b > 0.0);
+        let squares: f64 = power().map(|((b, area), right)| b * area * (right - 1.0).powi(2)).sum();
+        let all: f64 = power().map(|((b, area), _)| b * area).sum();
+        let of_sources = if all > 0.0 { (squares / all).sqrt() } else { 0.0 };
+        move |i| of_sources.hypot(self.right[i] - 1.0)
+    }
+
     /// Whether shadow rays went to patch `i`.
     pub(crate) fn is_source(&self, i: usize) -> bool {
         self.samples.as_ref().is_some_and(|samples| samples.hits.sources.contains(i))

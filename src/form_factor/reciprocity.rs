@@ -35,8 +35,10 @@ pub(super) struct Densities {
     shadow: Vec<f64>,
     /// p_i / A_i.
     source: Vec<f64>,
-    /// The known mean kernel of each patch's shadow rays over that of its samples; 1 where lamps are many.
-    ratio: Vec<f64>,
+    /// The same if shadow rays went to sources by power alone.
+    brightness: Vec<f64>,
+    /// The known mean kernel of each patch's shadow rays to each lamp over that of its samples; 1 where lamps are many.
+    ratios: Vec<f64>,
     /// What gives each patch the light that it is known to get from lamps; 1 of sources, and where lamps are many.
     restored: Vec<f64>,
     /// Relative area of one unit-space area.
@@ -47,21 +49,15 @@ impl Densities {
     /// `areas` are relative, `unit` is how many of them make one unit-space area.
     pub(super) fn new(hits: &Hits, areas: &[f64], unit: f64) -> Densities {
         let a_patch = |f: &dyn Fn(usize) -> f64| (0..areas.len()).map(|i| f(i) / areas[i]).collect();
-        let ratio = |i: usize| {
-            let kernels: f64 = hits
-                .links_of(i)
-                .iter()
-                .filter(|l| l.found != Found::Hemisphere)
-                .map(|l| f64::from(l.kernel))
-                .sum();
-            let known = hits.mean_kernel(i) * f64::from(hits.shadow_rays_of(i));
-            if hits.sources.are_lamps() && kernels > 0.0 { known / kernels } else { 1.0 }
-        };
+        let probability = |i: usize| hits.sources.probability(i);
+        let ratios =
+            (0..areas.len()).into_par_iter().with_min_len(128).flat_map_iter(|i| lamp_ratios(hits, i));
         Densities {
             hemisphere: a_patch(&|i| f64::from(hits.rays_of(i))),
             shadow: a_patch(&|i| f64::from(hits.shadow_rays_of(i))),
-            source: a_patch(&|i| hits.sources.probability(i)),
-            ratio: (0..areas.len()).into_par_iter().with_min_len(128).map(ratio).collect(),
+            source: a_patch(&probability),
+            brightness: a_patch(&|i| probability(i) * hits.sources.weight(i)),
+            ratios: ratios.collect(),
             restored: vec![1.0; areas.len()],
             unit,
         }
@@ -69,8 +65,7 @@ impl Densities {
 
     /// Radiosity of sources, all channels together, in a unit of its own; zero of all that are none.
     pub(super) fn brightness(&self) -> &[f64] {
-        // Shadow rays go to sources by power.
-        &self.source
+        &self.brightness
     }
 
     /// What a hemisphere ray that connects two patches, neither a source, adds to their exchange area.
@@ -116,38 +111,55 @@ impl Densities {
     #[inline]
     pub(super) fn known(&self, hits: &Hits, row: usize, i: usize, link: &Link) -> Option<f64> {
         let is_known = hits.sources.are_lamps() && self.source[row] == 0.0;
-        is_known.then(|| if row == i { self.received(i, link) } else { 0.0 })
+        is_known.then(|| if row == i { self.received(hits, i, link) } else { 0.0 })
     }
 
-    /// What a shadow ray of patch `i` to one of few lamps adds to what it gets: a ratio estimate, all of them together.
+    /// What a shadow ray of patch `i` to one of few lamps adds to what it gets: a ratio estimate, all to that lamp together.
     #[inline]
-    fn received(&self, i: usize, link: &Link) -> f64 {
-        if link.found == Found::Shadow { self.light(i, link) / self.source[link.to as usize] } else { 0.0 }
-    }
-
-    /// The light of a shadow ray of patch `i`, if it arrives, in the unit of brightness.
-    #[inline]
-    fn light(&self, i: usize, link: &Link) -> f64 {
-        self.ratio[i] * f64::from(link.kernel) / (self.unit * self.shadow[i])
+    fn received(&self, hits: &Hits, i: usize, link: &Link) -> f64 {
+        if link.found != Found::Shadow {
+            return 0.0;
+        }
+        let l = link.to as usize;
+        let ratio = self.ratios[i * hits.sources.lamps() + hits.sources.lamp_of(l)];
+        ratio * f64::from(link.kernel) / (self.unit * self.shadow[i] * self.source[l])
     }
 }
 
-/// By how much the kernels of each replicate of patch `i`'s shadow rays exceed their mean, as a share of it: what the ratio
-/// estimator corrects for. Zero where lamps are many.
-pub(super) fn excess_kernels(hits: &Hits, i: usize) -> [f32; REPLICATES] {
-    let mut excess = [0.0; REPLICATES];
-    if hits.sources.are_lamps() {
-        let mut sum = 0.0;
-        for link in hits.links_of(i).iter().filter(|l| l.found != Found::Hemisphere) {
-            let (replicate, many) = hits.part_of(i, link);
-            excess[replicate] += many * f64::from(link.kernel);
-            sum += f64::from(link.kernel);
-        }
-        if sum > 0.0 {
-            return excess.map(|kernels| (kernels / sum - 1.0) as f32);
+/// The known mean kernel of patch `i`'s shadow rays to each lamp over that of its samples; infinite where it has none.
+fn lamp_ratios(hits: &Hits, i: usize) -> Vec<f64> {
+    let mut kernels = vec![0.0; hits.sources.lamps()];
+    if !hits.sources.are_lamps() {
+        return vec![1.0; kernels.len()];
+    }
+    for link in hits.links_of(i).iter().filter(|l| l.found != Found::Hemisphere) {
+        let l = link.to as usize;
+        kernels[hits.sources.lamp_of(l)] += f64::from(link.kernel) * hits.sources.weight(l);
+    }
+    let rays = f64::from(hits.shadow_rays_of(i));
+    let ratio =
+        |(known, kernels): (&f64, f64)| if kernels > 0.0 { known * rays / kernels } else { f64::INFINITY };
+    hits.mean_kernels_of(i).iter().zip(kernels).map(ratio).collect()
+}
+
+/// By how much the kernels of each replicate of patch `i`'s shadow rays to each lamp exceed their mean, as a share of it: what the
+/// ratio estimator corrects for. Zero where lamps are many.
+pub(super) fn excess_kernels(hits: &Hits, i: usize, excess: &mut Vec<[f32; REPLICATES]>) {
+    excess.clear();
+    excess.resize(hits.sources.lamps(), [0.0; REPLICATES]);
+    if !hits.sources.are_lamps() {
+        return;
+    }
+    for link in hits.links_of(i).iter().filter(|l| l.found != Found::Hemisphere) {
+        let (replicate, many) = hits.part_of(i, link);
+        excess[hits.sources.lamp_of(link.to as usize)][replicate] += many as f32 * link.kernel;
+    }
+    for excess in excess {
+        let mean = excess.iter().sum::<f32>() / REPLICATES as f32;
+        if mean > 0.0 {
+            *excess = excess.map(|kernels| kernels / mean - 1.0);
         }
     }
-    [0.0; REPLICATES]
 }
 
 /// The hits that connect two patches, neither a source, by the blocks that these are in: what is near in memory is counted
@@ -303,9 +315,7 @@ pub(super) fn pool(hits: &Hits, buckets: &Buckets, densities: &Densities, areas:
 }
 
 /// The exchange areas S_ij of all pairs with a source. Where lamps are few, what each other patch gets from all of them is what
-/// its shadow rays say, which is nearly known; how that divides among pairs is told by the hemisphere rays of lamps too. Where less
-/// than one shadow ray is expected to arrive, they are believed as much less: a lamp that is dim beside others gets next to none, and
-/// would be cut off from all patches that see it alone.
+/// its shadow rays say, which is nearly known; how that divides among pairs is told by the hemisphere rays of lamps too.
 pub(super) fn links(hits: &Hits, densities: &mut Densities) -> Symmetric {
     let blocks = Blocks::new(hits.len());
     let of_block = |block: usize| -> Vec<(u32, u32, f32)> {
@@ -316,21 +326,24 @@ pub(super) fn links(hits: &Hits, densities: &mut Densities) -> Symmetric {
     let lists: Vec<_> = (0..blocks.count()).into_par_iter().with_max_len(1).map(of_block).collect();
     let mut links = Symmetric::from_lists(hits.len(), &lists);
     if hits.sources.are_lamps() {
-        let divided = links.product(densities.brightness());
+        let lamps = hits.sources.lamps();
+        let divided: Vec<Vec<f64>> = (0..lamps)
+            .map(|lamp| {
+                let of_lamp =
+                    |j: usize| if hits.sources.lamp_of(j) == lamp { densities.brightness[j] } else { 0.0 };
+                links.product(&(0..hits.len()).map(of_lamp).collect::<Vec<f64>>())
+            })
+            .collect();
         let restore = |i: usize| {
-            // Of all shadow rays, and of those that arrive.
-            let (mut all, mut squares, mut known) = (0.0, 0.0, 0.0);
-            for link in hits.links_of(i).iter().filter(|l| l.found != Found::Hemisphere) {
-                let light = densities.light(i, link);
-                all += light;
-                squares += light * light;
-                known += if link.found == Found::Shadow { light } else { 0.0 };
+            let of_link = |l: &Link| densities.received(hits, i, l) * densities.brightness[l.to as usize];
+            let mut known: f64 = hits.links_of(i).iter().map(of_link).sum();
+            let mut all = 0.0;
+            for (lamp, divided) in divided.iter().enumerate() {
+                all += divided[i];
+                // Of a lamp that no shadow ray could see, as it hardly rises above the horizon, its own rays tell.
+                known += if densities.ratios[i * lamps + lamp].is_finite() { 0.0 } else { divided[i] };
             }
-            if densities.source[i] > 0.0 || divided[i] <= 0.0 || all <= 0.0 {
-                return 1.0;
-            }
-            let arriving = all * all / squares * (divided[i] / all).min(1.0);
-            1.0 + arriving.min(1.0) * (known / divided[i] - 1.0)
+            if densities.source[i] == 0.0 && all > 0.0 { known / all } else { 1.0 }
         };
         densities.restored = (0..hits.len()).into_par_iter().with_min_len(128).map(restore).collect();
         links.update(|i, j, s| s * (densities.restored[i] * densities.restored[j]) as f32);

@@ -4,10 +4,13 @@
 //! From every patch, rays therefore also go to points on the *sources* (the patches that emit), chosen by power.
 //!
 //! A shadow ray samples pairs of points (x on i, y on j) with density N_i p_j / (A_i A_j), and its kernel is
-//! g = cos θ cos θ' / (π r²). Where [lamps are few](super::lamp), the kernels' mean G_i, blocked ones included, is known,
-//! and what i gets from all sources together is the ratio estimate
+//! g = cos θ cos θ' / (π r²). Where [lamps are few](super::lamp), some go to each, however dim it is beside others: it may be all
+//! the light there is behind a door. And the kernels' mean G_il, blocked ones included, is known of each lamp l, so that what i
+//! gets from it is the ratio estimate (the separate one: Cochran, *Sampling Techniques*, 1977, section 6.10)
 //!
-//!   Σ_j S_ij p_j = G_i / (Σ g / N_i) · Σ_visible g A_i A_j / N_i.
+//!   Σ_(j in l) S_ij b_j = G_il / (Σ g / N_i) · Σ_visible g A_i A_j / N_i,
+//!
+//! in proportion to the brightness b.
 //!
 //! How it divides among the sources, their own hemisphere rays tell too, with density (R_j / A_j) g: by the power heuristic
 //! (Veach and Guibas, SIGGRAPH 95), and scaled to that sum.
@@ -25,7 +28,7 @@ use std::ops::Range;
 use glam::Vec3A;
 use rayon::prelude::*;
 
-use super::lamp::{self, Lamp};
+use super::lamp::{self, Lamps};
 use crate::{
     patch::Patches,
     trace::{
@@ -66,10 +69,17 @@ pub(super) struct Sources {
     footprints: Vec<Footprint>,
     cumulative: Vec<f64>,
     probability: Vec<f32>,
-    lamps: Option<Vec<Lamp>>,
+    lamps: Option<Lamps>,
+    /// Which lamp each patch is part of, and how much of the power it sends for each shadow ray, beside the mean of all; both
+    /// empty where there is one lamp or many.
+    lamp: Vec<u8>,
+    weights: Vec<f64>,
     /// Patches that emit behind another face at the same place, in order: nobody sees their light.
     hidden: Vec<u32>,
 }
+
+/// The share of shadow rays that all lamps get alike, where they are few.
+const TO_EACH: f64 = 0.25;
 
 /// A face no farther before a patch than this, in unit space, is at the same place: rays begin beyond it.
 const SAME_PLACE: f32 = 4e-6;
@@ -100,7 +110,29 @@ impl Sources {
             }
         }
         sources.lamps = lamp::few(tracer, patches, &sources);
+        sources.share_out();
         sources
+    }
+
+    /// Sees to it that no lamp, where they are few, goes without shadow rays.
+    fn share_out(&mut self) {
+        let Some(lamps) = self.lamps.as_ref().filter(|lamps| lamps.count > 1) else { return };
+        let power = |i: u32| f64::from(self.probability[i as usize]);
+        let mut of_lamps = vec![0.0; lamps.count];
+        let parts = || self.patches.iter().zip(&lamps.of_sources);
+        parts().for_each(|(&i, &lamp)| of_lamps[usize::from(lamp)] += power(i));
+        let weigh = |power: f64| power / ((1.0 - TO_EACH) * power + TO_EACH / lamps.count as f64);
+        self.weights = of_lamps.into_iter().map(weigh).collect();
+        self.lamp = vec![0; self.probability.len()];
+        parts().for_each(|(&i, &lamp)| self.lamp[i as usize] = lamp);
+        let mut sum = 0.0;
+        for (&i, cumulative) in self.patches.iter().zip(&mut self.cumulative) {
+            let share =
+                f64::from(self.probability[i as usize]) / self.weights[usize::from(self.lamp[i as usize])];
+            self.probability[i as usize] = share as f32;
+            sum += share;
+            *cumulative = sum;
+        }
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -117,12 +149,30 @@ impl Sources {
         self.lamps.is_some()
     }
 
-    /// The mean kernel of the shadow rays of a patch, were none blocked; 1 where that is not known.
-    pub(super) fn mean_kernel(&self, from: &Footprint) -> f64 {
-        let mean = |lamps: &Vec<Lamp>| {
-            lamp::mean_kernel(lamps, from.corners.map(|c| c.as_dvec3()), from.normal.as_dvec3())
+    /// How many lamps there are, where they are few: else they count as one.
+    pub(super) fn lamps(&self) -> usize {
+        self.weights.len().max(1)
+    }
+
+    /// The lamp that source `i` is part of.
+    #[inline]
+    pub(super) fn lamp_of(&self, i: usize) -> usize {
+        self.lamp.get(i).map_or(0, |&lamp| lamp.into())
+    }
+
+    /// The power that a shadow ray to source `i` stands for, where one chosen by power stands for 1.
+    #[inline]
+    pub(super) fn weight(&self, i: usize) -> f64 {
+        self.weights.get(self.lamp_of(i)).copied().unwrap_or(1.0)
+    }
+
+    /// The mean kernel of the shadow rays of a patch to each lamp, were they chosen by power and none blocked; 1 where that is not
+    /// known.
+    pub(super) fn mean_kernels(&self, from: &Footprint) -> Vec<f64> {
+        let means = |lamps: &Lamps| {
+            lamp::mean_kernels(lamps, from.corners.map(|c| c.as_dvec3()), from.normal.as_dvec3())
         };
-        self.lamps.as_ref().map_or(1.0, mean)
+        self.lamps.as_ref().map_or_else(|| vec![1.0], means)
     }
 
     /// Whether patch `i` emits behind another face at the same place.

@@ -121,7 +121,8 @@ impl<'a> Sweeper<'a> {
         let patches = &*patches;
         let sources = Sources::emitters(tracer, patches);
         let mean_kernel = |i: usize| {
-            if sources.are_lamps() { sources.mean_kernel(&Footprint::new(tracer, patches, i)) } else { 0.0 }
+            let of_lamps = || sources.mean_kernels(&Footprint::new(tracer, patches, i)).iter().sum();
+            if sources.are_lamps() { of_lamps() } else { 0.0 }
         };
         let mean_kernels = (0..patches.len()).into_par_iter().with_min_len(32).map(mean_kernel).collect();
         let areas = (0..patches.len()).map(|i| patches.area(i)).collect();
@@ -207,9 +208,9 @@ impl<'a> Sweeper<'a> {
                 );
                 for link in links {
                     let (l, kernel) = (link.to as usize, f64::from(link.kernel));
-                    came.kernel += kernel;
+                    came.kernel += kernel * self.sources.weight(l);
                     if link.found == Found::Shadow {
-                        // The mean kernel is in proportion to the density p / A of samples on lamps.
+                        // The mean kernel is in proportion to the density p / A of samples on lamps, but for weights.
                         let density = self.sources.probability(l) / (self.areas[l] / (scale * scale));
                         for c in 0..C {
                             came.lit[c] += kernel * emission[l][c] / density;

@@ -199,6 +199,12 @@ impl Symmetric {
         });
     }
 
+    /// Adds entries on the diagonal, one a row, or none at all.
+    pub(super) fn set_diagonal(&mut self, diagonal: Vec<f32>) {
+        assert!(self.diagonal.is_empty() && [0, self.len()].contains(&diagonal.len()), "sizes disagree");
+        self.diagonal = diagonal;
+    }
+
     /// Number of rows.
     pub(super) fn len(&self) -> usize {
         self.blocks.len()

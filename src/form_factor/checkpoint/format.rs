@@ -11,7 +11,7 @@ use crate::{Error, Result, scene::Scene, trace::sampling::mix};
 /// Says what the file is; the line end is lost where it was transferred as text.
 const MAGIC: &[u8; 16] = b"radiosity rays\r\n";
 /// Counts changes of the file's format, of which rays a seed stands for, and of what is kept of them.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 /// Bytes of the header,
 pub(super) const HEADER: usize = 48;
 /// of a record before its body and after it,

@@ -190,6 +190,7 @@ impl<'a, const C: usize> Counted<'a, C> {
     /// Of the patches' own rays.
     fn own(&self, block: usize, incoming: &Incoming, resistance: &[f32], sums: &mut [Sums<C>]) {
         let (hits, seen) = (&self.samples.hits, &self.seen);
+        let (mut of_kernels, mut excess) = (vec![Exchange::ZERO; hits.sources.lamps()], Vec::new());
         for ((i, sums), &resistance) in self.blocks.range(block).zip(sums).zip(resistance) {
             for replicate in 0..REPLICATES {
                 let targets = hits.of_replicate(i, replicate);
@@ -209,16 +210,19 @@ impl<'a, const C: usize> Counted<'a, C> {
                     }
                 }
             }
-            let mut of_kernels = Exchange::ZERO;
+            of_kernels.fill(Exchange::ZERO);
             for link in hits.links_of(i).iter().filter(|link| link.found != Found::Blocked) {
                 let (replicate, many) = hits.part_of(i, link);
                 let exchange = self.exchanged(i, i, link);
                 sums.links[replicate].add_times(many as f32, &exchange);
                 if link.found != Found::Hemisphere {
-                    of_kernels.add_times(1.0, &exchange);
+                    of_kernels[hits.sources.lamp_of(link.to as usize)].add_times(1.0, &exchange);
                 }
             }
-            sums.correct_links(&of_kernels, &excess_kernels(hits, i));
+            excess_kernels(hits, i, &mut excess);
+            for (of_kernels, excess) in of_kernels.iter().zip(&excess) {
+                sums.correct_links(of_kernels, excess);
+            }
         }
     }
 
@@ -250,10 +254,11 @@ impl<'a, const C: usize> Counted<'a, C> {
     fn links_coming_in(&self, block: usize, incoming: &Incoming, sums: &mut [Sums<C>]) {
         let (hits, blocks) = (&self.samples.hits, self.blocks);
         for other in 0..blocks.count() {
-            let (mut from, mut excess) = (u32::MAX, [0.0; REPLICATES]);
+            let (mut from, mut excess) = (u32::MAX, Vec::new());
             for &(i, k) in &incoming.links[other * blocks.count() + block] {
                 if i != from {
-                    (from, excess) = (i, excess_kernels(hits, i as usize));
+                    from = i;
+                    excess_kernels(hits, i as usize, &mut excess);
                 }
                 let i = i as usize;
                 let link = &hits.links_of(i)[k as usize];
@@ -262,7 +267,7 @@ impl<'a, const C: usize> Counted<'a, C> {
                 let (replicate, many) = hits.part_of(i, link);
                 sums.links[replicate].add_times(many as f32, &exchange);
                 if link.found != Found::Hemisphere && hits.sources.are_lamps() {
-                    sums.correct_links(&exchange, &excess);
+                    sums.correct_links(&exchange, &excess[hits.sources.lamp_of(link.to as usize)]);
                 }
             }
         }
