@@ -210,7 +210,8 @@ impl Sampling<'_> {
 
     /// Bytes with a matrix for so many patches of fronts.
     fn bytes(&self, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
-        let (bytes, with_backs) = (forecast::bytes(self.scene, estimator), self.with_backs);
+        let (bytes, with_backs) =
+            (forecast::bytes(self.scene, estimator, self.args.solve_options().solver), self.with_backs);
         move |fronts, rays| bytes(with_backs * fronts, rays)
     }
 

@@ -13,6 +13,7 @@ use radiosity::{
     form_factor::Estimator,
     output::{file::OutputFile, report::Seconds, tradeoff_plot, tradeoff_report::TradeoffReport},
     patch::{Patches, Subdivision},
+    solve::Solver,
 };
 
 use super::{
@@ -61,7 +62,7 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     let options =
         TradeoffOptions { patches: args.patches as usize, rays: args.most_rays as f64, seed: args.seed };
     // What could not be cut is told before it is.
-    let bytes = forecast::bytes(&scene, Estimator::Pooled);
+    let bytes = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let work = |patches: f64, rays: f64| Work {
         scene: &scene,
         patches,

@@ -9,6 +9,7 @@ use radiosity::{
     form_factor::Estimator,
     output::{report::Seconds, validation_report::ValidationReport},
     patch::Patches,
+    solve::Solver,
 };
 
 use super::{
@@ -69,7 +70,7 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         ..defaults
     };
     // It solves with edges half as long, too, and compares.
-    let one = forecast::bytes(&scene, Estimator::Pooled);
+    let one = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let bytes = |patches: f64, rays: f64| one(patches, rays) + one(4.0 * patches, rays);
     let work = Work {
         scene: &scene,
