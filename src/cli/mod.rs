@@ -56,13 +56,16 @@ enum Command {
     ViewFactors(view_factors::ViewFactorsArgs),
 }
 
+/// Threads that may be asked for whatever the machine: of many more than processors each waits for the others.
+const MOST_THREADS: usize = 256;
+
 /// Options of every command.
 #[derive(Args)]
 struct Common {
     /// Print no summary and no progress; warnings and errors remain
     #[arg(long)]
     quiet: bool,
-    /// Use so many threads; all processors unless told. The result is the same for any number
+    /// Use N threads; by default all processors. The result is the same for any number
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
     /// Refuse at once what would take more memory, as in 500MB or 4GiB; what `solve` has no room for a matrix for, it solves
@@ -78,6 +81,14 @@ impl Common {
 
     fn start_threads(&self) -> Result<()> {
         let Some(threads) = self.threads else { return Ok(()) };
+        let processors = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+        let most = MOST_THREADS.max(processors);
+        if threads.get() > most {
+            return Err(Error::Usage {
+                message: format!("--threads {threads} is more than {most}"),
+                hint: Some(format!("this machine has {processors} processors: more threads gain nothing")),
+            });
+        }
         rayon::ThreadPoolBuilder::new().num_threads(threads.get()).build_global().map_err(|e| Error::Usage {
             message: format!("cannot start {threads} threads: {e}"),
             hint: Some("leave --threads out to use every processor once".into()),
