@@ -193,7 +193,7 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&summary::bake(&report, &args.output.display().to_string()));
+        to_stdout(&summary::bake(&report, &args.output.display().to_string()))?;
     }
     Ok(Outcome::Done)
 }

@@ -65,7 +65,7 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     }
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&table(&report, args.common.limit()));
+        to_stdout(&table(&report, args.common.limit()))?;
     }
     Ok(Outcome::Done)
 }

@@ -25,6 +25,7 @@ use std::{
     fmt::Display,
     io::{self, Write},
     num::NonZeroUsize,
+    path::Path,
     process::ExitCode,
 };
 
@@ -149,9 +150,13 @@ fn to_stderr(line: impl Display) {
     let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()));
 }
 
-/// Prints text that ends its own lines, to whoever reads it.
-fn to_stdout(text: &str) {
-    let _ = io::stdout().lock().write_all(printable(text).as_bytes());
+/// Prints text that ends its own lines. That nobody reads on is no error; a full disk behind stdout is.
+fn to_stdout(text: &str) -> Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(printable(text).as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), e)),
+        _ => Ok(()),
+    }
 }
 
 /// The text with control characters spelt out. Names come from files, and a terminal would obey them.

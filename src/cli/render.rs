@@ -181,7 +181,7 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
     drop(watch);
     if !args.common.quiet {
         let names = outputs::names(&[&Some(args.output.clone()), &args.report]);
-        to_stdout(&summary::picture(&report, args.white.is_some(), args.exposure, &names));
+        to_stdout(&summary::picture(&report, args.white.is_some(), args.exposure, &names))?;
     }
     Ok(Outcome::Done)
 }

@@ -218,7 +218,7 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     drop(watch);
     if !args.common.quiet {
         let names = outputs::names(&[&args.output, &args.report]);
-        to_stdout(&summary::table(&report, patches, &computed.chosen, args.exposure, &names));
+        to_stdout(&summary::table(&report, patches, &computed.chosen, args.exposure, &names))?;
     }
     Ok(verdict(args, &report, &computed))
 }

@@ -95,7 +95,7 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     })?;
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&table(&tradeoff, &args.output));
+        to_stdout(&table(&tradeoff, &args.output))?;
     }
     Ok(Outcome::Done)
 }

@@ -93,7 +93,7 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
     }
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&table(&report));
+        to_stdout(&table(&report))?;
     }
     Ok(match report.objections.len() {
         0 => Outcome::Done,

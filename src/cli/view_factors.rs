@@ -186,7 +186,7 @@ pub fn run(args: &ViewFactorsArgs) -> Result<Outcome> {
     Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&table(&report, &outputs::names(&[&args.output, &args.pairs, &args.report])));
+        to_stdout(&table(&report, &outputs::names(&[&args.output, &args.pairs, &args.report])))?;
     }
     Ok(if report.error.rms <= args.error {
         Outcome::Done
