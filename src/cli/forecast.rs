@@ -65,11 +65,6 @@ impl Limit {
         (!(bytes <= self.bytes)).then(|| format!("about {need} of memory, {owner} {limit}"))
     }
 
-    /// Whether someone said it.
-    pub fn is_given(self) -> bool {
-        self.given
-    }
-
     /// Whether so much is allowed.
     pub fn allows(self, bytes: f64) -> bool {
         self.objection(bytes).is_none()

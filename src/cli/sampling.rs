@@ -51,7 +51,7 @@ pub struct Sampling<'a> {
     pub watch: &'a Watch,
     /// Where rays are kept.
     pub checkpoint: Option<Arc<Checkpoint>>,
-    /// How many patches there will be for one of a front, where memory is limited.
+    /// How many patches there will be for one of a front.
     pub with_backs: f64,
 }
 

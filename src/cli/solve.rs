@@ -51,8 +51,8 @@ pub struct SolveArgs {
     report: Option<PathBuf>,
     #[command(flatten)]
     pub cast: CastArgs,
-    /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel, and stochastic-jacobi where
-    /// memory does not hold a matrix: it casts new rays for each iteration and needs none
+    /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel, and stochastic-jacobi, with a
+    /// warning, where memory does not hold a matrix: it casts new rays for each iteration and needs none
     #[arg(long, value_enum, default_value_t = SolverName::Auto)]
     solver: SolverName,
     /// Relative residual to reach [default: 1e-10]
@@ -232,8 +232,7 @@ fn compute(
 ) -> Result<Computed> {
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
     let checkpoint = args.checkpoint.as_ref().map(|path| open(path, &scene, args, watch)).transpose()?;
-    let with_backs =
-        if args.common.limit().is_given() { forecast::with_backs(&scene, &tracer, args.seed) } else { 1.0 };
+    let with_backs = forecast::with_backs(&scene, &tracer, args.seed);
     let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch, checkpoint, with_backs };
     let Sampled { answer, rounds, chosen } = sampling.run(start, times)?;
     let told = answer.errors();
