@@ -249,6 +249,10 @@ fn bad_usage_is_told_before_any_work_and_exits_with_two() {
         ("", "Usage"),
         ("solve", "<SCENE>"),
         ("solve scene.obj --rays 0", "--rays"),
+        ("solve scene.obj --rays -1", "error: invalid value '-1' for '--rays <N>': "),
+        ("solve scene.obj --error 1000", "at most 100"),
+        ("solve scene.obj --time inf", "a finite number of seconds"),
+        ("solve scene.obj --patch 3", "\nhint: a similar argument exists: '--patches'"),
         ("solve scene.obj --patch-size 0", "a length above 0"),
         ("solve scene.obj --patch-size nan", "a length above 0"),
         ("solve scene.obj --patches 10 --patch-size 1", "cannot be used with"),
@@ -270,8 +274,25 @@ fn bad_usage_is_told_before_any_work_and_exits_with_two() {
     ] {
         let errors = here.fails(arguments, 2);
         assert!(errors.contains(said), "{arguments}: {errors}");
+        if !arguments.is_empty() {
+            let lines: Vec<_> = errors.lines().collect();
+            assert!(lines.len() <= 2 && lines[0].starts_with("error: "), "{errors}");
+            assert!(lines[1..].iter().all(|line| line.starts_with("hint: ")), "{errors}");
+        }
     }
     assert_eq!(here.read("scene.obj"), FURNACE.as_bytes());
+}
+
+#[test]
+fn every_command_tells_its_version() {
+    let here = Here::new("", "");
+    for command in ["", "solve", "validate", "render", "bake", "probe", "inspect", "tradeoff", "view-factors"]
+    {
+        let output = here.run(&format!("{command} --version"));
+        assert_eq!(output.status.code(), Some(0), "{command}: {}", stderr(&output));
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert!(said.trim_end().ends_with(env!("CARGO_PKG_VERSION")), "{said}");
+    }
 }
 
 #[test]

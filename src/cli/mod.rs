@@ -22,14 +22,15 @@ mod view_factors;
 mod watch;
 
 use std::{
+    any::TypeId,
     fmt::Display,
     io::{self, Write},
     num::NonZeroUsize,
-    path::Path,
+    path::{Path, PathBuf},
     process::ExitCode,
 };
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Arg, Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
 use radiosity::{Error, Result};
 
 /// Computes how light spreads between diffuse surfaces, and how right its answer is.
@@ -37,6 +38,7 @@ use radiosity::{Error, Result};
 #[command(
     name = "radiosity",
     version,
+    propagate_version = true,
     after_help = "Example:\n  radiosity solve room.obj -o room.ply --report room.json\n\n\
         Exit status: 0 done; 1 computed, but a check failed; 2 bad usage or input; 130 stopped."
 )]
@@ -110,8 +112,11 @@ const STOPPED: u8 = 130;
 
 /// Runs the command that the arguments name.
 pub fn run() -> ExitCode {
-    // clap prints help, the version and usage errors itself, and exits with 2 for the last.
-    let result = match Cli::parse().command {
+    let command = match command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches)) {
+        Ok(cli) => cli.command,
+        Err(error) => return usage_error(&error),
+    };
+    let result = match command {
         Command::Solve(args) => solve::run(&args),
         Command::Validate(args) => validate::run(&args),
         Command::Render(args) => render::run(&args),
@@ -139,6 +144,41 @@ pub fn run() -> ExitCode {
             ExitCode::from(if matches!(error, Error::NotConverged { .. }) { CHECK_FAILED } else { BAD_INPUT })
         }
     }
+}
+
+/// The commands as clap knows them. What looks like a negative number is taken for the value of an option: its own words say
+/// better what is wrong with it than clap's advice to put `--` before it.
+fn command() -> clap::Command {
+    let is_number = |arg: &Arg| {
+        let names_a_file = arg.get_value_parser().type_id() == TypeId::of::<PathBuf>();
+        arg.get_action().takes_values() && !arg.is_positional() && !names_a_file
+    };
+    let numbers = |arg: Arg| if is_number(&arg) { arg.allow_negative_numbers(true) } else { arg };
+    Cli::command().mut_subcommands(|command| command.mut_args(numbers))
+}
+
+/// Tells what clap says in the form that all errors have. Help and version are no errors.
+fn usage_error(error: &clap::Error) -> ExitCode {
+    if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        let _ = error.print();
+        return if error.use_stderr() { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS };
+    }
+    let text = error.render().to_string();
+    let (mut what, mut hints) = (String::new(), Vec::new());
+    for (k, paragraph) in text.split("\n\n").enumerate() {
+        let lines = paragraph.lines().map(str::trim);
+        if k == 0 {
+            what = lines.collect::<Vec<_>>().join(" ");
+        } else {
+            hints.extend(lines.filter_map(|line| line.strip_prefix("tip: ")));
+        }
+    }
+    to_stderr(what);
+    to_stderr(format_args!(
+        "hint: {}",
+        if hints.is_empty() { "try --help".into() } else { hints.join("; ") }
+    ));
+    ExitCode::from(BAD_INPUT)
 }
 
 fn say_error(what: &dyn Display) {
@@ -175,7 +215,6 @@ fn printable(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn terminals_are_not_told_what_to_do_by_names_in_files() {
@@ -184,7 +223,7 @@ mod tests {
 
     #[test]
     fn the_commands_are_consistent_and_each_help_has_an_example() {
-        let mut cli = Cli::command();
+        let mut cli = command();
         cli.clone().debug_assert();
         assert!(cli.render_help().to_string().contains("Example:\n  radiosity solve"));
         for command in cli.get_subcommands_mut().filter(|c| c.get_name() != "help") {

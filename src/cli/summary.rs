@@ -11,8 +11,21 @@ use radiosity::{
     patch::Patches,
 };
 
+/// What lowers an error, after what was asked for.
+pub struct Advice {
+    pub sampling: &'static str,
+    pub patches: &'static str,
+}
+
 /// The figures of a solution that people want to see.
-pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, written: &str) -> String {
+pub fn table(
+    report: &SolveReport,
+    patches: &Patches,
+    chosen: &str,
+    advice: Advice,
+    stops: f64,
+    written: &str,
+) -> String {
     let SolveReport { scene, form_factors: factors, solve, energy, seconds, .. } = report;
     let mut text = String::new();
     let mut row = |name: &str, value: String| row(&mut text, name, &value);
@@ -80,15 +93,16 @@ pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, 
             solver_relative.map_or("unknown".into(), |x| format!("{x:.0e}")),
         ),
     );
-    let parts = [
-        (rms_relative, "sampling: more --rays, or --error, lowers it"),
-        (discretisation_relative, "that of the patches: more --patches lower it"),
-        (solver_relative, "the solver's: a lower --tolerance lowers it"),
-    ];
-    let largest =
-        parts.iter().filter_map(|&(x, what)| x.map(|x| (x, what))).max_by(|a, b| a.0.total_cmp(&b.0));
-    if let Some((_, what)) = largest {
-        row("largest error", what.into());
+    // Beside one that is not known none is the largest.
+    if let (Some(sampling), Some(size), Some(left)) = (rms_relative, discretisation_relative, solver_relative)
+    {
+        let parts = [
+            (sampling, format!("sampling: {} lowers it", advice.sampling)),
+            (size, format!("that of the patches: {} lowers it", advice.patches)),
+            (left, "the solver's: a lower --tolerance lowers it".into()),
+        ];
+        let largest = parts.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+        largest.into_iter().for_each(|(_, what)| row("largest error", what));
     }
     row("exposure", format!("white is {:.4e} W/m2 (automatic {stops:+} stops)", report.options.white));
     row("seconds", times(seconds));
