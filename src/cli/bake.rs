@@ -162,7 +162,7 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     (atlas, times.atlas) =
         watch.stage("atlas", || Atlas::new(&scene, &tracer, args.layout(), args.coordinates()))?;
     args.common.limit().check_map(atlas.texels() as f64)?;
-    let directory = Directory::new(&args.output)?;
+    let directory = Directory::new(&args.output, "bake", ("scene.obj", write::SIGNATURE))?;
     let files = Files::new(args, &directory, &atlas, &scene)?;
     let all: Vec<&OutputFile> = files.0.iter().map(|file| &file.output).chain(&report_file).collect();
     outputs::check_distinct(&all)?;
