@@ -87,8 +87,9 @@ impl Limit {
                 true => format!("--memory {}", exact(need)),
                 false => "a machine with more".into(),
             });
+            let cast = if rays > 0.0 { format!(" with {rays:.0} rays each") } else { String::new() };
             return Err(Error::Usage {
-                message: format!("{} patches with {rays:.0} rays each need {objection}", count(patches)),
+                message: format!("{} patches{cast} need {objection}", count(patches)),
                 hint: Some(format!("it takes {}", ways.join(", or "))),
             });
         }

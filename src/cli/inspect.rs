@@ -145,7 +145,11 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
     }
     row(
         "textures",
-        format!("{} read; {} files missing", report.textures.found.len(), report.textures.missing.len()),
+        format!(
+            "{} read; {} missing",
+            report.textures.found.len(),
+            summary::count(report.textures.missing.len(), "file")
+        ),
     );
     for f in &report.forecast {
         row(

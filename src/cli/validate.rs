@@ -98,8 +98,10 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
     Ok(match report.objections.len() {
         0 => Outcome::Done,
         n => Outcome::CheckFailed(format!(
-            "{}: {n} checks failed; the first: {}",
-            report.scene, report.objections[0]
+            "{}: {} failed; the first: {}",
+            report.scene,
+            summary::count(n, "check"),
+            report.objections[0]
         )),
     })
 }
@@ -114,8 +116,8 @@ fn table(report: &ValidationReport) -> String {
     line(
         "energy imbalance",
         format!(
-            "{:.1e} (solver {}, reciprocity {})",
-            energy.imbalance,
+            "{} (solver {}, reciprocity {})",
+            summary::small(Some(energy.imbalance)),
             summary::small(energy.solver_part),
             summary::small(energy.reciprocity_part)
         ),
@@ -139,9 +141,9 @@ fn table(report: &ValidationReport) -> String {
             format!(
                 "RMS {:.2} %, mean {:+.2} % (z {:+.1}); z-scores: mean {:+.2}, spread {:.2}, {:.1} % beyond 2, {:.1} % beyond 3",
                 100.0 * c.rms_relative,
-                100.0 * c.mean_relative,
-                c.mean_z,
-                c.z_mean,
+                summary::rounded(100.0 * c.mean_relative, 2),
+                summary::rounded(c.mean_z, 1),
+                summary::rounded(c.z_mean, 2),
                 c.z_spread,
                 100.0 * c.beyond_2,
                 100.0 * c.beyond_3
