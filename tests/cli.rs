@@ -268,7 +268,7 @@ fn bad_usage_is_told_before_any_work_and_exits_with_two() {
         ("solve scene.obj --report scene.mtl", "material"),
         ("solve scene.obj -o a.ply --report a.ply", "the same file"),
         ("solve scene.obj -o nowhere/out.ply", "hint: make the directory nowhere first"),
-        ("solve scene.obj --patches 100000000 --rays 4000000000", "of memory, this machine has"),
+        ("solve scene.obj --patches 800000000 --rays 4000000000", "of memory, this machine has"),
         ("solve scene.obj --patch-size 1e-9", "hint: choose a larger --patch-size"),
         ("validate scene.obj --patches 100000000 --rays 16", "of memory, this machine has"),
     ] {

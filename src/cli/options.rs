@@ -13,11 +13,11 @@ pub struct SceneArgs {
     #[arg(value_name = "SCENE")]
     pub path: PathBuf,
     /// Reflectance of surfaces that the file gives none: a number or R,G,B [default: 0.5]
-    #[arg(long, value_name = "R[,G,B]", value_parser = reflectance)]
+    #[arg(long, value_name = "R[,G,B]", allow_hyphen_values = true, value_parser = reflectance)]
     reflectance: Option<[f64; 3]>,
     /// Let a material emit radiance, W/(m2 sr), as in 10@lamp or 9,8,5@lamp; without @ all of them. A .ply names its
     /// materials by their colours, as in 10@#ffcc00. May be given several times
-    #[arg(long, value_name = "L[,M,N][@MATERIAL]", value_parser = emission)]
+    #[arg(long, value_name = "L[,M,N][@MATERIAL]", allow_hyphen_values = true, value_parser = emission)]
     emit: Vec<Emission>,
 }
 

@@ -34,7 +34,7 @@ use super::{
 #[command(after_help = "Example:\n  radiosity tradeoff room.obj -o tradeoff\n\n\
     Writes tradeoff.json, tradeoff.csv and tradeoff.svg into the directory. Every point is compared with two reference\n\
     solutions of finer patches and more rays; errors below what is known of these are marked. Takes some ten seconds and\n\
-    grows in proportion to --most-rays.")]
+    grows in proportion to --most-rays. An existing file that no earlier tradeoff wrote is never replaced.")]
 pub struct TradeoffArgs {
     #[command(flatten)]
     scene: SceneArgs,

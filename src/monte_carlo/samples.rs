@@ -109,7 +109,11 @@ mod tests {
         assert!((5000..5000 + STRETCH).contains(&last) && progress.done() > 5000, "{last}");
 
         let (progress, mut taken) = (Progress::new(), Vec::new());
-        take(2500, &progress, |s| Ok(taken.push(s))).unwrap();
+        let push = |s| {
+            taken.push(s);
+            Ok(())
+        };
+        take(2500, &progress, push).unwrap();
         assert!(taken.into_iter().eq(0..2500) && progress.done() == 2500);
     }
 
