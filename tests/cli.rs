@@ -249,12 +249,17 @@ fn bad_usage_is_told_before_any_work_and_exits_with_two() {
         ("", "Usage"),
         ("solve", "<SCENE>"),
         ("solve scene.obj --rays 0", "--rays"),
+        ("solve scene.obj --rays -1", "error: invalid value '-1' for '--rays <N>': "),
+        ("solve scene.obj --error 1000", "at most 100"),
+        ("solve scene.obj --time inf", "a finite number of seconds"),
+        ("solve scene.obj --patch 3", "\nhint: a similar argument exists: '--patches'"),
         ("solve scene.obj --patch-size 0", "a length above 0"),
         ("solve scene.obj --patch-size nan", "a length above 0"),
         ("solve scene.obj --patches 10 --patch-size 1", "cannot be used with"),
         ("solve scene.obj --tolerance 0", "between 0 and 1"),
         ("solve scene.obj --exposure inf", "between -100 and 100"),
         ("solve scene.obj --threads 0", "--threads"),
+        ("solve scene.obj --threads 100000", "--threads 100000 is more than"),
         ("solve scene.obj --solver magic", "possible values"),
         ("solve scene.obj --solver cg --estimator one-way", "reciprocal"),
         ("solve scene.obj -o out.stl", "must end in .ply"),
@@ -262,15 +267,32 @@ fn bad_usage_is_told_before_any_work_and_exits_with_two() {
         ("solve scene.obj --report ./scene.obj", "replace the input"),
         ("solve scene.obj --report scene.mtl", "material"),
         ("solve scene.obj -o a.ply --report a.ply", "the same file"),
-        ("solve scene.obj -o nowhere/out.ply", "nowhere/out.ply"),
-        ("solve scene.obj --patches 100000000 --rays 4000000000", "of memory, this machine has"),
+        ("solve scene.obj -o nowhere/out.ply", "hint: make the directory nowhere first"),
+        ("solve scene.obj --patches 800000000 --rays 4000000000", "of memory, this machine has"),
         ("solve scene.obj --patch-size 1e-9", "hint: choose a larger --patch-size"),
         ("validate scene.obj --patches 100000000 --rays 16", "of memory, this machine has"),
     ] {
         let errors = here.fails(arguments, 2);
         assert!(errors.contains(said), "{arguments}: {errors}");
+        if !arguments.is_empty() {
+            let lines: Vec<_> = errors.lines().collect();
+            assert!(lines.len() <= 2 && lines[0].starts_with("error: "), "{errors}");
+            assert!(lines[1..].iter().all(|line| line.starts_with("hint: ")), "{errors}");
+        }
     }
     assert_eq!(here.read("scene.obj"), FURNACE.as_bytes());
+}
+
+#[test]
+fn every_command_tells_its_version() {
+    let here = Here::new("", "");
+    for command in ["", "solve", "validate", "render", "bake", "probe", "inspect", "tradeoff", "view-factors"]
+    {
+        let output = here.run(&format!("{command} --version"));
+        assert_eq!(output.status.code(), Some(0), "{command}: {}", stderr(&output));
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert!(said.trim_end().ends_with(env!("CARGO_PKG_VERSION")), "{said}");
+    }
 }
 
 #[test]

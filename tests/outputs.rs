@@ -164,15 +164,18 @@ fn a_device_without_room() {
     ] {
         refused(&here, &command, "/dev/full", &["No space left"]);
     }
-    let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_radiosity"))
-        .current_dir(here.directory())
-        .args(PROBE.split_whitespace())
-        .stdout(full)
-        .output()
-        .unwrap();
-    assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).starts_with("error: stdout: No space left"), "{}", stderr(&output));
+    for command in [PROBE, SOLVE, VALIDATE, "inspect textured.obj", &format!("{RENDER} -o out.png")] {
+        let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let output = Command::new(env!("CARGO_BIN_EXE_radiosity"))
+            .current_dir(here.directory())
+            .args(command.split_whitespace())
+            .stdout(full)
+            .output()
+            .unwrap();
+        let errors = stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{command}: {errors}");
+        assert!(errors.contains("error: stdout: No space left"), "{command}: {errors}");
+    }
 }
 
 /// Runs with a limit on the size of files, in a shell's units of 512 or 1024 bytes: as on a disk that fills up while writing.

@@ -139,11 +139,11 @@ fn files_hold_radiance_or_its_exposure() {
         let options = format!("--method radiosity --spp 1 --patches 300 --width 20 --height 10 {options}");
         image::load_from_memory(&render(&here, &mesh("furnace"), &options, name)).unwrap()
     };
-    let hdr = run("out.hdr", "--exposure 3").to_rgb32f();
+    let hdr = run("out.hdr", "").to_rgb32f();
     // Eight bits of mantissa, of which the first is 1.
     assert_eq!(hdr.dimensions(), (20, 10));
     assert!(hdr.pixels().all(|p| p.0.iter().all(|x| (f64::from(*x) * PI - 1.0).abs() < 1.0 / 128.0)));
-    let exr = run("out.exr", "--white 0.001").to_rgb32f();
+    let exr = run("out.exr", "").to_rgb32f();
     assert!(exr.pixels().all(|p| p.0.iter().all(|x| (f64::from(*x) * PI - 1.0).abs() < 1e-5)));
     // 1/π of white is 153 of 255 by IEC 61966-2-1, 2/π is 209; automatic exposure shows even light at 0.8: 231.
     for (options, value) in [
@@ -228,7 +228,9 @@ fn bad_usage_is_told_and_leaves_no_file() {
         ("-o out.png --final-gather 4", "--final-gather is not for --method path"),
         ("-o out.png --method light --rays 4", "--rays is not for --method light"),
         ("-o out.png --method radiosity --patches 10 --patch-size 1", "cannot be used with"),
-        ("-o out.png --white 0", "a radiance above 0"),
+        ("-o out.png --white 0", "a radiance from 1e-100"),
+        ("-o out.exr --white 1", "--white is for .png"),
+        ("-o out.hdr --exposure -1", "--exposure is for .png"),
         ("-o out.gif", ".png, .exr or .hdr"),
         ("-o nowhere/out.png", "nowhere/out.png"),
         ("-o out.png --report out.png", "may not take the name"),

@@ -318,6 +318,25 @@ fn light_that_is_caught_is_refused() {
     assert!(matches!(coloured.solve(&f, Solver::Auto, 1e-6), Err(Error::NoEquilibrium)));
 }
 
+/// Ten white patches in a row, each of which sees its neighbours only: light finds the grey one at the far end by nine bounces, and
+/// all that is emitted is absorbed there.
+#[test]
+fn light_that_drains_by_many_bounces_is_not_refused() {
+    let n = 10;
+    let sees = |i: usize, j: usize| i.abs_diff(j) == 1 || i == j && (i == 0 || i == n - 1);
+    let row = store(n, |i, j| if sees(i, j) { 0.5 } else { 0.0 });
+    let row = FormFactors::from_exchange(row, vec![1.0; n], vec![0.0; n]);
+    let mut light = Light::uniform(n, 1, 1.0);
+    light.emission = (0..n).map(|i| if i == 0 { 1.0 } else { 0.0 }).collect();
+    assert!(matches!(light.solve(&row, Solver::Auto, 1e-9), Err(Error::NoEquilibrium)));
+    light.reflectance[n - 1] = 0.5;
+    for solver in ALL {
+        let solution = light.solve(&row, solver, 1e-9).unwrap();
+        // What has not been absorbed is the sum of the residual.
+        assert!((0.5 * solution.irradiance[n - 1] - 1.0).abs() < 2e-9, "{solver:?}");
+    }
+}
+
 #[test]
 fn running_out_of_iterations_is_an_error() {
     let (_, f) = cube(4);

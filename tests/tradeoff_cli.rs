@@ -60,9 +60,11 @@ fn errors_fall_as_rays_grow_and_files_can_be_read() {
     let here = here();
     // A name that XML would take for markup.
     fs::rename(here.path("scene.obj"), here.path("r&d<1.obj")).unwrap();
-    let output = here.run(&format!("tradeoff r&d<1.obj -o out {SMALL}"));
+    let output = here.run(&format!("tradeoff r&d<1.obj -o deep/out --report r.json {SMALL}"));
     assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()));
     assert!(String::from_utf8(output.stdout).unwrap().contains("path tracing"));
+    assert!(here.read("r.json") == here.read("deep/out/tradeoff.json"));
+    fs::rename(here.path("deep/out"), here.path("out")).unwrap();
     let report = here.json("out/tradeoff.json");
     let points = report["points"].as_array().unwrap();
     assert_eq!(fs::read_dir(here.path("out")).unwrap().count(), 3);
@@ -181,10 +183,14 @@ fn check_variants(points: &[Value]) {
 fn bad_input_is_told_and_nothing_is_left() {
     let here = here();
     fs::write(here.path("file"), "precious").unwrap();
+    fs::create_dir(here.path("foreign")).unwrap();
+    fs::write(here.path("foreign/tradeoff.svg"), "precious").unwrap();
     for arguments in [
         "tradeoff missing.obj -o out",
         "tradeoff scene.obj -o file",
-        "tradeoff scene.obj -o missing/out",
+        "tradeoff scene.obj -o file/out",
+        "tradeoff scene.obj -o foreign",
+        "tradeoff scene.obj -o out --report out/tradeoff.csv",
         "tradeoff scene.obj -o out --patches 0",
         "tradeoff scene.obj -o out --most-rays 0",
         "tradeoff scene.obj",
@@ -195,6 +201,7 @@ fn bad_input_is_told_and_nothing_is_left() {
         assert!(errors.starts_with("error: "), "{errors}");
     }
     assert_eq!(here.read("file"), b"precious");
+    assert_eq!(here.read("foreign/tradeoff.svg"), b"precious");
 
     // Light that nothing absorbs is found while computing.
     fs::write(

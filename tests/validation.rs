@@ -45,8 +45,10 @@ fn solved_twice(scene: &Scene, options: &ValidationOptions) -> (Solved, Solved) 
         Solved::new(scene, &tracer, subdivision, cast, &options.solve, &Progress::new()).unwrap()
     };
     let coarse = at(&options.subdivision, &cast);
-    let half = Subdivision::Edge(0.5 * coarse.patches.edge());
-    let fine = at(&half, &CastOptions { rays: 0.25 * options.rays, seed: options.seed + 1, ..cast });
+    let finer = CastOptions { rays: 0.25 * options.rays, seed: options.seed + 1, ..cast };
+    let quarters = coarse.patches.quartered(scene);
+    let fine =
+        Solved::of_patches(scene, &tracer, quarters, &finer, &options.solve, &Progress::new()).unwrap();
     (coarse, fine)
 }
 
@@ -148,4 +150,23 @@ fn perturbed(solved: Solved) -> Solved {
     let form_factors = FormFactors::from_exchange(matrix, relative, form_factors.escaped().to_vec());
     let solution = solve(&form_factors, &patches, &SolveOptions::default(), &Progress::new()).unwrap();
     Solved { patches, form_factors, solution, error_bars }
+}
+
+/// Whole triangles leave more than parts of them, and that is measured though no edge limits their size.
+#[test]
+fn what_whole_triangles_cost_is_measured() {
+    let scene = cornell_box();
+    let tracer = Tracer::new(&scene);
+    let left = |subdivision: Subdivision| {
+        let options = ValidationOptions { subdivision, paths: 16, particles: 1024, ..options(0) };
+        Validation::of(&scene, &tracer, &options, &Progress::new()).unwrap().discretisation_relative
+    };
+    let (whole, whole_by_length) = (left(Subdivision::Edge(f64::INFINITY)), left(Subdivision::Edge(1e6)));
+    assert_eq!(whole, whole_by_length);
+    assert!(whole > left(Subdivision::Count(400)), "{whole}");
+
+    let patches = Patches::subdivide(&scene, &Subdivision::Count(100));
+    let fine = patches.quartered(&scene);
+    assert_eq!(fine.fronts(), 4 * patches.fronts());
+    assert!((0..patches.fronts()).all(|i| patches.overlap(&fine, i).0.len() == 4));
 }

@@ -125,7 +125,8 @@ impl Comparison {
             },
             mean_relative,
             mean_z,
-            z_mean: scores.iter().map(|(_, z)| z).sum::<f64>() / compared,
+            // The sum of nothing is negative zero.
+            z_mean: scores.iter().map(|(_, z)| z).sum::<f64>() / compared + 0.0,
             z_spread: (scores.iter().map(|(_, z)| z * z).sum::<f64>() / compared).sqrt(),
             beyond_2: share(2.0),
             beyond_3: share(3.0),

@@ -3,6 +3,7 @@
 use crate::{
     form_factor::{Estimator, hemisphere::REPLICATES, lamp::MOST_LAMPS},
     scene::Scene,
+    solve::Solver,
 };
 
 /// The program, its threads, and what files are written through.
@@ -11,6 +12,12 @@ const BASE: f64 = 16.0 * 1024.0 * 1024.0;
 const TRIANGLE: f64 = 500.0;
 /// Entries of a matrix of whole rows: value and column.
 const ENTRY: f64 = 8.0;
+/// The same while they are made of a symmetric matrix: pairs are listed, and rows grow.
+const UNFOLDED_ENTRY: f64 = 36.0;
+/// The same while they are made of columns. What was freed before does not fit.
+const TRANSPOSED_ENTRY: f64 = 24.0;
+/// Entries of a dense matrix and of its factors, and of those of the channel before.
+const DENSE_ENTRY: f64 = 32.0;
 /// Entries of a row of a symmetric matrix, each half of a pair of 12 bytes at most.
 const SHARED_ENTRY: f64 = 6.0;
 /// A link: patch, kernel, index, kind.
@@ -44,13 +51,15 @@ pub struct Memory {
     pub calibration: f64,
     /// For a time: sums of every replicate, and deviations.
     pub error_bars: f64,
-    /// For a time: half of the hits, and the form factors that they give.
+    /// For a time: half of the hits, and the form factors that they give, with what the solver makes of them.
     pub halves: f64,
+    /// For a time: the matrix as the solver wants it, where that is not as it is kept.
+    pub solver: f64,
 }
 
 impl Memory {
     /// Of a scene cut into so many patches, backs included, with so many rays each in the mean.
-    pub fn of(scene: &Scene, patches: f64, rays: f64, estimator: Estimator) -> Memory {
+    pub fn of(scene: &Scene, patches: f64, rays: f64, estimator: Estimator, solver: Solver) -> Memory {
         let n = patches.max(1.0);
         let channels = scene.channels() as f64;
         let lamps: Vec<usize> = (0..scene.triangles.len()).filter(|&t| scene.emits(t)).collect();
@@ -71,7 +80,17 @@ impl Memory {
         let entry = if pooled { SHARED_ENTRY } else { ENTRY };
         let entries = row(both * rays, n);
         let factors = if pooled { 10.0 * entries + 8.0 * row(rays, n) } else { 2.0 * ENTRY * row(rays, n) };
-        let half = entry * row(0.5 * both * rays, n);
+        let half_entries = row(0.5 * both * rays, n);
+        let half = entry * half_entries;
+        // Whole rows, unless they are kept so; columns, unless it is symmetric; a dense matrix.
+        let (whole, columns) =
+            if pooled { (UNFOLDED_ENTRY, UNFOLDED_ENTRY) } else { (0.0, TRANSPOSED_ENTRY) };
+        let solver = |entries: f64| match solver {
+            Solver::Auto | Solver::Jacobi | Solver::ConjugateGradient => 0.0,
+            Solver::GaussSeidel => whole * entries,
+            Solver::Southwell => columns * entries,
+            Solver::Direct => whole * entries + DENSE_ENTRY * n,
+        };
         let (sums, deviations) = (16.0 + 8.0 * channels, 4.0 * (7.0 * channels + 3.0));
         Memory {
             scene: BASE + TRIANGLE * scene.triangles.len() as f64,
@@ -81,13 +100,14 @@ impl Memory {
             calibration: n * factors,
             error_bars: n * REPLICATES as f64 * (sums + deviations),
             // Copied into vectors that grow as they are filled.
-            halves: n * (hits + 2.0 * half),
+            halves: n * (hits + 2.0 * half + solver(half_entries)),
+            solver: n * solver(entries),
         }
     }
 
     /// The most at any time.
     pub fn peak(&self) -> f64 {
-        let for_a_time = [self.calibration, self.error_bars, self.halves];
+        let for_a_time = [self.calibration, self.error_bars, self.halves, self.solver];
         let kept = self.scene + self.patches + self.hits + self.matrix;
         kept + for_a_time.into_iter().fold(0.0, f64::max)
     }

@@ -51,11 +51,6 @@ impl Default for ValidationOptions {
     }
 }
 
-/// Edge at which every triangle's quadtree is one level deeper than in `patches`.
-fn halved(patches: &Patches) -> Subdivision {
-    Subdivision::Edge(0.5 * patches.edge())
-}
-
 /// Radiosity as one side of the comparison: estimates for the front patches of `coarse`, with allowances for their
 /// size from `fine`, the same scene with edges half as long.
 ///
@@ -230,7 +225,8 @@ impl Validation {
         let cast = CastOptions { rays: options.rays, seed: options.seed, ..CastOptions::default() };
         let coarse = Solved::new(scene, tracer, &options.subdivision, &cast, &options.solve, progress)?;
         let finer = CastOptions { rays: 0.25 * options.rays, seed: options.seed.wrapping_add(1), ..cast };
-        let fine = Solved::new(scene, tracer, &halved(&coarse.patches), &finer, &options.solve, progress)?;
+        let quarters = coarse.patches.quartered(scene);
+        let fine = Solved::of_patches(scene, tracer, quarters, &finer, &options.solve, progress)?;
         let radiosity = radiosity_estimates(&coarse, &fine);
         drop(fine);
         let path = path_traced(scene, tracer, &coarse.patches, options, progress)?;

@@ -26,7 +26,7 @@ use radiosity::{
 
 use super::{
     Common, Outcome,
-    options::{CastArgs, SceneArgs, positive, stops},
+    options::{CastArgs, SceneArgs, finite_length, stops},
     outputs::{self, Directory},
     pipeline::{self, Job, Solved},
     summary, to_stdout,
@@ -65,7 +65,7 @@ pub struct BakeArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=LARGEST as i64))]
     resolution: Option<u32>,
     /// Length of a texel in the scene's unit, on as many pages as it takes
-    #[arg(long, value_name = "LENGTH", value_parser = positive)]
+    #[arg(long, value_name = "LENGTH", value_parser = finite_length)]
     texel: Option<f64>,
     /// Rays a texel that gather the last bounce; 0 takes the patches as they are, flux exact
     #[arg(long, value_name = "N", default_value_t = BakeOptions::default().final_gather,
@@ -93,7 +93,7 @@ pub struct BakeArgs {
     #[arg(long)]
     standard_error: bool,
     /// Make the .png files brighter, by stops; negative is darker
-    #[arg(long, value_name = "STOPS", default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops)]
+    #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
     /// Another seed casts other rays; the same gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
@@ -131,12 +131,6 @@ impl BakeArgs {
     }
 
     fn check(&self) -> Result<()> {
-        if self.texel.is_some_and(f64::is_infinite) {
-            return Err(Error::Usage {
-                message: "a texel of infinite length holds nothing".into(),
-                hint: None,
-            });
-        }
         if self.standard_error && self.final_gather == 0 {
             return Err(Error::Usage {
                 message: "--standard-error is that of the final gather, and there is none".into(),
@@ -168,7 +162,7 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     (atlas, times.atlas) =
         watch.stage("atlas", || Atlas::new(&scene, &tracer, args.layout(), args.coordinates()))?;
     args.common.limit().check_map(atlas.texels() as f64)?;
-    let directory = Directory::new(&args.output)?;
+    let directory = Directory::new(&args.output, "bake", ("scene.obj", write::SIGNATURE))?;
     let files = Files::new(args, &directory, &atlas, &scene)?;
     let all: Vec<&OutputFile> = files.0.iter().map(|file| &file.output).chain(&report_file).collect();
     outputs::check_distinct(&all)?;
@@ -193,7 +187,7 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&summary::bake(&report, &args.output.display().to_string()));
+        to_stdout(&summary::bake(&report, &args.output.display().to_string()))?;
     }
     Ok(Outcome::Done)
 }
@@ -214,11 +208,13 @@ fn compute(
 ) -> Result<(Lightmap, BakeReport, Exposures)> {
     let Solved { patches, form_factors, solution } =
         args.job().solve(scene, tracer, watch, &mut times.stages)?;
+    let energy = EnergyLedger::of(&form_factors, &patches, &solution);
+    // Texels need the light alone, and memory.
+    drop(form_factors);
     let map;
     (map, times.texels) = watch.stage("texels", || {
         lightmap::bake(scene, tracer, (&patches, &solution), atlas, &args.options(), watch.progress())
     })?;
-    let energy = EnergyLedger::of(&form_factors, &patches, &solution);
     let exposures = Exposures {
         irradiance: map.exposure().brighter(args.exposure),
         radiosity: exposure::of_radiosity(&patches, &solution.radiosity).brighter(args.exposure),

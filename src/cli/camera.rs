@@ -49,13 +49,24 @@ impl CameraArgs {
 }
 
 /// Refuses a camera that sees nothing, or only backs that no light reaches; warns of one that sees only backs.
-pub fn check(camera: &Camera, scene: &Scene, tracer: &Tracer, watch: &Watch) -> Result<()> {
+pub fn check(
+    args: &CameraArgs,
+    camera: &Camera,
+    scene: &Scene,
+    tracer: &Tracer,
+    watch: &Watch,
+) -> Result<()> {
+    let hint = match args.eye.is_some() || args.look_at.is_some() {
+        true => "give another --eye and --look-at, or leave both out to frame the scene",
+        false => "give --eye and --look-at",
+    };
+    look(camera, scene, tracer, watch).map_err(|error| error.with_hint(hint))
+}
+
+fn look(camera: &Camera, scene: &Scene, tracer: &Tracer, watch: &Watch) -> Result<()> {
     let Some(warning) = camera.check(tracer)? else { return Ok(()) };
     if !camera.sees_light(&PathTracer::new(scene, tracer, PathOptions::default())) {
-        return Err(Error::Usage {
-            message: format!("{warning}; no light gets there"),
-            hint: Some("give --eye and --look-at, or leave both out to frame the scene".into()),
-        });
+        return Err(Error::Usage { message: format!("{warning}; no light gets there"), hint: None });
     }
     watch.warn(&warning);
     Ok(())

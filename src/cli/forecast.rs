@@ -5,6 +5,7 @@ use radiosity::{
     accuracy::{memory::Memory, survey::Survey},
     form_factor::Estimator,
     patch::{Patches, Subdivision},
+    solve::Solver,
     trace::Tracer,
 };
 
@@ -46,8 +47,8 @@ pub fn with_backs(scene: &Scene, tracer: &Tracer, seed: u64) -> f64 {
 pub const USUAL: [&str; 2] = ["--patches", "--rays"];
 
 /// Bytes for one solution, of patches with all backs counted in.
-pub fn bytes(scene: &Scene, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
-    move |patches, rays| Memory::of(scene, patches, rays, estimator).peak()
+pub fn bytes(scene: &Scene, estimator: Estimator, solver: Solver) -> impl Fn(f64, f64) -> f64 {
+    move |patches, rays| Memory::of(scene, patches, rays, estimator, solver).peak()
 }
 
 impl Limit {
@@ -62,11 +63,6 @@ impl Limit {
         let owner = if self.given { "--memory allows" } else { "this machine has" };
         let [need, limit] = [bytes, self.bytes].map(summary::memory);
         (!(bytes <= self.bytes)).then(|| format!("about {need} of memory, {owner} {limit}"))
-    }
-
-    /// Whether someone said it.
-    pub fn is_given(self) -> bool {
-        self.given
     }
 
     /// Whether so much is allowed.
@@ -91,8 +87,9 @@ impl Limit {
                 true => format!("--memory {}", exact(need)),
                 false => "a machine with more".into(),
             });
+            let cast = if rays > 0.0 { format!(" with {rays:.0} rays each") } else { String::new() };
             return Err(Error::Usage {
-                message: format!("{} patches with {rays:.0} rays each need {objection}", count(patches)),
+                message: format!("{} patches{cast} need {objection}", count(patches)),
                 hint: Some(format!("it takes {}", ways.join(", or "))),
             });
         }
@@ -259,7 +256,7 @@ mod tests {
     #[test]
     fn what_is_refused_could_be_done_as_the_hint_says() {
         let scene = triangle();
-        let bytes = bytes(&scene, Estimator::Pooled);
+        let bytes = bytes(&scene, Estimator::Pooled, Solver::Auto);
         for (memory, patches, rays) in [(1e8, 1e5, 64.0), (1e9, 4096.0, 1e6), (4e9, 1e7, 1e3)] {
             let limit = Limit { bytes: memory, given: true };
             let work = |patches, rays| Work { scene: &scene, patches, rays, bytes: &bytes, options: USUAL };
@@ -284,7 +281,7 @@ mod tests {
     #[test]
     fn much_memory_is_told_and_too_much_is_refused() {
         let scene = triangle();
-        let bytes = bytes(&scene, Estimator::Pooled);
+        let bytes = bytes(&scene, Estimator::Pooled, Solver::Auto);
         let work = |patches, rays| Work { scene: &scene, patches, rays, bytes: &bytes, options: USUAL };
         let limit = Limit { bytes: 16e9, given: false };
         assert!(limit.check(&work(8_000.0, 64.0)).unwrap().is_none());

@@ -12,7 +12,7 @@ use radiosity::{
     output::inspection_report::{InspectionReport, MaterialReport},
     patch::{Patches, Subdivision},
     scene::{Material, inspection::Inspection},
-    solve::{SolveOptions, solve},
+    solve::{SolveOptions, Solver, solve},
     trace::Tracer,
 };
 
@@ -51,7 +51,8 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     let (survey, _) = watch.stage("rays", || Ok(Survey::of(&scene, &tracer, RAYS, 0)))?;
     let a_ray = survey.seconds / (survey.all.rays + survey.lamps.rays).max(1) as f64 + bookkeeping;
 
-    let (bytes, file) = (forecast::bytes(&scene, Estimator::Pooled), args.scene.path.display().to_string());
+    let (bytes, file) =
+        (forecast::bytes(&scene, Estimator::Pooled, Solver::Auto), args.scene.path.display().to_string());
     let report = InspectionReport::new(&file, &scene, &inspection, &survey, |quality: Quality| {
         let fronts = Patches::forecast(&scene, &Subdivision::Count(quality.patches));
         let patches = (fronts * (1.0 + survey.back_area)).round();
@@ -64,7 +65,7 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     }
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&table(&report, args.common.limit()));
+        to_stdout(&table(&report, args.common.limit()))?;
     }
     Ok(Outcome::Done)
 }
@@ -144,7 +145,11 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
     }
     row(
         "textures",
-        format!("{} read; {} files missing", report.textures.found.len(), report.textures.missing.len()),
+        format!(
+            "{} read; {} missing",
+            report.textures.found.len(),
+            summary::count(report.textures.missing.len(), "file")
+        ),
     );
     for f in &report.forecast {
         row(

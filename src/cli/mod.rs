@@ -22,13 +22,15 @@ mod view_factors;
 mod watch;
 
 use std::{
+    any::TypeId,
     fmt::Display,
     io::{self, Write},
     num::NonZeroUsize,
+    path::{Path, PathBuf},
     process::ExitCode,
 };
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Arg, Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
 use radiosity::{Error, Result};
 
 /// Computes how light spreads between diffuse surfaces, and how right its answer is.
@@ -36,6 +38,7 @@ use radiosity::{Error, Result};
 #[command(
     name = "radiosity",
     version,
+    propagate_version = true,
     after_help = "Example:\n  radiosity solve room.obj -o room.ply --report room.json\n\n\
         Exit status: 0 done; 1 computed, but a check failed; 2 bad usage or input; 130 stopped."
 )]
@@ -56,13 +59,16 @@ enum Command {
     ViewFactors(view_factors::ViewFactorsArgs),
 }
 
+/// Threads that may be asked for whatever the machine: of many more than processors each waits for the others.
+const MOST_THREADS: usize = 256;
+
 /// Options of every command.
 #[derive(Args)]
 struct Common {
     /// Print no summary and no progress; warnings and errors remain
     #[arg(long)]
     quiet: bool,
-    /// Use so many threads; all processors unless told. The result is the same for any number
+    /// Use N threads; by default all processors. The result is the same for any number
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
     /// Refuse at once what would take more memory, as in 500MB or 4GiB; what `solve` has no room for a matrix for, it solves
@@ -78,6 +84,14 @@ impl Common {
 
     fn start_threads(&self) -> Result<()> {
         let Some(threads) = self.threads else { return Ok(()) };
+        let processors = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+        let most = MOST_THREADS.max(processors);
+        if threads.get() > most {
+            return Err(Error::Usage {
+                message: format!("--threads {threads} is more than {most}"),
+                hint: Some(format!("this machine has {processors} processors: more threads gain nothing")),
+            });
+        }
         rayon::ThreadPoolBuilder::new().num_threads(threads.get()).build_global().map_err(|e| Error::Usage {
             message: format!("cannot start {threads} threads: {e}"),
             hint: Some("leave --threads out to use every processor once".into()),
@@ -98,8 +112,11 @@ const STOPPED: u8 = 130;
 
 /// Runs the command that the arguments name.
 pub fn run() -> ExitCode {
-    // clap prints help, the version and usage errors itself, and exits with 2 for the last.
-    let result = match Cli::parse().command {
+    let command = match command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches)) {
+        Ok(cli) => cli.command,
+        Err(error) => return usage_error(&error),
+    };
+    let result = match command {
         Command::Solve(args) => solve::run(&args),
         Command::Validate(args) => validate::run(&args),
         Command::Render(args) => render::run(&args),
@@ -129,6 +146,41 @@ pub fn run() -> ExitCode {
     }
 }
 
+/// The commands as clap knows them. What looks like a negative number is taken for the value of an option: its own words say
+/// better what is wrong with it than clap's advice to put `--` before it.
+fn command() -> clap::Command {
+    let is_number = |arg: &Arg| {
+        let names_a_file = arg.get_value_parser().type_id() == TypeId::of::<PathBuf>();
+        arg.get_action().takes_values() && !arg.is_positional() && !names_a_file
+    };
+    let numbers = |arg: Arg| if is_number(&arg) { arg.allow_negative_numbers(true) } else { arg };
+    Cli::command().mut_subcommands(|command| command.mut_args(numbers))
+}
+
+/// Tells what clap says in the form that all errors have. Help and version are no errors.
+fn usage_error(error: &clap::Error) -> ExitCode {
+    if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        let _ = error.print();
+        return if error.use_stderr() { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS };
+    }
+    let text = error.render().to_string();
+    let (mut what, mut hints) = (String::new(), Vec::new());
+    for (k, paragraph) in text.split("\n\n").enumerate() {
+        let lines = paragraph.lines().map(str::trim);
+        if k == 0 {
+            what = lines.collect::<Vec<_>>().join(" ");
+        } else {
+            hints.extend(lines.filter_map(|line| line.strip_prefix("tip: ")));
+        }
+    }
+    to_stderr(what);
+    to_stderr(format_args!(
+        "hint: {}",
+        if hints.is_empty() { "try --help".into() } else { hints.join("; ") }
+    ));
+    ExitCode::from(BAD_INPUT)
+}
+
 fn say_error(what: &dyn Display) {
     to_stderr(format_args!("error: {what}"));
 }
@@ -138,9 +190,13 @@ fn to_stderr(line: impl Display) {
     let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()));
 }
 
-/// Prints text that ends its own lines, to whoever reads it.
-fn to_stdout(text: &str) {
-    let _ = io::stdout().lock().write_all(printable(text).as_bytes());
+/// Prints text that ends its own lines. That nobody reads on is no error; a full disk behind stdout is.
+fn to_stdout(text: &str) -> Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(printable(text).as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), e)),
+        _ => Ok(()),
+    }
 }
 
 /// The text with control characters spelt out. Names come from files, and a terminal would obey them.
@@ -159,7 +215,6 @@ fn printable(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn terminals_are_not_told_what_to_do_by_names_in_files() {
@@ -168,7 +223,7 @@ mod tests {
 
     #[test]
     fn the_commands_are_consistent_and_each_help_has_an_example() {
-        let mut cli = Cli::command();
+        let mut cli = command();
         cli.clone().debug_assert();
         assert!(cli.render_help().to_string().contains("Example:\n  radiosity solve"));
         for command in cli.get_subcommands_mut().filter(|c| c.get_name() != "help") {

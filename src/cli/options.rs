@@ -13,11 +13,11 @@ pub struct SceneArgs {
     #[arg(value_name = "SCENE")]
     pub path: PathBuf,
     /// Reflectance of surfaces that the file gives none: a number or R,G,B [default: 0.5]
-    #[arg(long, value_name = "R[,G,B]", value_parser = reflectance)]
+    #[arg(long, value_name = "R[,G,B]", allow_hyphen_values = true, value_parser = reflectance)]
     reflectance: Option<[f64; 3]>,
     /// Let a material emit radiance, W/(m2 sr), as in 10@lamp or 9,8,5@lamp; without @ all of them. A .ply names its
     /// materials by their colours, as in 10@#ffcc00. May be given several times
-    #[arg(long, value_name = "L[,M,N][@MATERIAL]", value_parser = emission)]
+    #[arg(long, value_name = "L[,M,N][@MATERIAL]", allow_hyphen_values = true, value_parser = emission)]
     emit: Vec<Emission>,
 }
 
@@ -64,7 +64,7 @@ pub struct CastArgs {
     /// About how many patches; at least one a triangle
     #[arg(long, value_name = "N", conflicts_with = "patch_size", value_parser = clap::value_parser!(u32).range(1..))]
     patches: Option<u32>,
-    /// Rays a patch, hemisphere and shadow rays together
+    /// Rays a patch, hemisphere and shadow rays together; there are never fewer than 16 of the first
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     rays: Option<u32>,
 }
@@ -115,8 +115,7 @@ impl CastArgs {
 
     /// How to cut the scene, where that was said.
     pub fn given_subdivision(&self) -> Option<Subdivision> {
-        let said = self.quality.is_some() || self.patch_size.is_some() || self.patches.is_some();
-        said.then(|| self.subdivision().0)
+        self.given_patches().map(|_| self.subdivision().0)
     }
 
     /// Rays a patch, where that was said.
@@ -124,12 +123,17 @@ impl CastArgs {
         (self.quality.is_some() || self.rays.is_some()).then(|| self.rays())
     }
 
+    /// The option that said how to cut the scene, if any.
+    pub fn given_patches(&self) -> Option<&'static str> {
+        self.given().filter(|&option| option != "--rays")
+    }
+
     /// The first of these options that was given: for commands that solve only sometimes.
     pub fn given(&self) -> Option<&'static str> {
         [
-            (self.quality.is_some(), "--quality"),
             (self.patch_size.is_some(), "--patch-size"),
             (self.patches.is_some(), "--patches"),
+            (self.quality.is_some(), "--quality"),
             (self.rays.is_some(), "--rays"),
         ]
         .into_iter()
@@ -141,16 +145,20 @@ pub fn positive(text: &str) -> Result<f64, String> {
     parse(text, |x| x > 0.0, "a length above 0, or inf, is wanted")
 }
 
+pub fn finite_length(text: &str) -> Result<f64, String> {
+    parse(text, |x| x > 0.0 && x.is_finite(), "a finite length above 0 is wanted")
+}
+
 pub fn below_one(text: &str) -> Result<f64, String> {
     parse(text, |x| x > 0.0 && x < 1.0, "a number between 0 and 1 is wanted")
 }
 
 pub fn percent(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0 && x <= 100.0, "a percentage above 0 is wanted")
+    parse(text, |x| x > 0.0 && x <= 100.0, "a percentage above 0, at most 100, is wanted")
 }
 
 pub fn seconds_given(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0 && x.is_finite(), "a number of seconds above 0 is wanted")
+    parse(text, |x| x > 0.0 && x.is_finite(), "a finite number of seconds above 0 is wanted")
 }
 
 pub fn stops(text: &str) -> Result<f64, String> {
@@ -159,7 +167,7 @@ pub fn stops(text: &str) -> Result<f64, String> {
 
 /// A radiance whose inverse is finite too.
 pub fn white(text: &str) -> Result<f64, String> {
-    parse(text, |x| (1e-100..=1e100).contains(&x), "a radiance above 0 is wanted")
+    parse(text, |x| (1e-100..=1e100).contains(&x), "a radiance from 1e-100 to 1e100 is wanted")
 }
 
 /// One number, which stands for three, or three.

@@ -6,9 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use radiosity::{
-    Error, Result, lightmap::write::SIGNATURE, monte_carlo::PictureFormat, output::file::OutputFile,
-};
+use radiosity::{Error, Result, monte_carlo::PictureFormat, output::file::OutputFile};
 
 /// Kinds of files that scenes are made of. No text takes the place of one: it might be of another scene. Those of this
 /// scene are compared with each output once they are known (`pipeline::read`).
@@ -61,25 +59,26 @@ fn no_scene(path: &Path, inputs: &[&Path], what: &str, hint: &str) -> Result<Out
     Ok(output)
 }
 
-/// A directory for the files of a bake. One that was made here, and in which nothing was written, goes again.
+/// A directory for the files of a command. One that was made here, and in which nothing was written, goes again.
 #[derive(Debug)]
 pub struct Directory {
     path: PathBuf,
     /// The directories made for it, outermost first.
     made: Vec<PathBuf>,
-    /// Whether what is there comes from an earlier bake, and may be replaced.
+    command: &'static str,
+    /// Whether what is there comes from an earlier run of the command, and may be replaced.
     is_ours: bool,
 }
 
 impl Directory {
-    /// Makes the directory if it is missing.
-    pub fn new(path: &Path) -> Result<Directory> {
+    /// Makes the directory if it is missing. A file of the command's that is there tells by its first bytes whose the others are.
+    pub fn new(path: &Path, command: &'static str, (file, start): (&str, &str)) -> Result<Directory> {
         let missing: Vec<PathBuf> = path
             .ancestors()
             .take_while(|p| !p.as_os_str().is_empty() && !p.exists())
             .map(Path::to_owned)
             .collect();
-        let mut directory = Directory { path: path.to_owned(), made: Vec::new(), is_ours: false };
+        let mut directory = Directory { path: path.to_owned(), made: Vec::new(), command, is_ours: false };
         for path in missing.into_iter().rev() {
             fs::create_dir(&path).map_err(|e| Error::io(&path, e))?;
             directory.made.push(path);
@@ -87,22 +86,19 @@ impl Directory {
         if !path.is_dir() {
             return Err(Error::io(path, std::io::ErrorKind::NotADirectory.into()));
         }
-        let mut start = [0; SIGNATURE.len()];
-        directory.is_ours = fs::File::open(path.join("scene.obj"))
-            .and_then(|mut file| file.read_exact(&mut start))
-            .is_ok_and(|()| start == SIGNATURE.as_bytes());
+        let mut there = vec![0; start.len()];
+        directory.is_ours = fs::File::open(path.join(file))
+            .and_then(|mut file| file.read_exact(&mut there))
+            .is_ok_and(|()| there == start.as_bytes());
         Ok(directory)
     }
 
-    /// A file in it. One that is there already and no earlier bake's might belong to a scene: it is never replaced.
+    /// A file in it. One that is there already and no earlier run's might belong to a scene: it is never replaced.
     pub fn file(&self, name: &str, inputs: &[&Path]) -> Result<OutputFile> {
         let path = self.path.join(name);
         if path.exists() && !self.is_ours {
-            return Err(usage(
-                &path,
-                "there is a file of this name that no earlier bake wrote",
-                "give a directory of its own with -o",
-            ));
+            let message = format!("there is a file of this name that no earlier {} wrote", self.command);
+            return Err(usage(&path, &message, "give a directory of its own with -o"));
         }
         OutputFile::new(&path, inputs)
     }

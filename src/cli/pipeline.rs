@@ -7,7 +7,7 @@ use radiosity::{
     form_factor::{CastOptions, Estimator, FormFactors},
     output::{file::OutputFile, report::Seconds},
     patch::Patches,
-    solve::{self, Solution, SolveOptions},
+    solve::{self, Solution, SolveOptions, Solver},
     trace::Tracer,
 };
 
@@ -67,7 +67,7 @@ impl Job<'_> {
     /// Refuses what cannot be held in memory; warns of what is much.
     pub fn check(&self, scene: &Scene, watch: &Watch) -> Result<()> {
         let (subdivision, _) = self.cast.subdivision();
-        let bytes = forecast::bytes(scene, Estimator::Pooled);
+        let bytes = forecast::bytes(scene, Estimator::Pooled, Solver::Auto);
         let work = Work {
             scene,
             patches: Patches::forecast(scene, &subdivision),

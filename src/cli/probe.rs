@@ -1,7 +1,6 @@
 //! `radiosity probe`: irradiance at given points.
 
 use std::{
-    io::{self, Write},
     path::{Path, PathBuf},
     time::Instant,
 };
@@ -138,9 +137,11 @@ pub fn run(args: &ProbeArgs) -> Result<Outcome> {
     Pending::commit_all(pending)?;
     drop(watch);
     if args.output.is_none() {
-        print(&probes, &estimates)?;
+        let mut table = Vec::new();
+        write_probes(&mut table, &probes, &estimates).map_err(|e| Error::io(Path::new("stdout"), e))?;
+        to_stdout(&String::from_utf8_lossy(&table))?;
     } else if !args.common.quiet {
-        to_stdout(&summary::probes(&report, &outputs::names(&[&args.output, &args.report])));
+        to_stdout(&summary::probes(&report, &outputs::names(&[&args.output, &args.report])))?;
     }
     Ok(Outcome::Done)
 }
@@ -181,16 +182,4 @@ fn estimate(
         }
     }
     Ok((estimates, patches))
-}
-
-/// Prints the result. That nobody reads on is no error; a full disk behind stdout is.
-fn print(probes: &[Probe], estimates: &[Estimate]) -> Result<()> {
-    let mut bytes = Vec::new();
-    let failed = |e| Error::io(Path::new("stdout"), e);
-    write_probes(&mut bytes, probes, estimates).map_err(failed)?;
-    let mut out = io::stdout().lock();
-    match out.write_all(&bytes).and_then(|()| out.flush()) {
-        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(failed(e)),
-        _ => Ok(()),
-    }
 }

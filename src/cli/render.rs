@@ -5,7 +5,9 @@ use std::{path::PathBuf, time::Instant};
 use clap::{Args, ValueEnum};
 use radiosity::{
     Error, Result, Scene,
-    monte_carlo::{Camera, Film, LightOptions, LightTracer, PathOptions, PathTracer, RenderOptions},
+    monte_carlo::{
+        Camera, Film, LightOptions, LightTracer, PathOptions, PathTracer, PictureFormat, RenderOptions,
+    },
     output::{
         file::Pending,
         picture,
@@ -55,7 +57,7 @@ pub struct RenderArgs {
     #[command(flatten)]
     camera: CameraArgs,
     /// Make the picture brighter, by stops; negative is darker
-    #[arg(long, value_name = "STOPS", default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops)]
+    #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
     /// Radiance to show as white, W/(m2 sr) [default: chosen by the picture]
     #[arg(long, value_name = "RADIANCE", value_parser = white)]
@@ -112,6 +114,18 @@ impl RenderArgs {
         Ok(())
     }
 
+    /// Refuses an exposure of a picture that holds radiance.
+    fn check_exposure(&self, format: PictureFormat) -> Result<()> {
+        let given = self.white.map(|_| "--white").or((self.exposure != 0.0).then_some("--exposure"));
+        match given.filter(|_| format != PictureFormat::Png) {
+            None => Ok(()),
+            Some(option) => Err(Error::Usage {
+                message: format!("{option} is for .png: {} holds the radiance itself", self.output.display()),
+                hint: Some(format!("leave {option} out, or end the name in .png")),
+            }),
+        }
+    }
+
     fn job(&self) -> Job<'_> {
         Job { file: &self.scene.path, cast: &self.cast, seed: self.seed, limit: self.common.limit() }
     }
@@ -140,6 +154,7 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
     let start = Instant::now();
     args.check()?;
     let (file, format) = outputs::picture(&args.output, &args.scene.path)?;
+    args.check_exposure(format)?;
     let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
     let files: Vec<_> = std::iter::once(&file).chain(&report_file).collect();
     outputs::check_distinct(&files)?;
@@ -150,7 +165,7 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
     let (scene, tracer) = pipeline::load(&args.scene, &files, &watch, &mut times.stages)?;
     let camera = args.camera.camera(&scene, &tracer)?;
     args.check_size(&camera)?;
-    camera::check(&camera, &scene, &tracer, &watch)?;
+    camera::check(&args.camera, &camera, &scene, &tracer, &watch)?;
     let (film, patches) = picture(args, &scene, &tracer, &camera, &watch, &mut times)?;
     let exposure = args.exposure(&film);
 
@@ -181,7 +196,7 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
     drop(watch);
     if !args.common.quiet {
         let names = outputs::names(&[&Some(args.output.clone()), &args.report]);
-        to_stdout(&summary::picture(&report, args.white.is_some(), args.exposure, &names));
+        to_stdout(&summary::picture(&report, args.white.is_some(), args.exposure, &names))?;
     }
     Ok(Outcome::Done)
 }

@@ -51,7 +51,7 @@ pub struct Sampling<'a> {
     pub watch: &'a Watch,
     /// Where rays are kept.
     pub checkpoint: Option<Arc<Checkpoint>>,
-    /// How many patches there will be for one of a front, where memory is limited.
+    /// How many patches there will be for one of a front.
     pub with_backs: f64,
 }
 
@@ -122,9 +122,11 @@ impl Sampling<'_> {
         let (subdivision, mut chosen) = args.cast.subdivision();
         let (mut target, mut floor) = (wanted, None);
         let (mut adapted, mut first) = (None, None);
+        let mut searching = 0.0;
         if in_rounds && args.cast.given_subdivision().is_none() {
             let small;
-            SmallPatches { patches: small, floor, first } = self.small_enough(wanted, start)?;
+            (SmallPatches { patches: small, floor, first }, searching) =
+                self.watch.stage("patches", || self.small_enough(wanted, start))?;
             let adaptive = small.is_restricted();
             chosen =
                 if adaptive { "smaller where light varies" } else { "as small as they should be" }.into();
@@ -140,12 +142,14 @@ impl Sampling<'_> {
         let with_matrix = self.holds_matrix(&self.work(count, rays, &bytes))?;
         let cut = || adapted.unwrap_or_else(|| Patches::subdivide(self.scene, &subdivision));
         let (patches, subdivide) = self.watch.stage("patches", || Ok(cut()))?;
-        times.subdivide = subdivide;
         let cast =
             CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
         let usable = with_matrix && cast.estimator == Estimator::Pooled;
         let first = first.filter(|_| usable);
-        let before = start.elapsed().as_secs_f64() - first.as_ref().map_or(0.0, |(_, round)| round.elapsed);
+        // A round that is gone on from counts as one.
+        let kept = first.as_ref().map_or(0.0, |(_, round)| round.elapsed);
+        times.subdivide = searching - kept + subdivide;
+        let before = start.elapsed().as_secs_f64() - kept;
         let plan = Plan {
             error: target,
             seconds: args.time.map(|seconds| seconds - before),
@@ -210,7 +214,8 @@ impl Sampling<'_> {
 
     /// Bytes with a matrix for so many patches of fronts.
     fn bytes(&self, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
-        let (bytes, with_backs) = (forecast::bytes(self.scene, estimator), self.with_backs);
+        let (bytes, with_backs) =
+            (forecast::bytes(self.scene, estimator, self.args.solve_options().solver), self.with_backs);
         move |fronts, rays| bytes(with_backs * fronts, rays)
     }
 
@@ -304,8 +309,9 @@ impl Sampling<'_> {
         let found = Discretisation::of(form_factors, patches, solution, self.watch.progress())?;
         if let Some(found) = found.filter(|d| d.relative > wanted) {
             self.watch.warn(&format!(
-                "patches of this size leave about {:.2} % themselves, which no ray lowers: give more --patches, or none",
-                100.0 * found.relative
+                "patches of this size leave about {:.2} % themselves, which no ray lowers: leave {} out",
+                100.0 * found.relative,
+                self.args.cast.given().unwrap_or("--patches")
             ));
         }
         Ok(())

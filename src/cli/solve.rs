@@ -51,8 +51,8 @@ pub struct SolveArgs {
     report: Option<PathBuf>,
     #[command(flatten)]
     pub cast: CastArgs,
-    /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel, and stochastic-jacobi where
-    /// memory does not hold a matrix: it casts new rays for each iteration and needs none
+    /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel, and stochastic-jacobi, with a
+    /// warning, where memory does not hold a matrix: it casts new rays for each iteration and needs none
     #[arg(long, value_enum, default_value_t = SolverName::Auto)]
     solver: SolverName,
     /// Relative residual to reach [default: 1e-10]
@@ -62,7 +62,7 @@ pub struct SolveArgs {
     #[arg(long, value_enum, default_value_t = EstimatorName::Pooled)]
     estimator: EstimatorName,
     /// Make vertex colours brighter than automatic exposure does, by stops; negative is darker
-    #[arg(long, value_name = "STOPS", default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops)]
+    #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
     /// Keep sampling until the estimated RMS error of irradiance is at most so many percent of its mean; unless patches are
     /// chosen too, they are made small enough for it
@@ -136,6 +136,21 @@ impl SolveArgs {
         ]
         .into_iter()
         .find_map(|(given, name)| given.then_some(name))
+    }
+
+    /// What lowers errors, on top of what was asked for.
+    fn advice(&self) -> summary::Advice {
+        let sampling = match (self.error, self.time) {
+            (_, Some(_)) => "a longer --time",
+            (Some(_), None) => "a lower --error",
+            (None, None) => "a larger --rays, or --error,",
+        };
+        let patches = match self.cast.given_patches() {
+            Some("--patch-size") => "a smaller --patch-size",
+            None if self.error.is_some() => "a lower --error",
+            _ => "a larger --patches",
+        };
+        summary::Advice { sampling, patches }
     }
 
     /// Refuses combinations that would only fail after hours.
@@ -218,7 +233,7 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     drop(watch);
     if !args.common.quiet {
         let names = outputs::names(&[&args.output, &args.report]);
-        to_stdout(&summary::table(&report, patches, &computed.chosen, args.exposure, &names));
+        to_stdout(&summary::table(&report, patches, &computed.chosen, args.advice(), args.exposure, &names))?;
     }
     Ok(verdict(args, &report, &computed))
 }
@@ -232,8 +247,7 @@ fn compute(
 ) -> Result<Computed> {
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
     let checkpoint = args.checkpoint.as_ref().map(|path| open(path, &scene, args, watch)).transpose()?;
-    let with_backs =
-        if args.common.limit().is_given() { forecast::with_backs(&scene, &tracer, args.seed) } else { 1.0 };
+    let with_backs = forecast::with_backs(&scene, &tracer, args.seed);
     let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch, checkpoint, with_backs };
     let Sampled { answer, rounds, chosen } = sampling.run(start, times)?;
     let told = answer.errors();

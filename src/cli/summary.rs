@@ -11,12 +11,25 @@ use radiosity::{
     patch::Patches,
 };
 
+/// What lowers an error, after what was asked for.
+pub struct Advice {
+    pub sampling: &'static str,
+    pub patches: &'static str,
+}
+
 /// The figures of a solution that people want to see.
-pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, written: &str) -> String {
+pub fn table(
+    report: &SolveReport,
+    patches: &Patches,
+    chosen: &str,
+    advice: Advice,
+    stops: f64,
+    written: &str,
+) -> String {
     let SolveReport { scene, form_factors: factors, solve, energy, seconds, .. } = report;
     let mut text = String::new();
     let mut row = |name: &str, value: String| row(&mut text, name, &value);
-    row("scene", format!("{}: {} triangles", scene.file, scene.triangles));
+    row("scene", format!("{}: {}", scene.file, count(scene.triangles, "triangle")));
     let edge = scene.patch_edge.map_or("of any size".into(), |edge| format!("edges up to {edge:.4}"));
     row(
         "patches",
@@ -43,14 +56,15 @@ pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, 
             row(
                 "solver",
                 format!(
-                    "{}, {} iterations, residual {residual:.1e}, {bound}",
-                    solve.solver, solve.iterations
+                    "{}, {}, residual {residual:.1e}, {bound}",
+                    solve.solver,
+                    count(solve.iterations, "iteration")
                 ),
             );
         }
         None => {
             row("form factors", format!("none kept, {rate:.2e} rays/s"));
-            row("solver", format!("{}, {} sweeps without a matrix", solve.solver, solve.iterations));
+            row("solver", format!("{}, {} without a matrix", solve.solver, count(solve.iterations, "sweep")));
         }
     }
     let channels =
@@ -66,10 +80,10 @@ pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, 
         (Some(sampled), Some(error)) => format!("{sampled:+.1e} as sampled, standard error {error:.1e}"),
         _ => format!("solver {}, reciprocity {}", small(energy.solver_part), small(energy.reciprocity_part)),
     };
-    row("imbalance", format!("{:.1e} of what is emitted: {parts}", energy.imbalance));
+    row("imbalance", format!("{} of what is emitted: {parts}", small(Some(energy.imbalance))));
     let ErrorReport { rms_relative, bias_relative, discretisation_relative, solver_relative, .. } =
         report.error;
-    let percent = |x: Option<f64>| x.map_or("unknown".into(), |x| format!("{:.2} %", 100.0 * x));
+    let percent = |x: Option<f64>| x.map_or("unknown".into(), |x| format!("{:.2} %", rounded(100.0 * x, 2)));
     row(
         "error",
         format!(
@@ -80,15 +94,16 @@ pub fn table(report: &SolveReport, patches: &Patches, chosen: &str, stops: f64, 
             solver_relative.map_or("unknown".into(), |x| format!("{x:.0e}")),
         ),
     );
-    let parts = [
-        (rms_relative, "sampling: more --rays, or --error, lowers it"),
-        (discretisation_relative, "that of the patches: more --patches lower it"),
-        (solver_relative, "the solver's: a lower --tolerance lowers it"),
-    ];
-    let largest =
-        parts.iter().filter_map(|&(x, what)| x.map(|x| (x, what))).max_by(|a, b| a.0.total_cmp(&b.0));
-    if let Some((_, what)) = largest {
-        row("largest error", what.into());
+    // Beside one that is not known none is the largest.
+    if let (Some(sampling), Some(size), Some(left)) = (rms_relative, discretisation_relative, solver_relative)
+    {
+        let parts = [
+            (sampling, format!("sampling: {} lowers it", advice.sampling)),
+            (size, format!("that of the patches: {} lowers it", advice.patches)),
+            (left, "the solver's: a lower --tolerance lowers it".into()),
+        ];
+        let largest = parts.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+        largest.into_iter().for_each(|(_, what)| row("largest error", what));
     }
     row("exposure", format!("white is {:.4e} W/m2 (automatic {stops:+} stops)", report.options.white));
     row("seconds", times(seconds));
@@ -129,7 +144,11 @@ pub fn probes(report: &SamplingReport, written: &str) -> String {
     if let Some(probes) = &report.probes {
         let [r, g, b] = probes.mean_irradiance;
         let error = 100.0 * probes.rms_relative;
-        row(&mut text, "irradiance", &format!("{} points, mean {r:.4e} {g:.4e} {b:.4e} W/m2", probes.points));
+        row(
+            &mut text,
+            "irradiance",
+            &format!("{}, mean {r:.4e} {g:.4e} {b:.4e} W/m2", count(probes.points, "point")),
+        );
         row(&mut text, "error", &format!("{error:.3} % RMS standard error"));
     }
     finish(text, report, written)
@@ -140,7 +159,10 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
     let BakeReport { scene, atlas, texels, flux, seams, seconds, options, .. } = report;
     let mut text = String::new();
     let mut row = |name: &str, value: String| row(&mut text, name, &value);
-    row("scene", format!("{}: {} triangles, {} patches", scene.file, scene.triangles, scene.patches));
+    row(
+        "scene",
+        format!("{}: {}, {} patches", scene.file, count(scene.triangles, "triangle"), scene.patches),
+    );
     let whose = match &atlas.refused {
         None => "the file's texture coordinates".to_owned(),
         Some(why) => format!("new texture coordinates (the file's: {why})"),
@@ -148,8 +170,12 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
     row(
         "map",
         format!(
-            "{} page(s) of {} x {}, texels of {:.4}, {} charts, {whose}",
-            atlas.pages, atlas.width, atlas.height, atlas.texel_length, atlas.charts
+            "{} of {} x {}, texels of {:.4}, {}, {whose}",
+            count(atlas.pages, "page"),
+            atlas.width,
+            atlas.height,
+            atlas.texel_length,
+            count(atlas.charts, "chart")
         ),
     );
     row(
@@ -165,7 +191,7 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
         "flux",
         format!(
             "{:+.4} % from the solver's, standard error {sampling:.4} %",
-            100.0 * flux.relative_difference
+            rounded(100.0 * flux.relative_difference, 4)
         ),
     );
     if let Some(error) = report.rms_relative {
@@ -173,7 +199,7 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
         row("error", format!("{:.2} % RMS a texel from {rays} rays of the final gather", 100.0 * error));
     }
     for step in &report.steps {
-        row(step.name, format!("changed the flux by {:+.4} %", 100.0 * step.relative));
+        row(step.name, format!("changed the flux by {:+.4} %", rounded(100.0 * step.relative, 4)));
     }
     if seams.samples > 0 {
         let largest = |x: [f64; 3]| x.into_iter().fold(0.0, f64::max);
@@ -203,8 +229,8 @@ pub fn row(text: &mut String, name: &str, value: &str) {
 
 fn sampled(report: &SamplingReport, each: &str) -> String {
     let mut text = String::new();
-    row(&mut text, "scene", &format!("{}: {} triangles", report.scene, report.triangles));
-    let mut method = format!("{}, {} samples {each}", report.method, report.samples);
+    row(&mut text, "scene", &format!("{}: {}", report.scene, count(report.triangles, "triangle")));
+    let mut method = format!("{}, {} {each}", report.method, count(report.samples as usize, "sample"));
     if let Some(patches) = report.patches {
         let _ = write!(method, ", {patches} patches");
     }
@@ -229,7 +255,19 @@ fn finish(mut text: String, report: &SamplingReport, written: &str) -> String {
 
 /// A figure by its order of magnitude.
 pub fn small(x: Option<f64>) -> String {
-    x.map_or("unknown".into(), |x| format!("{x:.1e}"))
+    // Zero has no sign.
+    x.map_or("unknown".into(), |x| format!("{:.1e}", x + 0.0))
+}
+
+/// Rounded to so many decimals, so that what is shown as zero has no sign.
+pub fn rounded(x: f64, decimals: i32) -> f64 {
+    let unit = 10f64.powi(decimals);
+    (x * unit).round() / unit + 0.0
+}
+
+/// So many of these.
+pub fn count(n: usize, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
 
 /// A number of bytes for people.
@@ -251,5 +289,13 @@ mod tests {
         assert_eq!(super::memory(1000.0), "1000 bytes");
         assert_eq!(super::memory(1536.0), "1.5 KiB");
         assert_eq!(super::memory(3.0 * 1024f64.powi(3)), "3.0 GiB");
+    }
+
+    #[test]
+    fn zero_has_no_sign_and_one_no_plural() {
+        let shown = |x| format!("{:+.2}", super::rounded(x, 2));
+        assert_eq!([shown(-0.001), shown(-0.0), shown(-0.006)], ["+0.00", "+0.00", "-0.01"]);
+        assert_eq!(super::small(Some(-0.0)), "0.0e0");
+        assert_eq!([0, 1, 2].map(|n| super::count(n, "page")), ["0 pages", "1 page", "2 pages"]);
     }
 }

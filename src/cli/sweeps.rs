@@ -23,7 +23,7 @@ use super::{
 
 impl Sampling<'_> {
     /// Whether the matrix of this work may be held and is wanted; `false` where it is done without. Refuses what can be done
-    /// neither way, and what nobody set a limit to: sweeps go on for as long as it takes, however much is asked for.
+    /// neither way, and what fits only without a matrix where an option wants one.
     pub fn holds_matrix(&self, work: &Work) -> Result<bool> {
         let (limit, args) = (self.args.common.limit(), self.args);
         let without = self.bytes_without_matrix();
@@ -38,18 +38,16 @@ impl Sampling<'_> {
             Err(refusal) => refusal,
         };
         let bytes = without(work.patches, work.rays);
-        let option = args.needs_matrix();
-        if limit.is_given() && option.is_none() {
+        let Some(option) = args.needs_matrix() else {
             limit.check(&swept).map_err(even_without)?;
             let bytes = summary::memory(bytes);
             self.watch.warn(&format!("{refusal}: solving without a matrix, which takes about {bytes}"));
             return Ok(false);
-        }
+        };
         if !limit.allows(bytes) {
             return Err(refusal);
         }
-        let instead = option.filter(|&option| option != "--solver");
-        let left_out = instead.map_or(String::new(), |option| format!(", without {option}"));
+        let left_out = if option == "--solver" { String::new() } else { format!(", without {option}") };
         let also = format!("--solver {}{left_out}: {}", stochastic_jacobi::NAME, forecast::exact(bytes));
         let hint = refusal.hint().map_or(also.clone(), |hint| format!("{hint}; or {also}"));
         Err(refusal.with_hint(hint))

@@ -2,23 +2,29 @@
 
 use std::{
     fmt::Write,
-    fs,
     path::{Path, PathBuf},
 };
 
 use clap::Args;
 use radiosity::{
-    Error, Result,
+    Result,
     accuracy::tradeoff::{Extent, Series, Tradeoff, TradeoffOptions},
     form_factor::Estimator,
-    output::{file::OutputFile, report::Seconds, tradeoff_plot, tradeoff_report::TradeoffReport},
+    output::{
+        file::{OutputFile, Pending},
+        report::Seconds,
+        tradeoff_plot,
+        tradeoff_report::{CSV_NAMES, TradeoffReport},
+    },
     patch::{Patches, Subdivision},
+    solve::Solver,
 };
 
 use super::{
     Common, Outcome,
     forecast::{self, Work},
     options::SceneArgs,
+    outputs::{self, Directory},
     pipeline, to_stdout,
     watch::Watch,
 };
@@ -28,13 +34,16 @@ use super::{
 #[command(after_help = "Example:\n  radiosity tradeoff room.obj -o tradeoff\n\n\
     Writes tradeoff.json, tradeoff.csv and tradeoff.svg into the directory. Every point is compared with two reference\n\
     solutions of finer patches and more rays; errors below what is known of these are marked. Takes some ten seconds and\n\
-    grows in proportion to --most-rays.")]
+    grows in proportion to --most-rays. An existing file that no earlier tradeoff wrote is never replaced.")]
 pub struct TradeoffArgs {
     #[command(flatten)]
     scene: SceneArgs,
     /// Write into this directory, which is made where there is none
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    /// Write the JSON here too
+    #[arg(long, value_name = "R.json")]
+    report: Option<PathBuf>,
     /// About how many patches the coarsest solutions have; errors are of the mean irradiance of these
     #[arg(long, value_name = "N", default_value_t = TradeoffOptions::default().patches as u32,
         value_parser = clap::value_parser!(u32).range(1..))]
@@ -50,18 +59,28 @@ pub struct TradeoffArgs {
     common: Common,
 }
 
-const NAMES: [&str; 3] = ["tradeoff.json", "tradeoff.csv", "tradeoff.svg"];
+const JSON: &str = "tradeoff.json";
+/// First, as it tells a later run that the files are its own kind's.
+const CSV: &str = "tradeoff.csv";
+const SVG: &str = "tradeoff.svg";
 
 /// Runs the command.
 pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
-    let directory = Directory::new(&args.output, &args.scene.path)?;
+    let directory = Directory::new(&args.output, "tradeoff", (CSV, CSV_NAMES))?;
+    let file = |name: &str| directory.file(name, &[&args.scene.path]);
+    let (csv, json, svg) = (file(CSV)?, file(JSON)?, file(SVG)?);
+    // The one in the output directory is written anyway.
+    let elsewhere = args.report.as_ref().filter(|path| **path != args.output.join(JSON));
+    let report_file = elsewhere.map(|path| outputs::report(path, &args.scene.path)).transpose()?;
+    let all: Vec<&OutputFile> = [&csv, &json, &svg].into_iter().chain(&report_file).collect();
+    outputs::check_distinct(&all)?;
     args.common.start_threads()?;
     let watch = Watch::new(args.common.quiet);
-    let (scene, tracer) = pipeline::load(&args.scene, &directory.outputs(), &watch, &mut Seconds::default())?;
+    let (scene, tracer) = pipeline::load(&args.scene, &all, &watch, &mut Seconds::default())?;
     let options =
         TradeoffOptions { patches: args.patches as usize, rays: args.most_rays as f64, seed: args.seed };
     // What could not be cut is told before it is.
-    let bytes = forecast::bytes(&scene, Estimator::Pooled);
+    let bytes = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let work = |patches: f64, rays: f64| Work {
         scene: &scene,
         patches,
@@ -87,83 +106,27 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     let report = TradeoffReport::new(&file, &scene, options.seed, threads, &tradeoff);
     let plot = tradeoff_plot::svg(&file, &tradeoff);
     watch.begin_writing();
-    directory.write(|name, out| match name {
-        "tradeoff.json" => report.write_json(out),
-        "tradeoff.csv" => report.write_csv(out),
-        _ => out.write_all(plot.as_bytes()),
-    })?;
+    let mut pending = vec![csv.write(|out| report.write_csv(out))?];
+    for file in std::iter::once(json).chain(report_file) {
+        pending.push(file.write(|out| report.write_json(out))?);
+    }
+    pending.push(svg.write(|out| out.write_all(plot.as_bytes()))?);
+    watch.progress().check()?;
+    Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&table(&tradeoff, &args.output));
+        to_stdout(&table(&tradeoff, &args.output, args.report.as_deref()))?;
     }
     Ok(Outcome::Done)
 }
 
-/// Where the files go: checked before the work, made after it.
-struct Directory<'a> {
-    path: &'a Path,
-    /// The files; where there is no directory yet, a file that takes its place and only shows that it could be made.
-    files: Vec<OutputFile>,
-    is_there: bool,
-}
-
-impl<'a> Directory<'a> {
-    fn new(path: &'a Path, scene: &Path) -> Result<Self> {
-        let is_there = path.exists();
-        if is_there && !path.is_dir() {
-            return Err(Error::Usage {
-                message: format!("{}: not a directory", path.display()),
-                hint: Some("give -o the name of a directory; it is made where there is none".into()),
-            });
-        }
-        let files = match is_there {
-            true => Self::files(path, &[scene])?,
-            false => vec![OutputFile::new(path, &[scene])?],
-        };
-        Ok(Directory { path, files, is_there })
-    }
-
-    fn files(path: &Path, inputs: &[&Path]) -> Result<Vec<OutputFile>> {
-        NAMES.iter().map(|name| OutputFile::new(&path.join(name), inputs)).collect()
-    }
-
-    fn outputs(&self) -> Vec<&OutputFile> {
-        self.files.iter().collect()
-    }
-
-    /// Writes all files, or none.
-    fn write(self, contents: impl Fn(&str, &mut dyn std::io::Write) -> std::io::Result<()>) -> Result<()> {
-        let Directory { path, mut files, is_there } = self;
-        if !is_there {
-            fs::create_dir(path).map_err(|e| Error::io(path, e))?;
-        }
-        let mut write = || -> Result<()> {
-            if !is_there {
-                files = Self::files(path, &[])?;
-            }
-            let pending: Vec<_> = files
-                .drain(..)
-                .zip(NAMES)
-                .map(|(file, name)| file.write(|out| contents(name, out)))
-                .collect::<Result<_>>()?;
-            pending.into_iter().try_for_each(|file| file.commit())
-        };
-        let written = write();
-        if written.is_err() && !is_there {
-            // It stays where a file could be put into it: then there is something to look at.
-            let _ = fs::remove_dir(path);
-        }
-        written
-    }
-}
-
-fn table(tradeoff: &Tradeoff, directory: &Path) -> String {
+fn table(tradeoff: &Tradeoff, directory: &Path, report: Option<&Path>) -> String {
     let mut text = String::new();
     let reference = &tradeoff.reference;
     let _ = writeln!(
         text,
         "errors: RMS of the irradiance of {} patches, relative to its mean\n\
-         reference: {} patches, {:.0} rays each, twice; its own error {:.2} %; errors below are in brackets\n\n\
+         reference: {} patches, {:.0} rays each, twice; its own error {:.2} %; errors below that are in brackets\n\n\
          {:<36} {:>8} {:>7} {:>9} {:>10} {:>9} {:>9}",
         tradeoff.common_patches,
         reference.patches,
@@ -202,6 +165,7 @@ fn table(tradeoff: &Tradeoff, directory: &Path) -> String {
     for sentence in &tradeoff.left_out {
         let _ = writeln!(text, "left out: {sentence}");
     }
-    let _ = writeln!(text, "\nwritten to {}: {}", directory.display(), NAMES.join(", "));
+    let also = report.map_or(String::new(), |path| format!("; {}", path.display()));
+    let _ = writeln!(text, "\nwritten to {}: {JSON}, {CSV}, {SVG}{also}", directory.display());
     text
 }

@@ -9,6 +9,7 @@ use radiosity::{
     form_factor::Estimator,
     output::{report::Seconds, validation_report::ValidationReport},
     patch::Patches,
+    solve::Solver,
 };
 
 use super::{
@@ -69,7 +70,7 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         ..defaults
     };
     // It solves with edges half as long, too, and compares.
-    let one = forecast::bytes(&scene, Estimator::Pooled);
+    let one = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let bytes = |patches: f64, rays: f64| one(patches, rays) + one(4.0 * patches, rays);
     let work = Work {
         scene: &scene,
@@ -92,13 +93,15 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
     }
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&table(&report));
+        to_stdout(&table(&report))?;
     }
     Ok(match report.objections.len() {
         0 => Outcome::Done,
         n => Outcome::CheckFailed(format!(
-            "{}: {n} checks failed; the first: {}",
-            report.scene, report.objections[0]
+            "{}: {} failed; the first: {}",
+            report.scene,
+            summary::count(n, "check"),
+            report.objections[0]
         )),
     })
 }
@@ -113,8 +116,8 @@ fn table(report: &ValidationReport) -> String {
     line(
         "energy imbalance",
         format!(
-            "{:.1e} (solver {}, reciprocity {})",
-            energy.imbalance,
+            "{} (solver {}, reciprocity {})",
+            summary::small(Some(energy.imbalance)),
             summary::small(energy.solver_part),
             summary::small(energy.reciprocity_part)
         ),
@@ -138,9 +141,9 @@ fn table(report: &ValidationReport) -> String {
             format!(
                 "RMS {:.2} %, mean {:+.2} % (z {:+.1}); z-scores: mean {:+.2}, spread {:.2}, {:.1} % beyond 2, {:.1} % beyond 3",
                 100.0 * c.rms_relative,
-                100.0 * c.mean_relative,
-                c.mean_z,
-                c.z_mean,
+                summary::rounded(100.0 * c.mean_relative, 2),
+                summary::rounded(c.mean_z, 1),
+                summary::rounded(c.z_mean, 2),
                 c.z_spread,
                 100.0 * c.beyond_2,
                 100.0 * c.beyond_3

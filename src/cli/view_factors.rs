@@ -36,7 +36,7 @@ use super::{Common, Outcome, options, outputs, summary, to_stdout, watch::Watch}
     face escapes too. Errors told are of sampling alone, of what is hidden, before rows are made to sum to 1. What two\n\
     surfaces would exchange with nothing between them is computed, to 1e-3 of itself or a tenth of --error, whichever is\n\
     less. Reads into Python with numpy.loadtxt(\"view-factors.csv\", delimiter=\",\", skiprows=1)[:, 3:],\n\
-    or pandas.read_csv(\"view-factors.csv\", index_col=0) where surfaces have names."
+    or pandas.read_csv(\"view-factors.csv\", index_col=0) where surfaces have names, as with --by or --side both."
 )]
 pub struct ViewFactorsArgs {
     /// The scene: Wavefront .obj, or .ply
@@ -186,7 +186,7 @@ pub fn run(args: &ViewFactorsArgs) -> Result<Outcome> {
     Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&table(&report, &outputs::names(&[&args.output, &args.pairs, &args.report])));
+        to_stdout(&table(&report, &outputs::names(&[&args.output, &args.pairs, &args.report])))?;
     }
     Ok(if report.error.rms <= args.error {
         Outcome::Done
@@ -328,12 +328,10 @@ fn table(report: &ViewFactorsReport, written: &str) -> String {
     let mut text = String::new();
     let mut row = |name: &str, value: String| summary::row(&mut text, name, &value);
     let ViewFactorsReport { look, error, seconds, options, .. } = report;
-    row("scene", format!("{}: {} triangles", report.scene, report.triangles));
+    row("scene", format!("{}: {}", report.scene, summary::count(report.triangles, "triangle")));
     let n = report.surfaces.len();
-    row(
-        "surfaces",
-        format!("{n} by {} ({} side), of {} polygons", options.by, options.side, report.polygons),
-    );
+    let of = summary::count(report.polygons, "polygon");
+    row("surfaces", format!("{n} by {} ({} side), of {of}", options.by, options.side));
     let (is, lost) = (if report.enclosed { "yes" } else { "no" }, [look.escaped, look.backs]);
     row("enclosed", format!("{is}: of {} rays {} met nothing, {} met backs", look.rays, lost[0], lost[1]));
     row("rays", format!("{}, {} view factors that are not zero", report.rays, report.non_zeros));

@@ -30,6 +30,9 @@ pub struct Lens {
     height: usize,
 }
 
+/// Pixels of a picture.
+const MOST_PIXELS: usize = 1 << 28;
+
 fn usage(message: impl Into<String>, hint: &str) -> Error {
     Error::Usage { message: message.into(), hint: Some(hint.into()) }
 }
@@ -53,10 +56,10 @@ impl Camera {
                 "give --width and --height of at least 1",
             ));
         }
-        if width.checked_mul(height).is_none_or(|n| n > 1 << 28) {
+        if width.checked_mul(height).is_none_or(|n| n > MOST_PIXELS) {
             return Err(usage(
                 format!("a picture of {width} x {height} pixels is too large"),
-                "give fewer pixels",
+                &format!("give at most {MOST_PIXELS} pixels by --width and --height"),
             ));
         }
         if ![eye, look_at, up].iter().all(|v| v.is_finite()) {
@@ -152,10 +155,7 @@ impl Camera {
             }
         }
         if met == 0 {
-            return Err(usage(
-                "the camera sees nothing of the scene",
-                "give --eye and --look-at, or leave both out to frame the scene",
-            ));
+            return Err(usage("the camera sees nothing of the scene", "give another --eye and --look-at"));
         }
         let warning = if 10 * near > 9 * met {
             Some("the camera touches a surface")

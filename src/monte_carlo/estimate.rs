@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::Samples;
+use super::{Samples, samples::take};
 use crate::{Progress, Result, trace::sampling::mix};
 
 /// A Monte Carlo estimate, R G B.
@@ -105,15 +105,14 @@ impl Effort {
         let each = self.samples.div_ceil(self.replicates).max(1);
         progress.begin(count as u64 * replicates as u64 * each as u64);
         let one = |task: usize| {
-            progress.check()?;
             let (i, replicate) = (task / replicates, task % replicates);
             let seed = mix(&[self.seed, i as u64, replicate as u64]);
             let mut sum = [0.0; 3];
-            for s in 0..each {
+            take(each, progress, |s| {
                 let value = sample(i, &mut Samples::new(s, seed));
                 (0..3).for_each(|c| sum[c] += value[c]);
-            }
-            progress.advance(each as u64);
+                Ok(())
+            })?;
             Ok(sum.map(|x| x / each as f64))
         };
         let means: Vec<[f64; 3]> = (0..count * replicates).into_par_iter().map(one).collect::<Result<_>>()?;

@@ -6,7 +6,7 @@ use glam::Vec3A;
 use image::{DynamicImage, ImageFormat, Rgb32FImage, RgbImage};
 use rayon::prelude::*;
 
-use super::{Camera, Lens, PathTracer, Samples};
+use super::{Camera, Lens, PathTracer, Samples, samples::take};
 use crate::{
     Progress, Result,
     tone::{Exposure, luminance},
@@ -122,19 +122,18 @@ impl Film {
         const STRETCH: usize = 32;
         pixels.par_chunks_mut(STRETCH).enumerate().try_for_each(|(chunk, stretch)| {
             for (k, pixel) in stretch.iter_mut().enumerate() {
-                progress.check()?;
                 let i = chunk * STRETCH + k;
                 let seed = mix(&[options.seed, i as u64]);
                 let mut sum = [0.0; 3];
-                for s in 0..samples {
+                take(samples, progress, |s| {
                     let mut numbers = Samples::new(s, seed);
                     let [x, y] = numbers.square().map(f64::from);
                     let direction = lens.direction((i % width) as f64 + x, (i / width) as f64 + y);
                     let radiance = radiance(direction, &mut numbers);
                     (0..3).for_each(|c| sum[c] += radiance[c]);
-                }
+                    Ok(())
+                })?;
                 *pixel = sum.map(|x| (x / samples as f64) as f32);
-                progress.advance(samples as u64);
             }
             Ok(())
         })?;

@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
-use super::{Camera, Emitters, Estimate, Film, Lens, Samples, estimate::Running};
+use super::{Camera, Emitters, Estimate, Film, Lens, Samples, estimate::Running, samples::take};
 use crate::{
     Error, Progress, Result,
     scene::Scene,
@@ -23,9 +23,6 @@ use crate::{
 
 /// A particle that has hit this often will never end: reflectance 0.9999 would have stopped all but one in e¹⁰⁰.
 const ENDLESS: u32 = 1_000_000;
-
-/// Particles a thread follows between two looks at the progress.
-const CHUNK: u32 = 4096;
 
 /// How particles are followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -205,20 +202,15 @@ impl<'a> LightTracer<'a> {
     ) -> Result<Batch> {
         let seed = mix(&[self.options.seed, batch as u64]);
         let mut sums = Batch { counters: vec![[0.0; 3]; counters], books: [[0.0; 3]; 3] };
-        for start in (0..each).step_by(CHUNK as usize) {
-            progress.check()?;
-            let end = each.min(start.saturating_add(CHUNK));
-            for i in start..end {
-                let mut samples = Samples::new(i, seed);
-                let counters = &mut sums.counters[..];
-                let books =
-                    self.follow(&mut samples, 1.0 / each as f64, &mut |event| count(counters, event))?;
-                add(&mut sums.books[0], books.emitted.into());
-                add(&mut sums.books[1], books.absorbed.into());
-                add(&mut sums.books[2], books.escaped.into());
-            }
-            progress.advance((end - start) as u64);
-        }
+        take(each, progress, |i| {
+            let mut samples = Samples::new(i, seed);
+            let counters = &mut sums.counters[..];
+            let books = self.follow(&mut samples, 1.0 / each as f64, &mut |event| count(counters, event))?;
+            add(&mut sums.books[0], books.emitted.into());
+            add(&mut sums.books[1], books.absorbed.into());
+            add(&mut sums.books[2], books.escaped.into());
+            Ok(())
+        })?;
         Ok(sums)
     }
 

@@ -2,7 +2,25 @@
 
 use rand_pcg::{Pcg32, rand_core::Rng};
 
-use crate::trace::sampling::{mix, sobol_4d};
+use crate::{
+    Progress, Result,
+    trace::sampling::{mix, sobol_4d},
+};
+
+/// Samples between two looks at the progress.
+const STRETCH: u32 = 1024;
+
+/// Takes so many samples in order and counts them, for as long as nobody wants to stop.
+#[inline]
+pub(super) fn take(count: u32, progress: &Progress, mut sample: impl FnMut(u32) -> Result<()>) -> Result<()> {
+    for start in (0..count).step_by(STRETCH as usize) {
+        progress.check()?;
+        let end = count.min(start.saturating_add(STRETCH));
+        (start..end).try_for_each(&mut sample)?;
+        progress.advance(u64::from(end - start));
+    }
+    Ok(())
+}
 
 /// Groups of four dimensions that come from Sobol sequences. A path's first decisions (pixel or place, first
 /// direction, point on a lamp, second direction) carry most of the variance; later ones gain nothing measurable.
@@ -74,6 +92,30 @@ impl Samples {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Error;
+
+    #[test]
+    fn a_stop_is_obeyed_amid_many_samples() {
+        let progress = Progress::new();
+        let mut last = 0;
+        let taken = take(u32::MAX, &progress, |s| {
+            last = s;
+            if s == 5000 {
+                progress.stop();
+            }
+            Ok(())
+        });
+        assert!(matches!(taken, Err(Error::Stopped)));
+        assert!((5000..5000 + STRETCH).contains(&last) && progress.done() > 5000, "{last}");
+
+        let (progress, mut taken) = (Progress::new(), Vec::new());
+        let push = |s| {
+            taken.push(s);
+            Ok(())
+        };
+        take(2500, &progress, push).unwrap();
+        assert!(taken.into_iter().eq(0..2500) && progress.done() == 2500);
+    }
 
     /// Counts 2¹² points of two coordinates in 16 × 16 cells: 16 are expected in each.
     fn largest_deviation(pick: impl Fn(&mut Samples) -> [f64; 2]) -> f64 {

@@ -46,7 +46,7 @@ impl OutputFile {
     /// Checks that `path` can be written and is none of `inputs`. Leaves what is there untouched.
     ///
     /// # Errors
-    /// [`Error::Usage`] when it is an input, [`Error::Io`] when it cannot be written.
+    /// [`Error::Usage`] when it is an input or its directory is missing, [`Error::Io`] when it cannot be written.
     pub fn new(path: &Path, inputs: &[&Path]) -> Result<OutputFile> {
         let failed = |e| Error::io(path, e);
         let target = match fs::metadata(path) {
@@ -136,7 +136,16 @@ impl OutputFile {
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         // tempfile's own error would name the temporary file, and hides the operating system's.
         let bare = |e: io::Error| io::Error::from(e.kind());
-        fs::metadata(directory(target)).map_err(failed)?;
+        if let Err(e) = fs::metadata(directory(target)) {
+            let what = failed(e);
+            return Err(match &what {
+                Error::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => Error::Usage {
+                    message: what.to_string(),
+                    hint: Some(format!("make the directory {} first", directory(target).display())),
+                },
+                _ => what,
+            });
+        }
         let file = loop {
             let file = builder.tempfile_in(directory(target)).map_err(|e| failed(bare(e)))?;
             // Locked until it has its name, so that nobody takes it for abandoned; who did so before is noticed.

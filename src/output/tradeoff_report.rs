@@ -9,6 +9,10 @@ use crate::{
     scene::Scene,
 };
 
+/// The first line of the CSV.
+pub const CSV_NAMES: &str = "series,name,patches,rays,solver,tolerance,iterations,error,believed,estimated_error,\
+    estimated_sampling,estimated_discretisation,seconds,seconds_casting,seconds_solving,seconds_error_bars,runs,bytes";
+
 /// What `radiosity tradeoff` writes. Errors are RMS by area over the common patches, relative to the mean irradiance.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TradeoffReport {
@@ -125,11 +129,7 @@ impl TradeoffReport {
     /// # Errors
     /// What `out` says.
     pub fn write_csv(&self, out: &mut dyn Write) -> io::Result<()> {
-        writeln!(
-            out,
-            "series,name,patches,rays,solver,tolerance,iterations,error,believed,estimated_error,estimated_sampling,\
-             estimated_discretisation,seconds,seconds_casting,seconds_solving,seconds_error_bars,runs,bytes"
-        )?;
+        writeln!(out, "{CSV_NAMES}")?;
         let maybe = |x: Option<f64>| x.map_or(String::new(), |x| x.to_string());
         for p in &self.points {
             writeln!(

@@ -110,6 +110,19 @@ impl Patches {
         Patches { restricted: true, ..Self::of_trees(scene, Forest::of_leaves(&cells), self.edge) }
     }
 
+    /// Cuts every front patch in four, but for those at the last level. Backs are no unknowns yet.
+    ///
+    /// # Panics
+    /// When the patches would outnumber 2³¹.
+    pub fn quartered(&self, scene: &Scene) -> Patches {
+        let cells: Vec<Cell> = (0..self.fronts).map(|i| self.cell(i)).collect();
+        let cells = restricted::split(cells, &vec![true; self.fronts]);
+        assert!(cells.len() < 1 << 31, "{} patches are more than the program can number", cells.len());
+        let trees = Forest::of_leaves(&cells);
+        // Where all are cut alike neighbours differ as they did.
+        Patches { restricted: self.restricted, ..Self::of_trees(scene, trees, 0.5 * self.edge) }
+    }
+
     /// How many patches a subdivision gives, without making them.
     pub fn forecast(scene: &Scene, subdivision: &Subdivision) -> f64 {
         let longest: Vec<f64> = (0..scene.triangles.len()).map(|t| longest_edge(scene, t)).collect();

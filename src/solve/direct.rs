@@ -19,12 +19,12 @@ pub(super) fn solve<const C: usize>(system: &System<C>) -> Result<Iterate<C>> {
     }
     let (rows, (left, right)) = (system.form_factors.rows(), system.form_factors.scaling());
     let mut radiosity = vec![[0.0; C]; n];
+    let drained = system.drained();
     for c in 0..C {
         let mut matrix = DMatrix::<f64>::identity(n, n);
-        let drained = system.drained(c);
         // Where light would be caught none enters, or there were no equilibrium: those rows, singular together, say
         // B = 0 instead.
-        for i in (0..n).filter(|&i| drained[i]) {
+        for i in (0..n).filter(|&i| drained[i][c]) {
             let (columns, values) = row(&rows, i);
             for (&j, &s) in columns.iter().zip(values) {
                 let form_factor = left[i] * f64::from(s) * right[j as usize];

@@ -14,7 +14,7 @@ pub mod stochastic_jacobi;
 
 use crate::{
     Error, Progress, Result,
-    form_factor::{Estimator, FormFactors, row, together},
+    form_factor::{Estimator, FormFactors, together},
     patch::Patches,
 };
 use stochastic_jacobi::StochasticSolution;
@@ -330,36 +330,34 @@ impl<'a, const C: usize> System<'a, C> {
     /// Refuses a scene in which light is caught: an emitter from which no path of light leads to anything that absorbs
     /// or to the outside.
     fn check_equilibrium(&self) -> Result<()> {
-        for c in 0..C {
-            let drained = self.drained(c);
-            if drained.iter().zip(self.emission).any(|(drained, emission)| !drained && emission[c] > 0.0) {
-                return Err(Error::NoEquilibrium);
-            }
+        let is_caught =
+            |(drained, emission): (&[bool; C], &[f64; C])| (0..C).any(|c| !drained[c] && emission[c] > 0.0);
+        if self.drained().iter().zip(self.emission).any(is_caught) {
+            return Err(Error::NoEquilibrium);
         }
         Ok(())
     }
 
-    /// Whether a path of light leads from each patch to anything that absorbs or to the outside.
-    pub(crate) fn drained(&self, c: usize) -> Vec<bool> {
-        let n = self.form_factors.len();
-        let loses = |i: usize| self.reflectance[i][c] < 1.0 || self.form_factors.escaped()[i] > 0.0;
-        let mut drained: Vec<bool> = (0..n).map(loses).collect();
-        // From the losing patches backwards along the light. Hits need not be mutual in one-way form factors, so
-        // sweep until nothing changes instead of walking a transposed graph.
-        let mut changed = !drained.iter().all(|&d| d);
-        if !changed {
-            return drained;
-        }
-        let rows = self.form_factors.rows();
+    /// Whether a path of light leads from each patch to anything that absorbs or to the outside, in each channel.
+    pub(crate) fn drained(&self) -> Vec<[bool; C]> {
+        let loses = |(reflectance, &escaped): (&[f64; C], &f64)| {
+            reflectance.map(|rho| if rho < 1.0 || escaped > 0.0 { 1.0 } else { 0.0 })
+        };
+        let mut drained: Vec<[f64; C]> =
+            self.reflectance.iter().zip(self.form_factors.escaped()).map(loses).collect();
+        // From the losing patches backwards along the light, a bounce each time: a product needs no rows of the matrix, and
+        // is right for hits that are not mutual too.
+        let mut changed = drained.as_flattened().contains(&0.0);
         while changed {
             changed = false;
-            for i in (0..n).chain((0..n).rev()) {
-                if !drained[i] && row(&rows, i).0.iter().any(|&j| drained[j as usize]) {
-                    drained[i] = true;
+            let reaches = self.irradiance(&drained);
+            for (drained, &reaches) in drained.as_flattened_mut().iter_mut().zip(reaches.as_flattened()) {
+                if *drained == 0.0 && reaches > 0.0 {
+                    *drained = 1.0;
                     changed = true;
                 }
             }
         }
-        drained
+        drained.into_iter().map(|drained| drained.map(|drained| drained > 0.0)).collect()
     }
 }
