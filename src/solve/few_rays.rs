@@ -28,8 +28,8 @@ type Light<const C: usize> = Vec<[f64; C]>;
 
 /// What few rays of every patch met.
 pub(super) struct FewRays {
-    /// Of each ray, what it met when it came from each patch.
-    met: Vec<Vec<u32>>,
+    /// What those of each patch met.
+    met: Vec<[u32; RAYS as usize]>,
     /// How many there were.
     pub(super) tally: Tally,
 }
@@ -55,10 +55,10 @@ impl FewRays {
         let met = |came: &Arrived<C>| {
             if came.escaped > 0.0 { NOTHING } else { (came.met[0] / unit).round() as u32 }
         };
-        let mut rays = FewRays { met: Vec::new(), tally: Tally::default() };
-        for ray in first..first + RAYS {
-            let (came, tally) = sweeper.sweep(&numbers, ray..ray + 1, 0..0, progress)?;
-            rays.met.push(came.par_iter().with_min_len(SHORT).map(met).collect());
+        let mut rays = FewRays { met: vec![[0; _]; numbers.len()], tally: Tally::default() };
+        for ray in 0..RAYS {
+            let (came, tally) = sweeper.sweep(&numbers, first + ray..first + ray + 1, 0..0, progress)?;
+            rays.met.iter_mut().zip(&came).for_each(|(all, came)| all[ray as usize] = met(came));
             rays.tally.add(tally);
             progress.advance(came.len() as u64);
         }
@@ -67,17 +67,17 @@ impl FewRays {
 
     /// Share of the rays of patch `i` that met nothing.
     pub(super) fn escaping(&self, i: usize) -> f64 {
-        self.met.iter().filter(|met| met[i] == NOTHING).count() as f64 / f64::from(RAYS)
+        self.met[i].iter().filter(|met| **met == NOTHING).count() as f64 / f64::from(RAYS)
     }
 
     /// What arrives at each patch of what all send.
     pub(super) fn gather<const C: usize>(&self, sent: &[[f64; C]]) -> Light<C> {
-        let gathered = |i: usize| {
-            let met = self.met.iter().map(|met| met[i]).filter(|&j| j != NOTHING);
-            let sum: SVector<f64, C> = met.map(|j| SVector::from(sent[j as usize])).sum();
+        let gathered = |met: &[u32; _]| {
+            let patches = met.iter().filter(|j| **j != NOTHING);
+            let sum: SVector<f64, C> = patches.map(|&j| SVector::from(sent[j as usize])).sum();
             (sum / f64::from(RAYS)).into()
         };
-        (0..sent.len()).into_par_iter().with_min_len(64).map(gathered).collect()
+        self.met.par_iter().with_min_len(64).map(gathered).collect()
     }
 
     /// The irradiance e = first + F (ρ e), or None where the iterations do not get there.
@@ -96,7 +96,8 @@ impl FewRays {
         let first: Light<C> = first.iter().map(|e| e.map(|e| e / unit)).collect();
         let mut shadow = dot(&first, &first);
         let wanted = shadow * TOLERANCE.powi(2);
-        let (mut light, mut residual, mut along) = (vec![[0.0; C]; first.len()], first.clone(), first.clone());
+        let (mut light, mut residual, mut along) =
+            (vec![[0.0; C]; first.len()], first.clone(), first.clone());
         for _ in 0..MOST {
             progress.check()?;
             let left = dot(&residual, &residual);

@@ -2,10 +2,12 @@
 //! matrix is ever held (Neumann and Neumann, "Stochastic iteration", 1999, and Bekaert, *Hierarchical and Stochastic Algorithms for
 //! Radiosity*, 1999). Memory is in proportion to the patches, whatever the number of rays.
 //!
-//! One sweep is a noisy product: E = F_s B, B ← Be + ρ E. Since the product is linear in B and the rays of a sweep are
-//! independent of the light they meet, the mean of the sweeps has no error but noise, once the first bounces are over. What
-//! a sweep brings is averaged in 16 batches. Their spread tells the standard error, with how they depend on each other read off
-//! runs of batches of all patches together.
+//! One sweep is a noisy product: E = F_s B, B ← Be + ρ E. It is linear in B, and its rays are independent of the light they meet:
+//! the mean of the sweeps is off by noise and by what they started from, which decays as slowly as light moves, over hundreds of
+//! sweeps in a long bright corridor. So they start from the light as few rays tell it at equilibrium (`few_rays`), off by noise
+//! alone. What sweeps bring is averaged in 16 batches. Their spread tells the standard error, with how they depend on each other
+//! read off runs of batches of all patches together; what drifts from the first half to the last counts as error. Noise that
+//! lasts for longer than all sweeps together does not show.
 
 use std::ops::Range;
 
@@ -47,14 +49,14 @@ pub const NAME: &str = "stochastic-jacobi";
 /// How to sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StochasticOptions {
-    /// Mean number of rays a patch, the first sweeps not counted.
+    /// Mean number of rays a patch, those before the first sweep not counted.
     pub rays: f64,
 }
 
 /// How far the sweeps have come.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reached {
-    /// Rays a patch, the first sweeps not counted.
+    /// Rays a patch, those before the first sweep not counted.
     pub rays: f64,
     /// Area-weighted root mean square of the standard error of irradiance, relative to its mean.
     pub error: f64,
@@ -73,9 +75,9 @@ pub struct StochasticSolution {
     pub irradiance: Vec<f64>,
     /// Standard error of the irradiance, W/m²; rather too large.
     pub standard_error: Vec<f64>,
-    /// Sweeps, the first ones counted.
+    /// Sweeps.
     pub sweeps: u32,
-    /// Their rays.
+    /// Their rays, and those before them.
     pub tally: Tally,
     /// Rays a patch and error of those sweeps that count.
     pub reached: Reached,
@@ -253,12 +255,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
 
     /// Casts a sweep whose hemisphere rays and shadow rays have these indices and those that follow, and lets the patches
     /// reflect what comes. Returns the power that escaped, times the number of hemisphere rays.
-    fn sweep(
-        &mut self,
-        first: [u32; 2],
-        rays: [u32; 2],
-        progress: &Progress,
-    ) -> Result<SVector<f64, C>> {
+    fn sweep(&mut self, first: [u32; 2], rays: [u32; 2], progress: &Progress) -> Result<SVector<f64, C>> {
         let [hemisphere, shadow] = [0, 1].map(|k| first[k]..first[k] + rays[k]);
         let (came, tally) = self.sweeper.sweep(&self.radiosity, hemisphere, shadow, progress)?;
         self.tally.add(tally);
@@ -288,8 +285,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
     fn start(&mut self, progress: &Progress) -> Result<()> {
         let (sweeper, n) = (self.sweeper, self.emission.len());
         if sweeper.has_lamps() {
-            let (came, tally) =
-                sweeper.sweep(self.emission, 0..0, FAR..FAR + FIRST_SHADOW, progress)?;
+            let (came, tally) = sweeper.sweep(self.emission, 0..0, FAR..FAR + FIRST_SHADOW, progress)?;
             self.tally.add(tally);
             self.whole = came;
         }
