@@ -39,8 +39,8 @@ fn by_matrix(scene: &Scene, patches: usize) -> (Patches, Vec<f64>) {
 /// so that single runs scatter by some per cent; three seeds together must hold 90 %.
 #[test]
 fn sweeps_agree_with_the_matrix_within_their_error_bars() {
-    for name in ["cornell-box", "door-ajar"] {
-        let scene = Scene::load(format!("meshes/{name}.obj")).unwrap();
+    for name in ["cornell-box", "door-ajar", "corridor"] {
+        let scene = if name == "corridor" { corridor() } else { common::load(name) };
         let (patches, truth) = by_matrix(&scene, 300);
         let (mut inside, mut all, mut squares, mut off, mut mean) = (0, 0, 0.0, 0.0, 0.0);
         for seed in 0..3 {
@@ -72,9 +72,17 @@ fn sweeps_agree_with_the_matrix_within_their_error_bars() {
     }
 }
 
-/// In a closed furnace every patch gets Be / (1 - ρ), here with ρ = 0.9: without the balance of the first 16 sweeps, each a
-/// bounce at most, 0.9¹⁶ = 19 % of it would still be missing after them. Patches none of whose first shadow rays found a lamp
-/// begin dark; what is uneven falls by 1 - ½ (1 - ρ λ) a sweep, and with any λ below one half to 10⁻² of itself.
+/// White walls between black ends, lit at one: light drifts along for tens of bounces, so that what the first sweeps do not bring
+/// to the dark end is missing in the mean of many, and more there than scatter tells.
+fn corridor() -> Scene {
+    let [left, right, floor, ceiling, lit, dark] =
+        common::room_faces(DVec3::ZERO, DVec3::new(1.0, 1.0, 12.0));
+    let walls = [left, right, floor, ceiling].concat();
+    common::scene(&[common::part(walls, 0.95, 0.0), common::part(lit, 0.0, 1.0), common::black(dark)])
+}
+
+/// In a closed furnace every patch gets Be / (1 - ρ), here with ρ = 0.9: the rows of few rays sum to 1, so that they tell it to 10⁻⁸
+/// over 1 - ρ, and every sweep keeps it. Without them 0.95⁶⁴ = 4 % of it would still be missing after 64 sweeps.
 #[test]
 fn a_furnace_is_as_bright_as_it_must_be() {
     let room = common::room(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
@@ -82,7 +90,7 @@ fn a_furnace_is_as_bright_as_it_must_be() {
     let (_, found) = by_sweeps(&scene, 200, 64.0, 1);
     let wanted = 1.0 / (1.0 - 0.9);
     for (e, error) in found.irradiance.iter().zip(&found.standard_error) {
-        assert!((e / wanted - 1.0).abs() < 1e-2, "{e} of {wanted} with error {error}");
+        assert!((e / wanted - 1.0).abs() < 1e-6, "{e} of {wanted} with error {error}");
     }
 }
 
@@ -114,9 +122,9 @@ fn sweeps_go_on_batch_by_batch() {
         assert!((pair[0].rays * (1.0 + pair[0].next) / pair[1].rays - 1.0).abs() < 1e-12);
     }
     assert_eq!(found.reached, *told.last().unwrap());
-    assert_eq!(found.sweeps, 16 + 48);
+    assert_eq!(found.sweeps, 48);
     let n = patches.len() as u64;
-    assert_eq!(found.tally.hemisphere, n * (16 * 4 + 48 * 3));
+    assert_eq!(found.tally.hemisphere, n * (32 + 48 * 3));
     // The error falls at least as that of independent rays does, but for the scatter of its own estimate: of 16 values 18 %.
     assert!(found.reached.error < told[0].error * 3f64.sqrt().recip() * 1.36, "{told:?}");
 }

@@ -140,24 +140,35 @@ impl<'a, const C: usize> Batches<'a, C> {
     /// The standard error of the mean of the batches over what it would be, were they independent.
     ///
     /// Batches are parts of one sequence and complement each other; but light that one overestimates is reflected in the
-    /// next.
+    /// next. Where light has not come to rest the halves are farther apart than shorter runs foretell: what is in excess is an
+    /// error too, in the mean of all as large as in half the difference if the light comes to rest within them.
     fn stratification(&self, scales: &Scales<C>) -> f64 {
         let sums = ordered_sum(self.areas.len(), |i| self.half_differences(i, scales));
         let levels = self.filled.ilog2() as usize;
         if !(0..=levels).all(|k| sums[if k < levels { k } else { LEVELS }] > 0.0) {
             return 1.0;
         }
-        let all = variance_of_all(&sums.as_slice()[..levels], self.filled, RATES);
-        (all / sums[LEVELS]).sqrt()
+        let of_run = |levels, batches| variance_of_all(&sums.as_slice()[..levels], batches, RATES);
+        let half = self.filled / 2;
+        // Of the longest runs, the halves or next to them, nothing is foretold.
+        let drift = match levels {
+            3.. => (sums[LEVELS + 1] - (of_run(levels - 1, half) - of_run(levels - 1, 2 * half))).max(0.0),
+            _ => 0.0,
+        };
+        ((of_run(levels, self.filled) + drift) / sums[LEVELS]).sqrt()
     }
 
-    /// Of patch `i`, times its area: the mean squares of half the differences of neighbouring runs of 1, 2, 4 and 8 batches, and
-    /// last the variance of the mean of all, were they independent.
-    fn half_differences(&self, i: usize, scales: &Scales<C>) -> SVector<f64, { LEVELS + 1 }> {
+    /// Of patch `i`, times its area: the mean squares of half the differences of neighbouring runs of 1, 2, 4 and 8 batches, the
+    /// variance of the mean of all, were they independent, and the square of half the difference of the first half and the last.
+    fn half_differences(&self, i: usize, scales: &Scales<C>) -> SVector<f64, { LEVELS + 2 }> {
         let mut sums = SVector::zeros();
+        let half = self.filled / 2;
         for mut runs in self.balanced(i, scales) {
             let [_, error] = mean_and_error(&runs[..self.filled]);
             sums[LEVELS] += self.areas[i] * error.powi(2);
+            let [first, last] =
+                [0, self.filled - half].map(|k| runs[k..k + half].iter().sum::<f64>() / half as f64);
+            sums[LEVELS + 1] += self.areas[i] * (0.5 * (last - first)).powi(2);
             let halves: [f64; LEVELS] = half_differences(&mut runs[..self.filled]);
             halves.iter().enumerate().for_each(|(level, half)| sums[level] += self.areas[i] * half);
         }

@@ -7,6 +7,7 @@
 mod batches;
 pub mod conjugate_gradient;
 pub mod direct;
+mod few_rays;
 pub mod gauss_seidel;
 pub mod jacobi;
 pub mod southwell;

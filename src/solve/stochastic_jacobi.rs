@@ -2,10 +2,12 @@
 //! matrix is ever held (Neumann and Neumann, "Stochastic iteration", 1999, and Bekaert, *Hierarchical and Stochastic Algorithms for
 //! Radiosity*, 1999). Memory is in proportion to the patches, whatever the number of rays.
 //!
-//! One sweep is a noisy product: E = F_s B, B ← Be + ρ E. Since the product is linear in B and the rays of a sweep are
-//! independent of the light they meet, the mean of the sweeps has no error but noise, once the first bounces are over. What
-//! a sweep brings is averaged in 16 batches. Their spread tells the standard error, with how they depend on each other read off
-//! runs of batches of all patches together.
+//! One sweep is a noisy product: E = F_s B, B ← Be + ρ E. It is linear in B, and its rays are independent of the light they meet:
+//! the mean of the sweeps is off by noise and by what they started from, which decays as slowly as light moves, over hundreds of
+//! sweeps in a long bright corridor. So they start from the light as few rays tell it at equilibrium (`few_rays`), off by noise
+//! alone. What sweeps bring is averaged in 16 batches. Their spread tells the standard error, with how they depend on each other
+//! read off runs of batches of all patches together; what drifts from the first half to the last counts as error. Noise that
+//! lasts for longer than all sweeps together does not show.
 
 use std::ops::Range;
 
@@ -15,6 +17,7 @@ use rayon::prelude::*;
 use super::{
     Radiometry,
     batches::{BATCHES, Batches, balancing},
+    few_rays::{FewRays, RAYS},
 };
 use crate::{
     Error, Progress, Result,
@@ -24,11 +27,9 @@ use crate::{
     },
 };
 
-/// Sweeps before any is counted,
-const FIRST_SWEEPS: u32 = 16;
-/// with so many hemisphere rays and shadow rays of each patch. They come from a far part of the sequences.
-const FIRST_RAYS: [u32; 2] = [4, 2];
-const FAR: u64 = (1 << 32) - (1 << 16);
+/// Shadow rays of each patch before the first sweep. They and the hemisphere rays before it come from a far part of the sequences.
+const FIRST_SHADOW: u32 = 32;
+const FAR: u32 = u32::MAX - ((1 << 16) - 1);
 /// Hemisphere rays that a sweep has at least, where there are enough.
 const LEAST_RAYS: f64 = 4.0;
 /// Share of all rays that are shadow rays.
@@ -48,14 +49,14 @@ pub const NAME: &str = "stochastic-jacobi";
 /// How to sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StochasticOptions {
-    /// Mean number of rays a patch, the first sweeps not counted.
+    /// Mean number of rays a patch, those before the first sweep not counted.
     pub rays: f64,
 }
 
 /// How far the sweeps have come.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reached {
-    /// Rays a patch, the first sweeps not counted.
+    /// Rays a patch, those before the first sweep not counted.
     pub rays: f64,
     /// Area-weighted root mean square of the standard error of irradiance, relative to its mean.
     pub error: f64,
@@ -74,9 +75,9 @@ pub struct StochasticSolution {
     pub irradiance: Vec<f64>,
     /// Standard error of the irradiance, W/m²; rather too large.
     pub standard_error: Vec<f64>,
-    /// Sweeps, the first ones counted.
+    /// Sweeps.
     pub sweeps: u32,
-    /// Their rays.
+    /// Their rays, and those before them.
     pub tally: Tally,
     /// Rays a patch and error of those sweeps that count.
     pub reached: Reached,
@@ -204,13 +205,9 @@ impl<'a, const C: usize> Iteration<'a, C> {
         let rays = [each(hemisphere), if lamps { each(of_batch * SHADOW) } else { 0 }];
         let mut sweeps = sweeps as u64;
         let steps = |sweeps: u64| sweeps * self.emission.len() as u64;
-        progress.begin(steps(u64::from(FIRST_SWEEPS) + BATCHES as u64 * sweeps));
+        progress.begin(steps(u64::from(RAYS) + BATCHES as u64 * sweeps));
 
-        for sweep in 0..FIRST_SWEEPS {
-            let first = FIRST_RAYS.map(|rays| (FAR + u64::from(sweep * rays)) as u32);
-            self.sweep(first, FIRST_RAYS, 1.0 / (1.0 + f64::from(sweep)).min(1.0 / NEWEST), progress)?;
-            self.balance(FIRST_RAYS[0])?;
-        }
+        self.start(progress)?;
         // Shadow rays know nothing of other patches' light: all of them count.
         self.whole.iter_mut().for_each(|whole| (whole.met, whole.escaped) = ([0.0; C], 0.0));
         let (mut counted, mut first) = (0, true);
@@ -242,8 +239,8 @@ impl<'a, const C: usize> Iteration<'a, C> {
         let mut escaped = SVector::<f64, C>::zeros();
         for number in numbers {
             // Sequences end before the far part; who gets there begins them again.
-            let first = rays.map(|rays| (number * u64::from(rays) % FAR) as u32);
-            escaped += self.sweep(first, rays, NEWEST, progress)? / many;
+            let first = rays.map(|rays| (number * u64::from(rays) % u64::from(FAR)) as u32);
+            escaped += self.sweep(first, rays, progress)? / many;
         }
         let (sweeper, whole, came) = (self.sweeper, &self.whole, &self.batch);
         let arrived = |i: usize| {
@@ -258,13 +255,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
 
     /// Casts a sweep whose hemisphere rays and shadow rays have these indices and those that follow, and lets the patches
     /// reflect what comes. Returns the power that escaped, times the number of hemisphere rays.
-    fn sweep(
-        &mut self,
-        first: [u32; 2],
-        rays: [u32; 2],
-        newest: f64,
-        progress: &Progress,
-    ) -> Result<SVector<f64, C>> {
+    fn sweep(&mut self, first: [u32; 2], rays: [u32; 2], progress: &Progress) -> Result<SVector<f64, C>> {
         let [hemisphere, shadow] = [0, 1].map(|k| first[k]..first[k] + rays[k]);
         let (came, tally) = self.sweeper.sweep(&self.radiosity, hemisphere, shadow, progress)?;
         self.tally.add(tally);
@@ -281,7 +272,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
                 let [_, new] = sweeper.irradiance(i, came, f64::from(rays[0]));
                 let [direct, _] = sweeper.irradiance(i, whole, 1.0);
                 for c in 0..C {
-                    indirect[c] += newest * (new[c] - indirect[c]);
+                    indirect[c] += NEWEST * (new[c] - indirect[c]);
                     radiosity[c] = self.emission[i][c] + self.reflectance[i][c] * (direct[c] + indirect[c]);
                 }
             },
@@ -290,41 +281,48 @@ impl<'a, const C: usize> Iteration<'a, C> {
         Ok(escaped)
     }
 
-    /// Scales what is reflected so that the energy balances: the light that all patches share, slowest to settle, is right at
-    /// once. `rays` are those of a sweep.
-    fn balance(&mut self, rays: u32) -> Result<()> {
-        let (n, areas) = (self.radiosity.len(), self.sweeper.areas());
-        let escaping: Vec<f64> = self.batch.iter().map(|came| came.escaped / f64::from(rays)).collect();
-        self.batch.fill(Arrived::NOTHING);
-        for c in 0..C {
-            let sum = |value: &(dyn Fn(usize) -> f64 + Sync)| ordered_sum(n, |i| areas[i] * value(i));
-            let emitted = sum(&|i| self.emission[i][c]);
-            let arriving = sum(&|i| self.irradiance(i)[c]);
-            let reflected = sum(&|i| self.reflectance[i][c] * self.irradiance(i)[c]);
-            if !(reflected > 0.0 && emitted > 0.0) {
-                continue;
-            }
-            // Of what leaves the patches the share that the scene loses before it leaves them again.
-            let out = sum(&|i| self.radiosity[i][c] * escaping[i]) / (emitted + reflected);
-            let lost = out + (1.0 - out) * (1.0 - reflected / arriving);
-            if !(lost > 0.0) {
-                return Err(Error::NoEquilibrium);
-            }
-            let factor = ((emitted / lost - emitted) / reflected).clamp(0.1, 1e3);
-            for i in 0..n {
-                // All that arrives is to grow by the factor; lamps' own light cannot.
-                self.indirect[i][c] += (factor - 1.0) * self.irradiance(i)[c];
-                let light = self.reflectance[i][c] * self.irradiance(i)[c];
-                self.radiosity[i][c] = self.emission[i][c] + light;
+    /// Begins with the light as few rays tell it: right after any number of bounces, but for their sampling error.
+    fn start(&mut self, progress: &Progress) -> Result<()> {
+        let (sweeper, n) = (self.sweeper, self.emission.len());
+        if sweeper.has_lamps() {
+            let (came, tally) = sweeper.sweep(self.emission, 0..0, FAR..FAR + FIRST_SHADOW, progress)?;
+            self.tally.add(tally);
+            self.whole = came;
+        }
+        let few = FewRays::cast(sweeper, self.emission, FAR, progress)?;
+        self.tally.add(few.tally);
+        // What arrives first, from lamps or by hemisphere rays.
+        let arriving: Vec<[f64; C]> = if sweeper.has_lamps() {
+            (0..n).map(|i| sweeper.irradiance(i, &self.whole[i], 1.0)[0]).collect()
+        } else {
+            few.gather(self.emission)
+        };
+        let light = few.solve(&arriving, self.reflectance, progress)?;
+        let light = light.as_ref().unwrap_or(&arriving);
+        if self.is_caught(light, &few) {
+            return Err(Error::NoEquilibrium);
+        }
+        for i in 0..n {
+            let [direct, _] = sweeper.irradiance(i, &self.whole[i], 1.0);
+            for c in 0..C {
+                let light = light[i][c].max(0.0);
+                self.indirect[i][c] = light - direct[c];
+                self.radiosity[i][c] = self.emission[i][c] + self.reflectance[i][c] * light;
             }
         }
         Ok(())
     }
 
-    /// What arrives at patch `i`, as far as is known.
-    fn irradiance(&self, i: usize) -> [f64; C] {
-        let [direct, _] = self.sweeper.irradiance(i, &self.whole[i], 1.0);
-        std::array::from_fn(|c| (direct[c] + self.indirect[i][c]).max(0.0))
+    /// Whether light is reflected, and none of it absorbed where few rays met it, nor let out.
+    fn is_caught(&self, light: &[[f64; C]], few: &FewRays) -> bool {
+        (0..C).any(|c| {
+            let powers = |i: usize| {
+                let (rho, all) = (self.reflectance[i][c], self.sweeper.areas()[i] * light[i][c].max(0.0));
+                all * Vector2::new(rho, 1.0 - rho + few.escaping(i) * rho)
+            };
+            let [reflected, lost]: [f64; 2] = ordered_sum(light.len(), powers).into();
+            reflected > 0.0 && lost <= 0.0
+        })
     }
 
     /// Σ A Be of a channel.

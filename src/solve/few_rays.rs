@@ -1,0 +1,152 @@
+//! The light as few rays of each patch tell it, however often it is reflected: what each ray met is remembered, 4 bytes a ray, and
+//! the sparse system that it makes is solved by BiCGSTAB (van der Vorst, "Bi-CGSTAB: a fast and smoothly converging variant of
+//! Bi-CG for the solution of nonsymmetric linear systems", 1992). A product is but 32 look-ups a patch.
+
+use nalgebra::SVector;
+use rayon::prelude::*;
+
+use crate::{
+    Progress, Result,
+    form_factor::{
+        SHORT, magnitude, ordered_sum,
+        sweep::{Arrived, Sweeper, Tally},
+    },
+};
+
+/// Hemisphere rays of each patch.
+pub(super) const RAYS: u32 = 32;
+/// The residual is brought to this share of what arrives first. What is left in the light is more, by the number of bounces that
+/// it lasts, and relative to the light in far corners; sampling does more to both.
+const TOLERANCE: f64 = 1e-8;
+/// Iterations at most: three digits of reflectance next to 1 take some tens.
+const MOST: usize = 500;
+/// What a ray met that met no patch.
+const NOTHING: u32 = u32::MAX;
+
+/// An irradiance, or the like, of every patch.
+type Light<const C: usize> = Vec<[f64; C]>;
+
+/// What few rays of every patch met.
+pub(super) struct FewRays {
+    /// What those of each patch met.
+    met: Vec<[u32; RAYS as usize]>,
+    /// How many there were.
+    pub(super) tally: Tally,
+}
+
+impl FewRays {
+    /// Casts the hemisphere rays that begin with the index `first`. That patches send their own numbers instead of light tells
+    /// what a ray met.
+    pub(super) fn cast<const C: usize>(
+        sweeper: &Sweeper<'_>,
+        emission: &[[f64; C]],
+        first: u32,
+        progress: &Progress,
+    ) -> Result<Self> {
+        // What patches emit is left out where shadow rays bring it. Beside it numbers are told apart, and do not overflow.
+        let unit = magnitude(emission.as_flattened()) * 2f64.powi(-20);
+        let lamps = sweeper.has_lamps();
+        let number = |(i, emitted): (usize, &[f64; C])| {
+            let mut sent = [0.0; C];
+            sent[0] = i as f64 * unit + if lamps { emitted[0] } else { 0.0 };
+            sent
+        };
+        let numbers: Light<C> = emission.iter().enumerate().map(number).collect();
+        let met = |came: &Arrived<C>| {
+            if came.escaped > 0.0 { NOTHING } else { (came.met[0] / unit).round() as u32 }
+        };
+        let mut rays = FewRays { met: vec![[0; _]; numbers.len()], tally: Tally::default() };
+        for ray in 0..RAYS {
+            let (came, tally) = sweeper.sweep(&numbers, first + ray..first + ray + 1, 0..0, progress)?;
+            rays.met.iter_mut().zip(&came).for_each(|(all, came)| all[ray as usize] = met(came));
+            rays.tally.add(tally);
+            progress.advance(came.len() as u64);
+        }
+        Ok(rays)
+    }
+
+    /// Share of the rays of patch `i` that met nothing.
+    pub(super) fn escaping(&self, i: usize) -> f64 {
+        self.met[i].iter().filter(|met| **met == NOTHING).count() as f64 / f64::from(RAYS)
+    }
+
+    /// What arrives at each patch of what all send.
+    pub(super) fn gather<const C: usize>(&self, sent: &[[f64; C]]) -> Light<C> {
+        let gathered = |met: &[u32; _]| {
+            let patches = met.iter().filter(|j| **j != NOTHING);
+            let sum: SVector<f64, C> = patches.map(|&j| SVector::from(sent[j as usize])).sum();
+            (sum / f64::from(RAYS)).into()
+        };
+        self.met.par_iter().with_min_len(64).map(gathered).collect()
+    }
+
+    /// The irradiance e = first + F (ρ e), or None where the iterations do not get there.
+    pub(super) fn solve<const C: usize>(
+        &self,
+        first: &[[f64; C]],
+        reflectance: &[[f64; C]],
+        progress: &Progress,
+    ) -> Result<Option<Light<C>>> {
+        let product = |e: &[[f64; C]]| {
+            let mut gathered = self.gather(&combined([e, reflectance], |[e, rho]| e * rho));
+            update(&mut gathered, [e, e], |gathered, [e, _], _| e - gathered);
+            gathered
+        };
+        let unit = magnitude(first.as_flattened());
+        let first: Light<C> = first.iter().map(|e| e.map(|e| e / unit)).collect();
+        let mut shadow = dot(&first, &first);
+        let wanted = shadow * TOLERANCE.powi(2);
+        let (mut light, mut residual, mut along) =
+            (vec![[0.0; C]; first.len()], first.clone(), first.clone());
+        for _ in 0..MOST {
+            progress.check()?;
+            let left = dot(&residual, &residual);
+            // Channels that have come to rest stay.
+            let moves: [bool; C] = std::array::from_fn(|c| left[c] > wanted[c]);
+            if moves == [false; C] {
+                light.iter_mut().flatten().for_each(|e| *e *= unit);
+                let finite = light.iter().flatten().all(|e| e.is_finite());
+                return Ok(finite.then_some(light));
+            }
+            let ratio = |p: SVector<f64, C>, q: SVector<f64, C>| -> SVector<f64, C> {
+                SVector::from_fn(|c, _| if moves[c] && q[c] != 0.0 { p[c] / q[c] } else { 0.0 })
+            };
+            let carried = product(&along);
+            let step = ratio(shadow, dot(&first, &carried));
+            update(&mut residual, [&carried, &carried], |r, [v, _], c| r - step[c] * v);
+            let smoothed = product(&residual);
+            let weight = ratio(dot(&smoothed, &residual), dot(&smoothed, &smoothed));
+            update(&mut light, [&along, &residual], |e, [p, s], c| e + step[c] * p + weight[c] * s);
+            update(&mut residual, [&smoothed, &smoothed], |s, [t, _], c| s - weight[c] * t);
+            let next = dot(&first, &residual);
+            let turn = ratio(next, shadow).component_mul(&ratio(step, weight));
+            update(&mut along, [&residual, &carried], |p, [r, v], c| r + turn[c] * (p - weight[c] * v));
+            shadow = next;
+        }
+        Ok(None)
+    }
+}
+
+/// Σ p q of each channel.
+fn dot<const C: usize>(p: &[[f64; C]], q: &[[f64; C]]) -> SVector<f64, C> {
+    ordered_sum(p.len(), |i| SVector::from(p[i]).component_mul(&SVector::from(q[i])))
+}
+
+/// Of two lights a third, value by value.
+fn combined<const C: usize>(of: [&[[f64; C]]; 2], value: impl Fn([f64; 2]) -> f64 + Sync) -> Light<C> {
+    let [p, q] = of;
+    let both = p.par_iter().zip(q).with_min_len(SHORT);
+    both.map(|(p, q)| std::array::from_fn(|c| value([p[c], q[c]]))).collect()
+}
+
+/// Changes a light by itself and two others, value by value.
+fn update<const C: usize>(
+    light: &mut [[f64; C]],
+    by: [&[[f64; C]]; 2],
+    value: impl Fn(f64, [f64; 2], usize) -> f64 + Sync,
+) {
+    let [p, q] = by;
+    light.par_iter_mut().zip(p).zip(q).with_min_len(SHORT).for_each(|((light, p), q)| {
+        (0..C).for_each(|c| light[c] = value(light[c], [p[c], q[c]], c));
+    });
+}
