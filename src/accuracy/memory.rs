@@ -25,7 +25,7 @@ const LINK: f64 = 16.0;
 
 /// A patch that is solved without a matrix, whatever its rays: a channel's sums, batches, light and error, and what does not
 /// depend on channels; then the mesh that is written of it.
-const SWEPT: f64 = 200.0;
+const SWEPT: f64 = 230.0;
 const SWEPT_CHANNEL: f64 = 160.0;
 
 /// Bytes that a solution without a matrix takes at most at any time, of a scene cut into so many patches, backs included.
@@ -73,6 +73,8 @@ impl Memory {
             // At either end a source.
             _ => (0.75 * rays, 0.25 * rays + 0.75 * rays * (1.0 - (1.0 - bright).powi(2))),
         };
+        // What each sends if nothing stands between, and how much of that samples saw.
+        let of_lamps = if pooled && lamps.len() <= MOST_LAMPS { 16.0 * lamps.len() as f64 } else { 0.0 };
         // Entries of a row that has so many samples among so many patches.
         let row = |samples: f64, patches: f64| -patches * (-samples / patches).exp_m1();
         let both = if pooled { 2.0 } else { 1.0 };
@@ -94,7 +96,7 @@ impl Memory {
         let (sums, deviations) = (16.0 + 8.0 * channels, 4.0 * (7.0 * channels + 3.0));
         Memory {
             scene: BASE + TRIANGLE * scene.triangles.len() as f64,
-            patches: n * if pooled { 700.0 } else { 1200.0 },
+            patches: n * (if pooled { 700.0 } else { 1200.0 } + of_lamps),
             hits: n * hits,
             matrix: n * entry * entries,
             calibration: n * factors,
