@@ -102,10 +102,10 @@ pub(super) fn balance(links: &mut Symmetric, brightness: &[f64], areas: &[f64], 
 ///
 /// The first rounds choose between the two; Newton's method then scales both alike.
 ///
-/// Returns what rows, but those of sources, still miss, if any do: a patch close under a lamp may have sent all of its rays there, and nothing is known of
-/// where the light goes that passes the lamp by. It is taken to stay where it is, as patches nearby see it alike. Were it left
-/// to [`close`], the links with the lamp would be scaled for it, which are known, and all others of that lamp after them: in
-/// a black box with a lamp of 0.4 edges 0.03 above the floor, irradiances were 6 % off.
+/// Returns what rows, but those of sources, still miss, or nothing if none do: a patch close under a lamp may have sent all of its
+/// rays there, and nothing is known of where the light goes that passes the lamp by. It is taken to stay where it is, as patches
+/// nearby see it alike. Were it left to [`close`], the links with the lamp would be scaled for it, which are known, and all others
+/// of that lamp after them: in a black box with a lamp of 0.4 edges 0.03 above the floor, irradiances were 6 % off.
 pub(super) fn settle(
     plain: &mut Symmetric,
     links: &[f64],
@@ -136,25 +136,26 @@ pub(super) fn settle(
             break;
         }
     }
-    let all = settle_exactly(plain, links, areas, escaped, &mut scale, settled);
+    let all = settle_exactly(plain, links, &is_source, areas, escaped, &mut scale, settled);
     plain.update(|i, j, s| s * (scale[i] * scale[j]) as f32);
     if all {
         return Vec::new();
     }
     let sums = plain.row_sums();
-    let rows = (0..n).into_par_iter().with_min_len(SHORT);
     let missing = |i: usize| {
         let missing = areas[i] * (1.0 - escaped[i]) - links[i] - sums[i];
         if missing > settled * areas[i] && !is_source(i) { missing as f32 } else { 0.0 }
     };
-    rows.map(missing).collect()
+    let missing: Vec<f32> = (0..n).into_par_iter().with_min_len(SHORT).map(missing).collect();
+    if missing.iter().any(|&missing| missing > 0.0) { missing } else { Vec::new() }
 }
 
 /// Brings rows that are nearly settled to `precision`: as [`close`], but for the rows' sums of links, which stay. Whether these were
-/// all.
+/// all, but those of sources.
 fn settle_exactly(
     plain: &Symmetric,
     links: &[f64],
+    is_source: impl Fn(usize) -> bool,
     areas: &[f64],
     escaped: &mut [f64],
     scale: &mut [f64],
@@ -163,7 +164,7 @@ fn settle_exactly(
     let patches = || (0..areas.len()).into_par_iter().with_min_len(SHORT);
     // What escapes, but for the scale that is on it next.
     let mut outside: Vec<f64> = patches().map(|i| areas[i] * escaped[i] / scale[i]).collect();
-    let mut before = f64::INFINITY;
+    let (mut all, mut before) = (false, f64::INFINITY);
     for _ in 0..SETTLING_STEPS {
         let mut arriving = plain.product(scale);
         let mut wanted: Vec<f64> = patches().map(|i| areas[i] - links[i]).collect();
@@ -181,7 +182,8 @@ fn settle_exactly(
             (*wanted - scale[i] * *arriving).abs() / areas[i]
         };
         let deviation = rows.with_min_len(SHORT).map(off).reduce(|| 0.0, f64::max);
-        if deviation < precision || deviation > PROGRESS * before {
+        all = deviation < precision;
+        if all || deviation > PROGRESS * before {
             break;
         }
         before = deviation;
@@ -192,7 +194,7 @@ fn settle_exactly(
     let rows = escaped.par_iter_mut().zip(&outside).zip(&*scale).zip(areas).with_min_len(SHORT);
     rows.filter(|(((_, outside), _), _)| **outside > 0.0)
         .for_each(|(((escaped, outside), scale), area)| *escaped = outside * scale / area);
-    !outside.iter().any(|outside| outside.is_nan())
+    all && (0..outside.len()).all(|i| is_source(i) || !outside[i].is_nan())
 }
 
 /// Newton's method takes over where no row is off by more than this, as long as each step

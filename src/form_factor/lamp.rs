@@ -9,6 +9,7 @@ use glam::DVec3;
 use super::{
     exact::{lambert, polygon_form_factor},
     shadow::Sources,
+    siblings::adjoin,
 };
 use crate::{
     patch::Patches,
@@ -38,9 +39,6 @@ const FIFTH_DEGREE: [(f64, f64, f64); 3] = [
 
 /// One that is exact to the second (Strang and Fix, *An Analysis of the Finite Element Method*, 1973, section 4.3).
 const SECOND_DEGREE: [(f64, f64, f64); 1] = [(2.0 / 3.0, 1.0 / 6.0, 1.0 / 3.0)];
-
-/// The cosine between triangles of one lamp.
-const FLAT: f32 = 0.999;
 
 /// The lamps of a scene: triangles that follow each other in the file, in one plane, and share a corner, are one.
 #[derive(Debug, Clone)]
@@ -76,10 +74,7 @@ pub(super) fn few(tracer: &Tracer, patches: &Patches, sources: &Sources) -> Opti
         if area < LEAST_AREA {
             return None;
         }
-        let goes_on = last.is_some_and(|last| {
-            last.normal.dot(triangle.normal) > FLAT
-                && last.corners.iter().any(|corner| triangle.corners.contains(corner))
-        });
+        let goes_on = last.is_some_and(|last| adjoin(last, triangle));
         last = Some(triangle);
         lamps.count += usize::from(!goes_on);
         let lamp = lamps.count - 1;

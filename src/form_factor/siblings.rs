@@ -4,12 +4,20 @@
 
 use std::ops::Range;
 
-use crate::{patch::Patches, trace::Tracer};
+use crate::{
+    patch::Patches,
+    trace::{Tracer, UnitTriangle},
+};
 
 /// Patches of a run at most.
 const MOST: usize = 16;
 /// The cosine between neighbours in a plane.
 const FLAT: f32 = 0.999;
+
+/// Whether two triangles are in one plane and share a corner.
+pub(super) fn adjoin(p: &UnitTriangle, q: &UnitTriangle) -> bool {
+    p.normal.dot(q.normal) > FLAT && p.corners.iter().any(|corner| q.corners.contains(corner))
+}
 
 /// What `make` makes of every value and its mean over the siblings: `C` interleaved values a patch.
 pub(crate) fn with_mean<const C: usize>(
@@ -31,16 +39,14 @@ pub(crate) fn with_mean<const C: usize>(
 /// Runs of up to 16 patches, in the order of the patches: of one triangle's side, or of triangles that follow each other in
 /// the file, in one plane, and share a corner.
 pub(super) fn siblings(tracer: &Tracer, patches: &Patches) -> Vec<Range<usize>> {
-    let adjoin = |i: usize, j: usize| {
+    let goes_on = |i: usize, j: usize| {
         let [p, q] = [i, j].map(|i| &tracer.triangles()[patches.triangle(i)]);
-        patches.is_front(i) == patches.is_front(j)
-            && p.normal.dot(q.normal) > FLAT
-            && p.corners.iter().any(|corner| q.corners.contains(corner))
+        patches.is_front(i) == patches.is_front(j) && adjoin(p, q)
     };
     let mut runs: Vec<Range<usize>> = Vec::new();
     for family in patches.families(2) {
         match runs.last_mut() {
-            Some(run) if run.len() + family.len() <= MOST && adjoin(run.end - 1, family.start) => {
+            Some(run) if run.len() + family.len() <= MOST && goes_on(run.end - 1, family.start) => {
                 run.end = family.end;
             }
             _ => runs.push(family),
