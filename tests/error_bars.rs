@@ -153,12 +153,10 @@ fn against_lambert<'a>(lit: &Cast, lamp: impl Fn(DVec3) -> Option<(&'a [DVec3], 
 /// light of the lamp, which is known: in a black room all of it is.
 #[test]
 fn light_of_a_lamp_close_to_the_floor_is_known_to_its_bar() {
-    let lamp = rectangle(DVec3::new(0.3, 0.3, 0.03), DVec3::Y * 0.4, DVec3::X * 0.4);
-    let parts = [black(room(DVec3::ZERO, DVec3::ONE)), part(lamp, 0.0, 1.0)];
     let corners = [(0.3, 0.3), (0.3, 0.7), (0.7, 0.7), (0.7, 0.3)].map(|(x, y)| DVec3::new(x, y, 0.03));
     for rays in [64.0, 256.0] {
         let options = CastOptions { rays, ..CastOptions::default() };
-        let lit = cast(scene(&parts), Subdivision::Count(1000), options);
+        let lit = cast(low_lamp(), Subdivision::Count(1000), options);
         let [within, off, told] = against_lambert(&lit, |at| (at.z < 1e-9).then_some((&corners[..], 1.0)));
         println!("{rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
         assert!(within >= 0.95 && off <= 2.0 * told && told <= 1e-3, "{within}, {off:e}, {told:e}");

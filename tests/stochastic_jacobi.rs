@@ -141,6 +141,16 @@ fn many_short_sweeps_balance_their_energy() {
     assert!(found.balanced_to().abs() < 1e-12);
 }
 
+/// In a black room all light comes by shadow rays, and none of it is uncertain but for how well the light of unblocked lamps is known:
+/// batches are the same, and tell no error at all.
+#[test]
+fn light_without_noise_balances_to_what_is_known_of_it() {
+    let (_, found) = by_sweeps(&common::low_lamp(), 1000, 64.0, 1);
+    let (imbalance, error) = found.worst_imbalance();
+    println!("{imbalance:.2e} with error {error:.2e}");
+    assert!(found.is_balanced() && imbalance.abs() < 1e-6 && error < 1e-6, "{imbalance} with error {error}");
+}
+
 /// Light beyond the range of single precision and of its squares: powers of two change no digit.
 #[test]
 fn brightness_makes_no_difference() {

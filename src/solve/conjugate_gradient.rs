@@ -54,7 +54,7 @@ pub(super) fn solve<const C: usize>(
     while !(residual <= options.tolerance) && iterations < options.max_iterations {
         let most = options.max_iterations - iterations;
         // A margin, since the norm here is another one than that of the tolerance.
-        let reduction = 0.03 * options.tolerance / residual;
+        let reduction = 0.5 * options.tolerance / residual;
         let (correction, taken) = if single {
             // In as many steps as it takes, each as long as the others.
             let steps = (reduction.ln() / SINGLE.ln()).ceil();

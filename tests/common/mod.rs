@@ -87,6 +87,12 @@ pub fn room(low: DVec3, high: DVec3) -> Vec<Corners> {
     room_faces(low, high).concat()
 }
 
+/// A black room with a square lamp that shines down on its floor from close above.
+pub fn low_lamp() -> Scene {
+    let lamp = rectangle(DVec3::new(0.3, 0.3, 0.03), DVec3::Y * 0.4, DVec3::X * 0.4);
+    scene(&[black(room(DVec3::ZERO, DVec3::ONE)), part(lamp, 0.0, 1.0)])
+}
+
 /// A sphere's icosahedron, each level cutting every triangle in four; fronts outside.
 pub fn icosphere(radius: f64, level: u32) -> Vec<Corners> {
     let g = 0.5 * (1.0 + 5f64.sqrt());
