@@ -398,9 +398,11 @@ fn cast_patch(
     targets: &mut [u32],
     links: &mut Vec<Link>,
 ) {
-    from.hemisphere_rays(indices, seed, |index, origin, direction, cosine| {
-        let target = &mut targets[index as usize];
-        let Some(hit) = tracer.closest(origin, direction) else {
+    let known = links.len();
+    let rays = from.hemisphere_rays(indices, seed).map(|ray| (ray, ray.origin, ray.direction));
+    tracer.closest_each(rays, |ray, hit| {
+        let target = &mut targets[ray.index as usize];
+        let Some(hit) = hit else {
             *target = ESCAPED;
             return;
         };
@@ -412,13 +414,15 @@ fn cast_patch(
             // Of what comes from few lamps nothing is left to measure, but how it divides among these their own rays tell; and
             // that backs were seen must be known.
             if !sources.are_lamps() || sources.contains(i) || !hit.front {
-                let cos = tracer.triangles()[hit.triangle as usize].normal.dot(direction).abs();
-                let kernel = cosine * cos / (std::f32::consts::PI * hit.t * hit.t);
-                links.push(Link { to: *target, kernel, index, found: Found::Hemisphere });
+                let cos = tracer.triangles()[hit.triangle as usize].normal.dot(ray.direction).abs();
+                let kernel = ray.cosine * cos / (std::f32::consts::PI * hit.t * hit.t);
+                let (index, found) = (ray.index, Found::Hemisphere);
+                links.push(Link { to: *target, kernel, index, found });
             }
             *target = LINKED;
         }
     });
+    links[known..].sort_unstable_by_key(|link| link.index);
 }
 
 /// Triangles whose backs, no unknowns yet, were hit; in file order.

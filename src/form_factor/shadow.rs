@@ -232,16 +232,14 @@ impl Footprint {
         })
     }
 
-    /// Calls `ray(index, origin, direction, cosine of its angle with the normal)` for hemisphere rays of a sequence.
-    #[inline]
+    /// Hemisphere rays of a sequence.
     pub(super) fn hemisphere_rays(
         &self,
         indices: Range<u32>,
         seed: u64,
-        mut ray: impl FnMut(u32, Vec3A, Vec3A, f32),
-    ) {
+    ) -> impl Iterator<Item = HemisphereRay> + '_ {
         let (sobol, [tangent, bitangent]) = (Sobol::new(seed), tangents(self.normal));
-        for (first, lanes) in blocks(indices) {
+        blocks(indices).flat_map(move |(first, lanes)| {
             // The first two dimensions are the better stratified.
             let [u, v, x, y] = sobol.points(first);
             let (mut lifted, mut at) = ([[0.0; 3]; LANES], [[0.0; LANES]; 3]);
@@ -256,13 +254,16 @@ impl Footprint {
             for (axis, at) in at.iter_mut().enumerate() {
                 Tracer::leave_along(at, self.normal, axis);
             }
-            for lane in lanes {
-                let [x, y, z] = lifted[lane];
-                let direction = tangent * x + bitangent * y + self.normal * z;
-                let origin = Vec3A::new(at[0][lane], at[1][lane], at[2][lane]);
-                ray(first + lane as u32, origin, direction, z);
-            }
-        }
+            lanes.map(move |lane| {
+                let [x, y, cosine] = lifted[lane];
+                HemisphereRay {
+                    index: first + lane as u32,
+                    origin: Vec3A::new(at[0][lane], at[1][lane], at[2][lane]),
+                    direction: tangent * x + bitangent * y + self.normal * cosine,
+                    cosine,
+                }
+            })
+        })
     }
 
     /// The point of the patch for a point of the unit square.
@@ -271,6 +272,17 @@ impl Footprint {
         let b = square_to_triangle(x, y);
         self.corners[0] * b[0] + self.corners[1] * b[1] + self.corners[2] * b[2]
     }
+}
+
+/// A ray from a point of a patch in a cosine-distributed direction.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct HemisphereRay {
+    /// Its place in the sequence.
+    pub(super) index: u32,
+    pub(super) origin: Vec3A,
+    pub(super) direction: Vec3A,
+    /// Of its angle with the normal.
+    pub(super) cosine: f32,
 }
 
 /// cos θ cos θ' / (π r²) over a path between two points whose unit normals face each other.
@@ -290,31 +302,27 @@ pub(super) fn cast_patch(
     seed: u64,
     links: &mut Vec<Link>,
 ) {
-    let sobol = Sobol::new(seed);
-    for (first, lanes) in blocks(indices) {
-        let points = sobol.points(first);
-        for lane in lanes {
-            let [x, y, u, v] = points.map(|coordinates| coordinates[lane]);
-            let (source, u) = sources.choose(u);
-            let to = &sources.footprints[source];
-            let (p, q) = (from.point(x, y), to.point(u, v));
-            let path = q - p;
-            if path.dot(from.normal) <= 0.0 || path.dot(to.normal) >= 0.0 {
-                continue;
-            }
-            let kernel = kernel(path, from.normal, to.normal);
-            if kernel > 0.0 {
-                let visible = tracer.visible(Tracer::leave(p, from.normal), Tracer::leave(q, to.normal));
-                if visible || sources.are_lamps() {
-                    let found = if visible { Found::Shadow } else { Found::Blocked };
-                    links.push(Link {
-                        to: sources.patches[source],
-                        kernel,
-                        index: first + lane as u32,
-                        found,
-                    });
-                }
-            }
+    let (sobol, known) = (Sobol::new(seed), links.len());
+    let link = |index: u32, [x, y, u, v]: [f32; 4]| {
+        let (source, u) = sources.choose(u);
+        let to = &sources.footprints[source];
+        let (p, q) = (from.point(x, y), to.point(u, v));
+        let path = q - p;
+        if path.dot(from.normal) <= 0.0 || path.dot(to.normal) >= 0.0 {
+            return None;
         }
-    }
+        let kernel = kernel(path, from.normal, to.normal);
+        let link = Link { to: sources.patches[source], kernel, index, found: Found::Blocked };
+        (kernel > 0.0).then(|| (link, Tracer::leave(p, from.normal), Tracer::leave(q, to.normal)))
+    };
+    let rays = blocks(indices).flat_map(|(first, lanes)| {
+        let points = sobol.points(first);
+        lanes.filter_map(move |lane| link(first + lane as u32, points.map(|coordinates| coordinates[lane])))
+    });
+    tracer.visible_each(rays, |link, visible| {
+        if visible || sources.are_lamps() {
+            links.push(Link { found: if visible { Found::Shadow } else { Found::Blocked }, ..link });
+        }
+    });
+    links[known..].sort_unstable_by_key(|link| link.index);
 }

@@ -104,8 +104,8 @@ impl<'a> Sweeper<'a> {
                 progress.check()?;
                 let (from, seed) = (Footprint::new(tracer, known, i), mix(&[seed, i as u64]));
                 let mut unknown = Vec::new();
-                from.hemisphere_rays(0..LOOKING, seed, |_, origin, direction, _| {
-                    let hit = tracer.closest(origin, direction);
+                let rays = from.hemisphere_rays(0..LOOKING, seed);
+                tracer.closest_each(rays.map(|ray| ((), ray.origin, ray.direction)), |(), hit| {
                     let is_unknown = |hit: &Hit| known.at(hit.triangle, hit.barycentric, hit.front).is_none();
                     unknown.extend(hit.filter(is_unknown).map(|hit| hit.triangle));
                 });
@@ -181,8 +181,8 @@ impl<'a> Sweeper<'a> {
             let (from, seed) = (Footprint::new(self.tracer, self.patches, i), mix(&[self.seed, i as u64]));
             let mut came = Arrived::NOTHING;
             let mut behind = 0;
-            from.hemisphere_rays(hemisphere.clone(), seed, |_, origin, direction, _| {
-                let hit = self.tracer.closest(origin, direction);
+            let rays = from.hemisphere_rays(hemisphere.clone(), seed);
+            self.tracer.closest_each(rays.map(|ray| ((), ray.origin, ray.direction)), |(), hit| {
                 behind += u64::from(hit.is_some_and(|hit| !hit.front));
                 let patch = hit.and_then(|hit| self.patches.at(hit.triangle, hit.barycentric, hit.front));
                 let Some(j) = patch.map(|j| j as usize) else {

@@ -13,7 +13,8 @@ use obvhs::{
 use super::{
     UnitTriangle,
     collapse::Collapse,
-    watertight::{Met, Nearest, PreparedRay},
+    query::Query,
+    watertight::PreparedRay,
     wide::{Lanes, Stack},
 };
 
@@ -117,7 +118,7 @@ struct Facets([Facet; WIDTH]);
 
 /// The hierarchy over the triangles of a scene.
 pub(super) struct Bvh {
-    /// The root first; empty without triangles.
+    /// The root first.
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
     /// Of every leaf.
@@ -126,8 +127,34 @@ pub(super) struct Bvh {
     stack: usize,
 }
 
+/// How far a ray has come.
+pub(super) struct Way<'a> {
+    stack: Stack<'a>,
+    /// The node or leaf that comes next.
+    at: u32,
+    /// Nothing beyond matters.
+    limit: f32,
+}
+
+impl<'a> Way<'a> {
+    /// At the root, with room for as many entries as the hierarchy's stack needs.
+    #[inline(always)]
+    pub(super) fn begin<Q: Query>(room: &'a mut [MaybeUninit<u64>], ray: &PreparedRay) -> Self {
+        let mut way = Way { stack: Stack::new(room), at: 0, limit: 0.0 };
+        way.begin_anew::<Q>(ray);
+        way
+    }
+
+    /// Back at the root, for another ray.
+    #[inline(always)]
+    pub(super) fn begin_anew<Q: Query>(&mut self, ray: &PreparedRay) {
+        // Behind itself a ray meets nothing.
+        (self.at, self.limit) = (0, if ray.is_proper() { Q::LIMIT } else { -1.0 });
+    }
+}
+
 /// Entries that fit the stack of a ray without allocation: enough for millions of triangles that are not stacked up oddly.
-const STACK: usize = 96;
+pub(super) const STACK: usize = 96;
 
 impl Bvh {
     /// Builds the hierarchy over triangles whose coordinates are at most 1.
@@ -141,12 +168,11 @@ impl Bvh {
         };
         let boxes: Vec<Aabb> = triangles.iter().map(padded).collect();
         let binary = build_bvh2(&boxes, BUILD, &mut Default::default());
-        let mut bvh = Bvh { nodes: Vec::new(), leaves: Vec::new(), facets: Vec::new(), stack: 1 };
+        let mut bvh = Bvh { nodes: vec![Node::EMPTY], leaves: Vec::new(), facets: Vec::new(), stack: 1 };
         if binary.nodes.is_empty() {
             return bvh;
         }
         let collapse = Collapse::new(&binary, triangles);
-        bvh.nodes.push(Node::EMPTY);
         // Nodes yet to fill: the binary node each comes from, where it is, what the stack holds meanwhile.
         let mut open = vec![(0, 0, 0)];
         while let Some((from, to, above)) = open.pop() {
@@ -182,82 +208,69 @@ impl Bvh {
         size_of_val(&self.nodes[..]) + size_of_val(&self.leaves[..]) + size_of_val(&self.facets[..])
     }
 
-    /// The first triangle that the ray meets, by the scene's index.
-    #[inline(always)]
-    pub(super) fn closest<L: Lanes>(&self, lanes: L, ray: &PreparedRay) -> Option<(u32, Met)> {
-        let mut nearest = Nearest::default();
-        self.traverse(lanes, ray, f32::INFINITY, |triangle, met| {
-            nearest.add(triangle, met);
-            nearest.limit()
-        });
-        nearest.decide()
+    /// Entries that the stack of a ray needs.
+    pub(super) fn stack(&self) -> usize {
+        self.stack
     }
 
-    /// Whether the ray meets no triangle before `t` = 1.
+    /// Asks one ray.
     #[inline(always)]
-    pub(super) fn is_free<L: Lanes>(&self, lanes: L, ray: &PreparedRay) -> bool {
-        let mut free = true;
-        self.traverse(lanes, ray, 1.0, |_, met| {
-            free &= met.t >= 1.0;
-            // A negative limit ends it: nothing is nearer.
-            if free { 1.0 } else { -1.0 }
-        });
-        free
-    }
-
-    /// Calls `meet` with the scene's index of every triangle that the ray meets, near boxes first. Boxes beyond the
-    /// limit that it returned last are left out.
-    #[inline(always)]
-    fn traverse<L: Lanes>(
-        &self,
-        lanes: L,
-        ray: &PreparedRay,
-        mut limit: f32,
-        mut meet: impl FnMut(u32, Met) -> f32,
-    ) {
-        if self.nodes.is_empty() || !ray.is_proper() {
-            return;
-        }
+    pub(super) fn ask<L: Lanes, Q: Query>(&self, lanes: L, ray: &PreparedRay) -> Q::Answer {
         // Left uninitialised: to zero it would take as long as a node.
         let mut fixed = [MaybeUninit::uninit(); STACK];
         let mut large = Vec::new();
-        let mut stack = Stack::new(&mut fixed);
+        let mut room = &mut fixed[..];
         if self.stack > STACK {
             large.resize(self.stack, MaybeUninit::uninit());
-            stack = Stack::new(&mut large);
+            room = &mut large;
         }
-        let mut current = 0;
-        loop {
-            if current & IS_LEAF != 0 {
-                let index = (current & !IS_LEAF) as usize;
-                let leaf = &self.leaves[index];
-                let (mut inside, edges) = lanes.edges(leaf, ray);
-                while inside != 0 {
-                    let lane = take_lane(&mut inside);
-                    let facet = &self.facets[index].0[lane];
-                    let corner = leaf.corners[0][lane] as usize % WIDTH;
-                    let [x, y, z] = &leaf.vertices;
-                    let corner = Vec3A::new(x[corner], y[corner], z[corner]);
-                    let edges = [edges[0][lane], edges[1][lane], edges[2][lane]];
-                    if let Some(met) = ray.meet(corner, facet.normal.into(), edges) {
-                        limit = meet(facet.triangle, met);
-                    }
-                }
-            } else {
-                let node = &self.nodes[current as usize];
-                let (entered, entries) = lanes.boxes(node, ray, limit);
-                if entered != 0 {
-                    current = self.nearest_child(lanes, node, entered, &entries, &mut stack);
-                    continue;
+        let (mut query, mut way) = (Q::default(), Way::begin::<Q>(room, ray));
+        while self.step(lanes, ray, &mut way, &mut query) {}
+        query.answer()
+    }
+
+    /// Visits the node or leaf that a ray has come to, tells `query` of what it meets there, and finds the next, near boxes first.
+    /// Boxes beyond the limit of the query are left out. Whether there is a next one.
+    #[inline(always)]
+    pub(super) fn step<L: Lanes, Q: Query>(
+        &self,
+        lanes: L,
+        ray: &PreparedRay,
+        way: &mut Way,
+        query: &mut Q,
+    ) -> bool {
+        if way.at & IS_LEAF != 0 {
+            let index = (way.at & !IS_LEAF) as usize;
+            let leaf = &self.leaves[index];
+            let (mut inside, edges) = lanes.edges(leaf, ray);
+            while inside != 0 {
+                let lane = take_lane(&mut inside);
+                let facet = &self.facets[index].0[lane];
+                let corner = leaf.corners[0][lane] as usize % WIDTH;
+                let [x, y, z] = &leaf.vertices;
+                let corner = Vec3A::new(x[corner], y[corner], z[corner]);
+                let edges = [edges[0][lane], edges[1][lane], edges[2][lane]];
+                if let Some(met) = ray.meet(corner, facet.normal.into(), edges) {
+                    way.limit = query.meet(facet.triangle, met);
                 }
             }
-            current = loop {
-                match stack.pop() {
-                    Some(top) if f32::from_bits((top >> 32) as u32) <= limit => break top as u32,
-                    Some(_) => {}
-                    None => return,
+        } else {
+            let node = &self.nodes[way.at as usize];
+            let (entered, entries) = lanes.boxes(node, ray, way.limit);
+            if entered != 0 {
+                way.at = self.nearest_child(lanes, node, entered, &entries, &mut way.stack);
+                return true;
+            }
+        }
+        loop {
+            match way.stack.pop() {
+                Some(top) if f32::from_bits((top >> 32) as u32) <= way.limit => {
+                    way.at = top as u32;
+                    return true;
                 }
-            };
+                Some(_) => {}
+                None => return false,
+            }
         }
     }
 

@@ -5,6 +5,8 @@
 
 mod bvh;
 mod collapse;
+mod flight;
+mod query;
 pub mod sampling;
 pub(crate) mod sobol;
 mod watertight;
@@ -14,6 +16,8 @@ use glam::{DVec3, Vec3A};
 
 use crate::scene::{Scene, centre_and_extent};
 use bvh::Bvh;
+use query::{Free, Nearest};
+use watertight::Met;
 use wide::Kernel;
 
 /// Where a ray met a triangle.
@@ -27,6 +31,12 @@ pub struct Hit {
     pub t: f32,
     /// Barycentric coordinates of the point, one weight a corner.
     pub barycentric: [f32; 3],
+}
+
+impl Hit {
+    fn new((triangle, met): (u32, Met)) -> Self {
+        Hit { triangle, front: met.front(), t: met.t, barycentric: met.barycentric() }
+    }
 }
 
 /// A triangle in unit space.
@@ -157,18 +167,35 @@ impl Tracer {
     /// The first triangle that the ray meets. The direction need not be of unit length, but not zero.
     #[inline]
     pub fn closest(&self, origin: Vec3A, direction: Vec3A) -> Option<Hit> {
-        let (triangle, met) = self.kernel.closest(&self.bvh, origin, direction)?;
-        Some(Hit { triangle, front: met.front(), t: met.t, barycentric: met.barycentric() })
+        self.kernel.ask::<Nearest>(&self.bvh, origin, direction).map(Hit::new)
+    }
+
+    /// [`Tracer::closest`] for many rays, given as a name, an origin and a direction each: calls `found` with the name and what
+    /// the ray met, in the order in which they end. That depends on the rays alone, not on the machine. Twice as fast where a scene
+    /// has many triangles.
+    pub fn closest_each<T>(
+        &self,
+        rays: impl IntoIterator<Item = (T, Vec3A, Vec3A)>,
+        mut found: impl FnMut(T, Option<Hit>),
+    ) {
+        self.kernel.ask_each::<Nearest, T>(&self.bvh, rays, |name, met| found(name, met.map(Hit::new)));
     }
 
     /// Whether nothing stands between two points; both should be moved off their surfaces by [`Tracer::leave`].
     #[inline]
     pub fn visible(&self, from: Vec3A, to: Vec3A) -> bool {
-        let direction = to - from;
-        if direction == Vec3A::ZERO {
-            return true;
-        }
-        self.kernel.is_free(&self.bvh, from, direction)
+        self.kernel.ask::<Free>(&self.bvh, from, to - from)
+    }
+
+    /// [`Tracer::visible`] for many pairs of points, given as a name and two points each: calls `found` with the name and whether
+    /// the way is free, in the order in which they end.
+    pub fn visible_each<T>(
+        &self,
+        pairs: impl IntoIterator<Item = (T, Vec3A, Vec3A)>,
+        found: impl FnMut(T, bool),
+    ) {
+        let rays = pairs.into_iter().map(|(name, from, to)| (name, from, to - from));
+        self.kernel.ask_each::<Free, T>(&self.bvh, rays, found);
     }
 }
 

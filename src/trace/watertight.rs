@@ -39,7 +39,7 @@ impl Met {
 
     /// By how much `t` may be off: about eight roundings of coordinates near 1, more at grazing incidence, within
     /// reason.
-    fn rounding(&self) -> f32 {
+    pub(super) fn rounding(&self) -> f32 {
         (8.0 * 0.5 * f32::EPSILON / self.approach.abs()).min(1e-4 * self.t)
     }
 
@@ -47,51 +47,6 @@ impl Met {
         let determinant = self.weights[0] + self.weights[1] + self.weights[2];
         let [u, v, w] = self.weights;
         [u / determinant, v / determinant, w / determinant]
-    }
-}
-
-/// The nearest front and the nearest back among the triangles met, by the scene's index.
-///
-/// Whatever the order in which they come: the lower index wins between equal distances.
-#[derive(Default)]
-pub(super) struct Nearest {
-    front: Option<(u32, Met)>,
-    back: Option<(u32, Met)>,
-}
-
-impl Nearest {
-    #[inline(always)]
-    pub(super) fn add(&mut self, triangle: u32, met: Met) {
-        let slot = if met.front() { &mut self.front } else { &mut self.back };
-        let nearer =
-            |(other, nearest): &(u32, Met)| met.t < nearest.t || (met.t == nearest.t && triangle < *other);
-        if slot.as_ref().is_none_or(nearer) {
-            *slot = Some((triangle, met));
-        }
-    }
-
-    /// No triangle farther than this can change the decision.
-    #[inline(always)]
-    pub(super) fn limit(&self) -> f32 {
-        let t = |m: &Option<(u32, Met)>| m.as_ref().map_or(f32::INFINITY, |(_, met)| met.t);
-        let (front, back) = (t(&self.front), t(&self.back));
-        // A front wins against this back where it is farther by the roundings of both, each at most 1e-4 of t.
-        front.min(back * 1.0003)
-    }
-
-    /// The triangle met first.
-    ///
-    /// A ray that grazes the outline of a body meets a front and a back at distances that only rounding tells apart. It
-    /// came from outside: the front counts.
-    #[inline(always)]
-    pub(super) fn decide(self) -> Option<(u32, Met)> {
-        match (self.front, self.back) {
-            (Some(front), Some(back)) => {
-                let slack = front.1.rounding() + back.1.rounding();
-                Some(if front.1.t <= back.1.t + slack { front } else { back })
-            }
-            (front, back) => front.or(back),
-        }
     }
 }
 

@@ -14,7 +14,8 @@ use glam::Vec3A;
 
 use super::{
     bvh::{Bvh, Leaf, Node, WIDTH},
-    watertight::{Met, PreparedRay},
+    query::Query,
+    watertight::PreparedRay,
 };
 
 /// How to work on all lanes.
@@ -46,25 +47,30 @@ impl Kernel {
         Kernel::Portable
     }
 
-    /// [`Bvh::closest`].
+    /// [`Bvh::ask`].
     #[inline]
-    pub(super) fn closest(self, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> Option<(u32, Met)> {
+    pub(super) fn ask<Q: Query>(self, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> Q::Answer {
         match self {
-            Kernel::Portable => bvh.closest(Portable, &PreparedRay::new(origin, direction)),
+            Kernel::Portable => bvh.ask::<_, Q>(Portable, &PreparedRay::new(origin, direction)),
             // SAFETY: the processor has AVX2 and BMI1, or there would be no `Avx2`.
             #[cfg(target_arch = "x86_64")]
-            Kernel::Avx2(lanes) => unsafe { closest_avx2(lanes, bvh, origin, direction) },
+            Kernel::Avx2(lanes) => unsafe { ask_avx2::<Q>(lanes, bvh, origin, direction) },
         }
     }
 
-    /// [`Bvh::is_free`].
+    /// [`Bvh::ask_each`].
     #[inline]
-    pub(super) fn is_free(self, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> bool {
+    pub(super) fn ask_each<Q: Query, T>(
+        self,
+        bvh: &Bvh,
+        rays: impl IntoIterator<Item = (T, Vec3A, Vec3A)>,
+        answered: impl FnMut(T, Q::Answer),
+    ) {
         match self {
-            Kernel::Portable => bvh.is_free(Portable, &PreparedRay::new(origin, direction)),
+            Kernel::Portable => bvh.ask_each::<_, Q, T>(Portable, rays, answered),
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Kernel::Avx2(lanes) => unsafe { is_free_avx2(lanes, bvh, origin, direction) },
+            Kernel::Avx2(lanes) => unsafe { ask_each_avx2::<Q, T>(lanes, bvh, rays, answered) },
         }
     }
 }
@@ -73,14 +79,19 @@ impl Kernel {
 // forwarded from the writes, and two rays in a row would hardly overlap (docs/performance.md).
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1")]
-fn closest_avx2(lanes: Avx2, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> Option<(u32, Met)> {
-    bvh.closest(lanes, &PreparedRay::new(origin, direction))
+fn ask_avx2<Q: Query>(lanes: Avx2, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> Q::Answer {
+    bvh.ask::<_, Q>(lanes, &PreparedRay::new(origin, direction))
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1")]
-fn is_free_avx2(lanes: Avx2, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> bool {
-    bvh.is_free(lanes, &PreparedRay::new(origin, direction))
+fn ask_each_avx2<Q: Query, T>(
+    lanes: Avx2,
+    bvh: &Bvh,
+    rays: impl IntoIterator<Item = (T, Vec3A, Vec3A)>,
+    answered: impl FnMut(T, Q::Answer),
+) {
+    bvh.ask_each::<_, Q, T>(lanes, rays, answered);
 }
 
 /// Plain Rust.
@@ -279,7 +290,12 @@ mod tests {
     use super::*;
     use crate::{
         scene::{Material, Scene},
-        trace::{Tracer, UnitTriangle, sampling::mix},
+        trace::{
+            Tracer, UnitTriangle,
+            query::{Free, Nearest},
+            sampling::mix,
+            watertight::Met,
+        },
     };
 
     /// Numbers in \[-1, 1), the same each time.
@@ -420,11 +436,11 @@ mod tests {
                     (random.point().as_vec3a(), random.point().as_vec3a())
                 };
                 let hit = |kernel: Kernel| {
-                    let (triangle, met) = kernel.closest(&wide.bvh, from, to - from)?;
+                    let (triangle, met) = kernel.ask::<Nearest>(&wide.bvh, from, to - from)?;
                     Some((triangle, met.front(), met.t.to_bits(), bits(met.barycentric())))
                 };
                 assert_eq!(hit(Kernel::detect()), hit(Kernel::Portable), "{count} {from} {to}");
-                let free = |kernel: Kernel| kernel.is_free(&wide.bvh, from, to - from);
+                let free = |kernel: Kernel| kernel.ask::<Free>(&wide.bvh, from, to - from);
                 assert_eq!(free(Kernel::detect()), free(Kernel::Portable), "{count} {from} {to}");
             }
         }
@@ -432,17 +448,17 @@ mod tests {
 
     /// Every triangle in a leaf of its own, all asked in turn.
     fn closest_of_all(triangles: &[UnitTriangle], ray: &PreparedRay) -> Option<(u32, Met)> {
-        let mut nearest = crate::trace::watertight::Nearest::default();
+        let mut nearest = Nearest::default();
         for (t, triangle) in triangles.iter().enumerate() {
             let (inside, edges) = Portable.edges(&Leaf::new(&[t as u32], triangles), ray);
             if inside & 1 != 0 {
                 let edges = [edges[0][0], edges[1][0], edges[2][0]];
                 if let Some(met) = ray.meet(triangle.corners[0], triangle.normal, edges) {
-                    nearest.add(t as u32, met);
+                    nearest.meet(t as u32, met);
                 }
             }
         }
-        nearest.decide()
+        nearest.answer()
     }
 
     #[test]
