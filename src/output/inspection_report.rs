@@ -29,7 +29,7 @@ pub struct InspectionReport {
     /// Its textures.
     pub textures: TexturesReport,
     /// What each quality would take.
-    pub forecast: Vec<ForecastReport>,
+    pub forecast: [ForecastReport; 4],
     /// What the reader left out or assumed.
     pub warnings: Vec<String>,
     /// What will go wrong or look odd, a sentence each.
@@ -186,18 +186,10 @@ impl InspectionReport {
                 found: scene.textures.iter().map(|t| t.size()).collect(),
                 missing: scene.missing.clone(),
             },
-            forecast: [
-                ("draft", Quality::DRAFT),
-                ("medium", Quality::MEDIUM),
-                ("high", Quality::HIGH),
-                ("reference", Quality::REFERENCE),
-            ]
-            .into_iter()
-            .map(|(quality, preset)| {
+            forecast: Quality::PRESETS.map(|(quality, preset)| {
                 let (patches, rays, bytes, seconds) = forecast(preset);
                 ForecastReport { quality, patches, rays, bytes, seconds }
-            })
-            .collect(),
+            }),
             warnings: scene.warnings.clone(),
             concerns: concerns(scene, inspection, survey),
         }

@@ -109,12 +109,7 @@ impl<'a> Sweep<'a> {
     /// The presets that are not beyond the sweep.
     pub(super) fn presets(&self, lines: &[([f64; 2], Point)]) -> Result<Vec<Point>> {
         let mut points = Vec::new();
-        for (name, quality) in [
-            ("draft", Quality::DRAFT),
-            ("medium", Quality::MEDIUM),
-            ("high", Quality::HIGH),
-            ("reference", Quality::REFERENCE),
-        ] {
+        for (name, quality) in Quality::PRESETS {
             let subdivision = Subdivision::Count(quality.patches);
             let rays = f64::from(quality.rays);
             let edge = Patches::subdivide(self.scene, &subdivision).edge();
