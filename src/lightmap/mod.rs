@@ -30,7 +30,6 @@ pub use self::{
     atlas::{Atlas, Coordinates, LARGEST, Layout, NONE, PAGE},
     bake::bake,
     coverage::{Coverage, Piece},
-    raster::Polygon,
 };
 use self::{bake::Cells, grid::Grid};
 use crate::{
