@@ -84,7 +84,7 @@ impl ValidationReport {
             valid: objections.is_empty(),
             objections,
             patches: solved.patches.len(),
-            rays: solved.form_factors.hits().map_or(0, |hits| hits.rays()),
+            rays: solved.form_factors.rays(),
             energy: EnergyReport::of(&validation.energy),
             row_sum_deviation: solved.form_factors.row_sum_deviation().into(),
             reciprocity_deviation: solved.form_factors.reciprocity_deviation().into(),

@@ -347,5 +347,5 @@ impl<'a> Sweep<'a> {
 
 /// Mean number of rays a patch that were cast.
 fn rays_a_patch(form_factors: &FormFactors) -> f64 {
-    form_factors.hits().map_or(0, |hits| hits.rays()) as f64 / form_factors.len() as f64
+    form_factors.rays() as f64 / form_factors.len() as f64
 }
