@@ -110,6 +110,7 @@ impl<'a> FinalGather<'a> {
     }
 
     /// Radiosity that is reflected where a ray hit: none from backs that no ray of the solution met.
+    #[inline]
     fn reflected(&self, hit: &Hit) -> DVec3 {
         let patch = self.patches.at(hit.triangle, hit.barycentric, hit.front);
         let irradiance = patch.map_or(DVec3::ZERO, |i| self.irradiance[i as usize].into());
