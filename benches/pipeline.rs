@@ -70,7 +70,7 @@ fn run(place: Place, count: usize) {
             println!(
                 "{place:23}  {:7}  {casting:7.3}  {:7.2}  {solving:7.3}  {:10}  {judging:10.3}  {:9}  {:5.1}  {}",
                 patches.len(),
-                form_factors.hits().map_or(0, |hits| hits.rays()) as f64 / casting / 1e6,
+                form_factors.rays() as f64 / casting / 1e6,
                 solution.iterations,
                 form_factors.non_zeros(),
                 form_factors.bytes() as f64 / MIB,

@@ -90,7 +90,7 @@ fn hemisphere_rays(polygons: &[Vec<DVec3>], seed: u64) -> (Rows, u64) {
         let share = patches.area(i) / (patches.area(i & !1) + patches.area(i | 1));
         form_factors.row(i).for_each(|(j, f)| rows[i / 2][j / 2] += share * f);
     }
-    (rows, form_factors.hits().map_or(0, |hits| hits.rays()))
+    (rows, form_factors.rays())
 }
 
 /// A line of twelve coordinates a quadrilateral, and a line of view factors.

@@ -10,6 +10,13 @@ pub struct Quality {
 }
 
 impl Quality {
+    /// All of them by their names, the coarsest first.
+    pub const PRESETS: [(&str, Quality); 4] = [
+        ("draft", Quality::DRAFT),
+        ("medium", Quality::MEDIUM),
+        ("high", Quality::HIGH),
+        ("reference", Quality::REFERENCE),
+    ];
     /// 1,000 patches with 64 rays: is the scene as it should be? Below a tenth of a second. On the Cornell box of `meshes/` the
     /// means of about 1,000 patches are 4.4 % RMS off continuous light.
     pub const DRAFT: Quality = Quality { patches: 1_000, rays: 64 };

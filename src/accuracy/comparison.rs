@@ -3,6 +3,8 @@
 //! Where both are right, the differences divided by their combined standard errors are distributed like Student's t
 //! with mean 0; a wrong input shifts or spreads them.
 
+use serde::Serialize;
+
 /// An estimate of the irradiance of every patch, `channels` interleaved values each.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimates {
@@ -49,7 +51,7 @@ pub struct Worst {
 }
 
 /// How two estimates differ.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
     /// Area-weighted root mean square of the difference, relative to the mean irradiance.
     pub rms_relative: f64,
@@ -68,6 +70,7 @@ pub struct Comparison {
     /// Values compared: patches times channels, less those where both estimates are exactly equal.
     pub compared: usize,
     /// The patches that differ most, worst first.
+    #[serde(skip)]
     pub worst: Vec<Worst>,
 }
 

@@ -47,7 +47,7 @@ pub struct Memory {
     pub hits: f64,
     /// The form factors.
     pub matrix: f64,
-    /// For a time: a factor for every entry, collected in growing pieces; the matrix of the first half of the rays.
+    /// For a time: hits sorted by the blocks that they connect, and entries before tiles hold them.
     pub calibration: f64,
     /// For a time: sums of every replicate, and deviations.
     pub error_bars: f64,

@@ -177,9 +177,8 @@ fn round(
     let casting = start.elapsed().as_secs_f64();
     let solution = solve(&form_factors, &patches, options, progress)?;
     let error_bars = ErrorBars::of(&form_factors, &patches, &solution).expect("rays were cast");
-    let rays = form_factors.hits().map_or(0, |hits| hits.rays()) as f64;
     let round = Round {
-        rays: rays / patches.len() as f64,
+        rays: form_factors.rays() as f64 / patches.len() as f64,
         error: relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas()),
         elapsed: before + start.elapsed().as_secs_f64(),
         casting,

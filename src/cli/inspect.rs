@@ -11,7 +11,10 @@ use radiosity::{
     form_factor::{CastOptions, Estimator, FormFactors},
     output::inspection_report::{InspectionReport, MaterialReport},
     patch::{Patches, Subdivision},
-    scene::{Material, inspection::Inspection},
+    scene::{
+        Material,
+        inspection::{Inspection, MaterialUse},
+    },
     solve::{SolveOptions, Solver, solve},
     trace::Tracer,
 };
@@ -110,8 +113,8 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
         std::iter::zip(scene.bounds_min, scene.bounds_max).map(|(a, b)| format!("{:.6}", b - a)).collect();
     let unit = scene.unit_guess.map_or("in no likely unit of length".into(), |unit| format!("likely {unit}"));
     row("size", format!("{}, {unit}", size.join(" x ")));
-    let edges = &report.edges;
-    let closed = if edges.closed { "closed" } else { "not closed" };
+    let edges = &report.edges.count;
+    let closed = if report.edges.closed { "closed" } else { "not closed" };
     row(
         "edges",
         format!(
@@ -172,22 +175,22 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
 }
 
 /// The lamps, and the materials that cover most, in the scene's order; and how many that leaves out.
-fn worth_showing(materials: &[MaterialReport]) -> (Vec<&MaterialReport>, usize) {
+fn worth_showing(materials: &[MaterialReport]) -> (Vec<&MaterialUse>, usize) {
     const MOST: usize = 12;
     let mut order: Vec<usize> = (0..materials.len()).collect();
-    let emits = |m: &MaterialReport| m.emission.iter().any(|&e| e > 0.0);
+    let emits = |m: &MaterialUse| m.emission.iter().any(|&e| e > 0.0);
     order.sort_by(|&i, &j| {
-        let rank = |k: usize| (emits(&materials[k]), materials[k].area);
+        let rank = |k: usize| (emits(&materials[k].used), materials[k].used.area);
         let ((lamp_i, area_i), (lamp_j, area_j)) = (rank(i), rank(j));
         lamp_j.cmp(&lamp_i).then(area_j.total_cmp(&area_i))
     });
     order.truncate(MOST);
     order.sort_unstable();
     let hidden = materials.len() - order.len();
-    (order.into_iter().map(|i| &materials[i]).collect(), hidden)
+    (order.into_iter().map(|i| &materials[i].used).collect(), hidden)
 }
 
-fn material(m: &MaterialReport, total: f64) -> String {
+fn material(m: &MaterialUse, total: f64) -> String {
     let colour = |c: [f64; 3]| match c.map(|x| format!("{:.4}", (x * 1e4).round() / 1e4)) {
         [r, g, b] if r == g && g == b => r,
         rgb => rgb.join(" "),
@@ -223,11 +226,13 @@ mod tests {
     #[test]
     fn lamps_come_before_large_walls() {
         let made = |k: usize| MaterialReport {
-            name: k.to_string(),
-            triangles: 1,
-            area: k as f64,
-            reflectance: [0.5; 3],
-            emission: [if k == 1 { 2.0 } else { 0.0 }; 3],
+            used: MaterialUse {
+                name: k.to_string(),
+                triangles: 1,
+                area: k as f64,
+                reflectance: [0.5; 3],
+                emission: [if k == 1 { 2.0 } else { 0.0 }; 3],
+            },
             share_of_backs: 0.0,
         };
         let all: Vec<_> = (0..20).map(made).collect();

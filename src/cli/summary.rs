@@ -195,7 +195,7 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
         ),
     );
     if let Some(error) = report.rms_relative {
-        let rays = options.final_gather;
+        let rays = options.map.final_gather;
         row("error", format!("{:.2} % RMS a texel from {rays} rays of the final gather", 100.0 * error));
     }
     for step in &report.steps {

@@ -7,7 +7,10 @@ use radiosity::{
     Result,
     accuracy::validation::{Validation, ValidationOptions},
     form_factor::Estimator,
-    output::{report::Seconds, validation_report::ValidationReport},
+    output::{
+        report::Seconds,
+        validation_report::{ComparisonReport, ValidationReport},
+    },
     patch::Patches,
     solve::Solver,
 };
@@ -135,9 +138,9 @@ fn table(report: &ValidationReport) -> String {
         );
     }
     line("allowance for patch size", format!("{:.2} % RMS", 100.0 * report.discretisation_relative));
-    for c in &report.comparisons {
+    for ComparisonReport { what, figures: c, .. } in &report.comparisons {
         line(
-            c.what,
+            what,
             format!(
                 "RMS {:.2} %, mean {:+.2} % (z {:+.1}); z-scores: mean {:+.2}, spread {:.2}, {:.1} % beyond 2, {:.1} % beyond 3",
                 100.0 * c.rms_relative,

@@ -328,6 +328,11 @@ impl FormFactors {
         self.samples.as_ref().map(|samples| &samples.hits)
     }
 
+    /// Rays cast: none where the form factors came from elsewhere.
+    pub fn rays(&self) -> u64 {
+        self.hits().map_or(0, Hits::rays)
+    }
+
     /// Non-zero form factors.
     pub fn non_zeros(&self) -> usize {
         match &self.stored {

@@ -11,7 +11,7 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    hemisphere::REPLICATES,
+    hemisphere::{ESCAPED, REPLICATES},
     shadow::{self, Footprint, Found, Sources},
     siblings::siblings,
 };
@@ -160,6 +160,59 @@ impl<'a> Sweeper<'a> {
         [came.lit.map(|lit| ratio * lit), came.met.map(|met| met / hemisphere)]
     }
 
+    /// Casts hemisphere rays from patch `i` and calls `met` with the patch that each meets. Counts those that met a back.
+    fn cast(
+        &self,
+        (i, from): (usize, &Footprint),
+        rays: Range<u32>,
+        backs: &AtomicU64,
+        mut met: impl FnMut(Option<usize>),
+    ) {
+        let mut behind = 0;
+        let rays = from.hemisphere_rays(rays, self.seed_of(i));
+        self.tracer.closest_each(rays.map(|ray| ((), ray.origin, ray.direction)), |(), hit| {
+            behind += u64::from(hit.is_some_and(|hit| !hit.front));
+            let patch = hit.and_then(|hit| self.patches.at(hit.triangle, hit.barycentric, hit.front));
+            met(patch.map(|j| j as usize));
+        });
+        if behind > 0 {
+            backs.fetch_add(behind, Ordering::Relaxed);
+        }
+    }
+
+    fn seed_of(&self, i: usize) -> u64 {
+        mix(&[self.seed, i as u64])
+    }
+
+    /// What the `N` hemisphere rays that begin with the index `first` meet from every patch: patches, or [`ESCAPED`].
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
+    pub(crate) fn met<const N: usize>(
+        &self,
+        first: u32,
+        progress: &Progress,
+    ) -> Result<(Vec<[u32; N]>, Tally)> {
+        let backs = AtomicU64::new(0);
+        let cast = |i: usize| {
+            progress.check()?;
+            let (mut met, mut ray) = ([ESCAPED; N], 0);
+            let from = Footprint::new(self.tracer, self.patches, i);
+            self.cast((i, &from), first..first + N as u32, &backs, |patch| {
+                met[ray] = patch.map_or(ESCAPED, |j| j as u32);
+                ray += 1;
+            });
+            progress.advance(N as u64);
+            Ok(met)
+        };
+        let met: Vec<[u32; N]> =
+            (0..self.patches.len()).into_par_iter().with_min_len(64).map(cast).collect::<Result<_>>()?;
+        let all = met.as_flattened();
+        let escaped = all.par_iter().filter(|&&j| j == ESCAPED).count() as u64;
+        let tally = Tally { hemisphere: all.len() as u64, escaped, backs: backs.into_inner(), shadow: 0 };
+        Ok((met, tally))
+    }
+
     /// Casts the rays with these indices from every patch, hemisphere and shadow rays, through patches of this radiosity.
     ///
     /// # Errors
@@ -178,34 +231,20 @@ impl<'a> Sweeper<'a> {
             if i.is_multiple_of(1024) {
                 progress.check()?;
             }
-            let (from, seed) = (Footprint::new(self.tracer, self.patches, i), mix(&[self.seed, i as u64]));
+            let from = Footprint::new(self.tracer, self.patches, i);
             let mut came = Arrived::NOTHING;
-            let mut behind = 0;
-            let rays = from.hemisphere_rays(hemisphere.clone(), seed);
-            self.tracer.closest_each(rays.map(|ray| ((), ray.origin, ray.direction)), |(), hit| {
-                behind += u64::from(hit.is_some_and(|hit| !hit.front));
-                let patch = hit.and_then(|hit| self.patches.at(hit.triangle, hit.barycentric, hit.front));
-                let Some(j) = patch.map(|j| j as usize) else {
-                    came.escaped += 1.0;
-                    return;
-                };
-                for c in 0..C {
-                    came.met[c] += radiosity[j][c] - if lamps { emission[j][c] } else { 0.0 };
+            self.cast((i, &from), hemisphere.clone(), &backs, |patch| match patch {
+                None => came.escaped += 1.0,
+                Some(j) => {
+                    for c in 0..C {
+                        came.met[c] += radiosity[j][c] - if lamps { emission[j][c] } else { 0.0 };
+                    }
                 }
             });
-            if behind > 0 {
-                backs.fetch_add(behind, Ordering::Relaxed);
-            }
             if lamps && self.mean_kernels[i] > 0.0 {
                 let mut links = Vec::new();
-                shadow::cast_patch(
-                    self.tracer,
-                    &self.sources,
-                    &from,
-                    shadow.clone(),
-                    mix(&[seed, 1]),
-                    &mut links,
-                );
+                let seed = mix(&[self.seed_of(i), 1]);
+                shadow::cast_patch(self.tracer, &self.sources, &from, shadow.clone(), seed, &mut links);
                 for link in links {
                     let (l, kernel) = (link.to as usize, f64::from(link.kernel));
                     came.kernel += kernel * self.sources.weight(l);

@@ -3,10 +3,8 @@
 //! The patches are divided into blocks, and the pairs into tiles, one for every two blocks. A product walks through the
 //! tiles: what a tile reads and writes is near in memory, and places within a block take 16 bits. [`Blocks`] tells which tiles
 //! are worked on at a time.
-//!
-//! An entry takes 4 bytes for its value and 2 for its column, and every run of entries of a row in a tile 4 bytes more: 6 to
-//! 10 bytes a pair. Runs of equal length follow each other, where that leaves near what is near: a processor that guesses
-//! wrongly where a run ends loses as much time as eight entries take.
+
+mod tile;
 
 use std::ops::{Add, AddAssign, Mul, Sub, SubAssign};
 
@@ -16,63 +14,7 @@ use super::{
     Matrix,
     blocks::{Blocks, PLACE},
 };
-
-/// Entry of a tile: its row and column there, and its value.
-pub(super) type Entry = (u16, u16, f32);
-
-/// Runs are sorted by length among so many rows, as a power of two. Among all rows of a large block what they read and write
-/// would be too far apart.
-const NEAR: u32 = 9;
-
-/// The entries of two blocks, by rows.
-#[derive(Debug, Clone, Default)]
-struct Tile {
-    /// Row and length of each run of entries.
-    runs: Vec<[u16; 2]>,
-    columns: Vec<u16>,
-    values: Vec<f32>,
-}
-
-impl Tile {
-    fn of(entries: impl Iterator<Item = Entry>, count: usize) -> Tile {
-        let mut by_row =
-            Tile { runs: Vec::new(), columns: Vec::with_capacity(count), values: Vec::with_capacity(count) };
-        for (row, column, value) in entries {
-            match by_row.runs.last_mut() {
-                Some([last, length]) if *last == row && *length < u16::MAX => *length += 1,
-                _ => by_row.runs.push([row, 1]),
-            }
-            by_row.columns.push(column);
-            by_row.values.push(value);
-        }
-        let mut runs: Vec<_> = by_row.runs().collect();
-        runs.sort_by_key(|&(row, columns, _)| (row >> NEAR, columns.len()));
-        let mut tile = Tile {
-            runs: runs.iter().map(|&(row, columns, _)| [row, columns.len() as u16]).collect(),
-            columns: Vec::with_capacity(by_row.columns.len()),
-            values: Vec::with_capacity(by_row.values.len()),
-        };
-        for (_, columns, values) in runs {
-            tile.columns.extend_from_slice(columns);
-            tile.values.extend_from_slice(values);
-        }
-        tile
-    }
-
-    /// The runs as row, columns, values.
-    fn runs(&self) -> impl Iterator<Item = (u16, &[u16], &[f32])> {
-        self.runs.iter().scan(0, |start, &[row, length]| {
-            let range = *start..*start + usize::from(length);
-            *start = range.end;
-            Some((row, &self.columns[range.clone()], &self.values[range]))
-        })
-    }
-
-    fn entries(&self) -> impl Iterator<Item = Entry> + '_ {
-        let rows = self.runs.iter().flat_map(|&[row, length]| std::iter::repeat_n(row, length.into()));
-        rows.zip(&self.columns).zip(&self.values).map(|((row, &column), &value)| (row, column, value))
-    }
-}
+use tile::{Entry, Tile};
 
 /// Single or double precision.
 pub(crate) trait Real:
@@ -189,14 +131,7 @@ impl Symmetric {
     /// Adds the entries of another one, whose entries are elsewhere.
     pub(super) fn append(&mut self, other: Symmetric) {
         assert_eq!((self.blocks, &self.diagonal, &other.diagonal), (other.blocks, &Vec::new(), &Vec::new()));
-        self.tiles.par_iter_mut().zip(other.tiles).for_each(|(tile, other)| {
-            tile.runs.reserve_exact(other.runs.len());
-            tile.columns.reserve_exact(other.columns.len());
-            tile.values.reserve_exact(other.values.len());
-            tile.runs.extend(other.runs);
-            tile.columns.extend(other.columns);
-            tile.values.extend(other.values);
-        });
+        self.tiles.par_iter_mut().zip(other.tiles).for_each(|(tile, other)| tile.append(other));
     }
 
     /// Adds entries on the diagonal, one a row, or none at all.
@@ -218,8 +153,7 @@ impl Symmetric {
 
     /// Bytes held.
     pub(super) fn bytes(&self) -> usize {
-        let of_tile = |tile: &Tile| 4 * tile.runs.len() + 6 * tile.values.len();
-        self.tiles.iter().map(of_tile).sum::<usize>() + 4 * self.diagonal.len()
+        self.tiles.iter().map(Tile::bytes).sum::<usize>() + 4 * self.diagonal.len()
     }
 
     /// The entries of each tile as (i, j, s), i < j, tiles in parallel.

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use glam::DVec2;
 
 use super::{overlap, raster, unwrap::unwrap};
-use crate::{Error, Result, scene::Scene, trace::Tracer};
+use crate::{Error, Result, output::surfaces::DisjointSets, scene::Scene, trace::Tracer};
 
 /// No chart.
 pub const NONE: u32 = u32::MAX;
@@ -211,7 +211,7 @@ fn own(scene: &Scene, layout: Layout) -> std::result::Result<Atlas, String> {
         return Err(format!("texels of this length would need {side} of them a side"));
     }
     let (coordinates, corners) = share(scene);
-    let (chart, charts) = components(scene, &corners);
+    let (chart, charts) = components(&corners);
     let page = vec![0; corners.len()];
     Ok(Atlas {
         width: side,
@@ -245,57 +245,19 @@ fn share(scene: &Scene) -> (Vec<DVec2>, Vec<[u32; 3]>) {
 }
 
 /// Numbers the charts: triangles that share an edge in the map.
-fn components(scene: &Scene, corners: &[[u32; 3]]) -> (Vec<u32>, usize) {
-    let mut forest = Forest::new(corners.len());
+fn components(corners: &[[u32; 3]]) -> (Vec<u32>, usize) {
+    let mut sets = DisjointSets::new(corners.len());
     let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
     for (t, c) in corners.iter().enumerate() {
         for k in 0..3 {
             let (a, b) = (c[k], c[(k + 1) % 3]);
             match edges.entry((a.min(b), a.max(b))) {
-                std::collections::hash_map::Entry::Occupied(other) => forest.unite(t, *other.get()),
+                std::collections::hash_map::Entry::Occupied(other) => sets.unite(t, *other.get()),
                 std::collections::hash_map::Entry::Vacant(place) => drop(place.insert(t)),
             }
         }
     }
-    debug_assert_eq!(corners.len(), scene.triangles.len());
-    forest.numbers()
-}
-
-/// Disjoint sets.
-pub(super) struct Forest(Vec<u32>);
-
-impl Forest {
-    pub(super) fn new(n: usize) -> Forest {
-        Forest((0..n as u32).collect())
-    }
-
-    fn root(&mut self, mut i: usize) -> usize {
-        while self.0[i] as usize != i {
-            self.0[i] = self.0[self.0[i] as usize];
-            i = self.0[i] as usize;
-        }
-        i
-    }
-
-    pub(super) fn unite(&mut self, i: usize, j: usize) {
-        let (i, j) = (self.root(i), self.root(j));
-        self.0[i.max(j)] = i.min(j) as u32;
-    }
-
-    /// The number of the set of each, in the order of their first members; and how many sets there are.
-    pub(super) fn numbers(mut self) -> (Vec<u32>, usize) {
-        let (mut count, mut numbers) = (0, vec![NONE; self.0.len()]);
-        for i in 0..self.0.len() {
-            let root = self.root(i);
-            if root == i {
-                numbers[i] = count;
-                count += 1;
-            } else {
-                numbers[i] = numbers[root];
-            }
-        }
-        (numbers, count as usize)
-    }
+    sets.numbers()
 }
 
 /// Least width of the convex hull of points: it is attained across one of the hull's edges.

@@ -82,11 +82,6 @@ impl Coverage {
         &self.pieces[self.starts[i] as usize..self.starts[i + 1] as usize]
     }
 
-    /// Number of pieces of all texels.
-    pub fn pieces_len(&self) -> usize {
-        self.pieces.len()
-    }
-
     /// Surface area in covered texel `i`, in the file's unit squared.
     pub fn area(&self, i: usize) -> f64 {
         self.pieces(i).iter().map(|p| p.area).sum()

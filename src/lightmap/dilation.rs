@@ -8,9 +8,8 @@ use super::{atlas::NONE, grid::Grid};
 
 /// Fills the places that have no `owner`, in place. An owner is the chart that a value belongs to; a place that several
 /// charts reach at once gets the lowest numbered one's.
-pub fn dilate(grid: &Grid, owner: &mut [u32], values: &mut [[f32; 3]]) -> usize {
+pub fn dilate(grid: &Grid, owner: &mut [u32], values: &mut [[f32; 3]]) {
     let mut ring: Vec<u32> = (0..owner.len() as u32).filter(|&at| owner[at as usize] != NONE).collect();
-    let mut filled = 0;
     while !ring.is_empty() {
         let mut next: Vec<u32> = Vec::new();
         for &at in &ring {
@@ -24,10 +23,8 @@ pub fn dilate(grid: &Grid, owner: &mut [u32], values: &mut [[f32; 3]]) -> usize 
             owner[at as usize] = chart;
             values[at as usize] = value;
         }
-        filled += next.len();
         ring = next;
     }
-    filled
 }
 
 /// The mean of the neighbours that have values, of the lowest numbered chart among them.

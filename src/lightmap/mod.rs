@@ -25,12 +25,12 @@ pub mod write;
 use std::f64::consts::PI;
 
 use glam::DVec2;
+use serde::Serialize;
 
 pub use self::{
     atlas::{Atlas, Coordinates, LARGEST, Layout, NONE, PAGE},
     bake::bake,
     coverage::{Coverage, Piece},
-    raster::Polygon,
 };
 use self::{bake::Cells, grid::Grid};
 use crate::{
@@ -43,7 +43,7 @@ use crate::{
 };
 
 /// How a map is made.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct BakeOptions {
     /// Hemisphere rays of the final gather a texel, and as many to lamps; 0 takes the patches as they are.
     pub final_gather: u32,
@@ -78,7 +78,7 @@ pub enum Texel {
 }
 
 /// What a step did to the map.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Step {
     /// `hide`, `denoise`, `dilate` or `seams`.
     pub name: &'static str,

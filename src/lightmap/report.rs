@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use serde::Serialize;
 
-use super::{BakeOptions, Lightmap, Texel, atlas::NONE};
+use super::{BakeOptions, Lightmap, Step, Texel, atlas::NONE};
 use crate::{
     output::report::{EnergyReport, SceneReport, Seconds},
     scene::Scene,
@@ -31,7 +31,7 @@ pub struct BakeReport {
     /// Energy of the map.
     pub flux: FluxReport,
     /// What was done to the map after it was computed.
-    pub steps: Vec<StepReport>,
+    pub steps: Vec<Step>,
     /// Differences across seams.
     pub seams: SeamsReport,
     /// Surface that the map is not of.
@@ -106,17 +106,6 @@ pub struct FluxReport {
     pub finished: [f64; 3],
 }
 
-/// What a step did.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct StepReport {
-    /// Its name.
-    pub name: &'static str,
-    /// By how much it changed the flux, W.
-    pub flux_change: [f64; 3],
-    /// The same relative to the flux before, of the worst channel.
-    pub relative: f64,
-}
-
 /// Differences across seams, W/m².
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SeamsReport {
@@ -158,16 +147,9 @@ pub struct BakeSeconds {
 /// What was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct BakeOptionsReport {
-    /// Rays of the final gather a texel.
-    pub final_gather: u32,
-    /// Whether noise was taken out.
-    pub denoise: bool,
-    /// Whether texels without surface were filled.
-    pub dilate: bool,
-    /// Whether seams were closed.
-    pub close_seams: bool,
-    /// Seed.
-    pub seed: u64,
+    /// How the map was made.
+    #[serde(flatten)]
+    pub map: BakeOptions,
     /// Irradiance shown as white in `lightmap.png`, W/m².
     pub white: f64,
 }
@@ -199,11 +181,7 @@ impl BakeReport {
                 standard_error: flux.standard_error,
                 finished: flux.finished,
             },
-            steps: map
-                .steps()
-                .iter()
-                .map(|s| StepReport { name: s.name, flux_change: s.flux_change, relative: s.relative })
-                .collect(),
+            steps: map.steps().to_vec(),
             seams: SeamsReport { samples, before, after },
             left_out: LeftOutReport {
                 other_sides_area: map.other_sides_area(),
@@ -217,14 +195,7 @@ impl BakeReport {
             warnings: Vec::new(),
             seconds: BakeSeconds::default(),
             peak_bytes: None,
-            options: BakeOptionsReport {
-                final_gather: options.final_gather,
-                denoise: options.denoise,
-                dilate: options.dilate,
-                close_seams: options.close_seams,
-                seed: options.seed,
-                white: map.exposure().white(),
-            },
+            options: BakeOptionsReport { map: *options, white: map.exposure().white() },
         };
         report.warnings = report.objections();
         report

@@ -4,8 +4,13 @@
 use glam::DVec2;
 use uvunwrap::{Density, MeshInput, Options};
 
-use super::atlas::{Atlas, CREASE, Forest, LARGEST, Layout, NONE};
-use crate::{Error, Result, output::surfaces::smooth_edges, scene::Scene, trace::Tracer};
+use super::atlas::{Atlas, CREASE, LARGEST, Layout, NONE};
+use crate::{
+    Error, Result,
+    output::surfaces::{DisjointSets, smooth_edges},
+    scene::Scene,
+    trace::Tracer,
+};
 
 /// Charts end where normals turn by more than this many degrees from the mean of the chart: flat enough to keep areas.
 const CHART_ANGLE: f32 = 45.0;
@@ -40,13 +45,13 @@ struct Unwrapper<'a> {
 
 impl<'a> Unwrapper<'a> {
     fn new(scene: &'a Scene, tracer: &Tracer) -> Self {
-        let mut forest = Forest::new(scene.triangles.len());
+        let mut sets = DisjointSets::new(scene.triangles.len());
         for [e, f] in smooth_edges(scene, CREASE) {
             let (t, u) = (e as usize / 3, f as usize / 3);
             // Where a lamp is flush with a wall, what leaves is not continuous though what arrives is: viewers that
             // show the map would blur the lamp's edge.
             if scene.emits(t) == scene.emits(u) {
-                forest.unite(t, u);
+                sets.unite(t, u);
             }
         }
         Unwrapper {
@@ -54,7 +59,7 @@ impl<'a> Unwrapper<'a> {
             scale: tracer.scale(),
             positions: scene.vertices.iter().map(|&v| tracer.to_unit(v).to_array()).collect(),
             indices: scene.triangles.iter().flat_map(|t| t.vertices).collect(),
-            surfaces: forest.numbers().0,
+            surfaces: sets.numbers().0,
         }
     }
 

@@ -205,10 +205,6 @@ fn distinct_names(scene: &Scene) -> Vec<String> {
 
 /// The name of a page's image: `stem.ext`, `stem-2.ext`, `stem-3.ext`.
 pub fn page_name(stem: &str, page: usize, format: PictureFormat) -> String {
-    let extension = match format {
-        PictureFormat::Png => "png",
-        PictureFormat::Exr => "exr",
-        PictureFormat::Hdr => "hdr",
-    };
+    let extension = format.extension();
     if page == 0 { format!("{stem}.{extension}") } else { format!("{stem}-{}.{extension}", page + 1) }
 }

@@ -50,11 +50,16 @@ pub enum PictureFormat {
 impl PictureFormat {
     /// The format that a file name's extension stands for.
     pub fn of_extension(extension: &str) -> Option<PictureFormat> {
-        match extension.to_lowercase().as_str() {
-            "png" => Some(PictureFormat::Png),
-            "exr" => Some(PictureFormat::Exr),
-            "hdr" => Some(PictureFormat::Hdr),
-            _ => None,
+        let all = [PictureFormat::Png, PictureFormat::Exr, PictureFormat::Hdr];
+        all.into_iter().find(|format| extension.eq_ignore_ascii_case(format.extension()))
+    }
+
+    /// The extension of its files' names.
+    pub fn extension(self) -> &'static str {
+        match self {
+            PictureFormat::Png => "png",
+            PictureFormat::Exr => "exr",
+            PictureFormat::Hdr => "hdr",
         }
     }
 }

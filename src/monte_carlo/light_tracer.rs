@@ -231,8 +231,7 @@ impl<'a> LightTracer<'a> {
                 return Ok(close(emitted, absorbed, flux));
             };
             tell(Event::Arrives(&hit, flux));
-            let reflectance =
-                DVec3::from(self.scene.reflectance_at(hit.triangle as usize, hit.barycentric.map(f64::from)));
+            let reflectance = DVec3::from(hit.reflectance(self.scene));
             let q = if hits < self.options.continuous { 1.0 } else { survival(reflectance, flux) };
             let kept = if q < 1.0 && f64::from(samples.number()) >= q {
                 DVec3::ZERO

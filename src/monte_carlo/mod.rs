@@ -20,7 +20,7 @@ mod samples;
 mod tests;
 
 pub use camera::{Camera, Lens};
-pub use emitters::{EmitterPoint, Emitters};
+use emitters::Emitters;
 pub use estimate::{Effort, Estimate};
 pub use image::{Film, PictureFormat, RenderOptions};
 pub use light_tracer::{LightImage, LightOptions, LightTracer, LightTransport, Particle};

@@ -123,22 +123,17 @@ impl<'a> PathTracer<'a> {
         self.tracer
     }
 
-    /// The scene's emitters.
-    pub fn emitters(&self) -> &Emitters {
-        &self.emitters
-    }
-
     /// One sample of the radiance that arrives at `origin` against `direction` (unit space).
     #[inline]
     pub fn radiance(&self, origin: Vec3A, direction: Vec3A, samples: &mut Samples) -> [f64; 3] {
         let Some(hit) = self.tracer.closest(origin, direction) else { return [0.0; 3] };
-        let emitted = self.emission(&hit);
+        let emitted = hit.emission(self.scene);
         if self.options.max_bounces == Some(0) {
-            return emitted.to_array();
+            return emitted;
         }
-        let reflectance = self.reflectance(&hit);
+        let reflectance = hit.reflectance(self.scene).into();
         let gathered = self.gather(Receiver::of_hit(self.tracer, &hit), reflectance, 1, samples);
-        (emitted + gathered).to_array()
+        (DVec3::from(emitted) + gathered).to_array()
     }
 
     /// One sample of the irradiance of a place, W/m².
@@ -180,20 +175,6 @@ impl<'a> PathTracer<'a> {
         })
     }
 
-    #[inline]
-    fn emission(&self, hit: &Hit) -> DVec3 {
-        if hit.front && self.scene.emits(hit.triangle as usize) {
-            self.scene.emission_at(hit.triangle as usize, hit.barycentric.map(f64::from)).into()
-        } else {
-            DVec3::ZERO
-        }
-    }
-
-    #[inline]
-    fn reflectance(&self, hit: &Hit) -> DVec3 {
-        self.scene.reflectance_at(hit.triangle as usize, hit.barycentric.map(f64::from)).into()
-    }
-
     /// `throughput` times the mean radiance that arrives at a place, weighted by the cosine; `bounces` reflections
     /// lie between the place and the eye, its own included.
     fn gather(
@@ -214,7 +195,7 @@ impl<'a> PathTracer<'a> {
             if self.options.max_bounces.is_some_and(|limit| bounces >= limit) {
                 return sum;
             }
-            throughput *= self.reflectance(&hit);
+            throughput *= DVec3::from(hit.reflectance(self.scene));
             bounces += 1;
             if bounces > self.options.roulette_after {
                 let survival = throughput.max_element().min(MOST_LIKELY_SURVIVAL);
@@ -252,7 +233,7 @@ impl<'a> PathTracer<'a> {
         let direction = around(at.normal, local);
         let hit = self.tracer.closest(origin, direction);
         if let Some(hit) = &hit {
-            let emitted = self.emission(hit);
+            let emitted = DVec3::from(hit.emission(self.scene));
             if emitted != DVec3::ZERO {
                 light += emitted * self.bounce_weight(hit, direction, local.z);
             }

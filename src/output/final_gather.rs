@@ -73,7 +73,7 @@ impl<'a> FinalGather<'a> {
             let direction = around(at.normal, square_to_cosine_hemisphere(x, y));
             if let Some(hit) = self.tracer.closest(origin, direction) {
                 // π times the mean of the radiance ρ E' / π.
-                reflected += reflectance(self.scene, &hit) * self.solved(&hit);
+                reflected += self.reflected(&hit);
             }
         }
         (direct + reflected / f64::from(self.rays)).to_array()
@@ -85,7 +85,7 @@ impl<'a> FinalGather<'a> {
     pub fn gather(&self, at: Receiver, samples: &mut Samples) -> Gathered {
         let (direct, hit) = self.direct.direct(at, samples);
         let Some(hit) = hit else { return Gathered { direct, ..Gathered::default() } };
-        let reflected = (reflectance(self.scene, &hit) * self.solved(&hit)).to_array();
+        let reflected = self.reflected(&hit).to_array();
         Gathered { direct, reflected, met: Some((hit.triangle, hit.front)) }
     }
 
@@ -109,26 +109,19 @@ impl<'a> FinalGather<'a> {
         outgoing(self.scene, &hit, irradiance.into())
     }
 
-    /// Solved irradiance where a ray hit: nothing on backs that no ray of the solution met.
-    fn solved(&self, hit: &Hit) -> DVec3 {
+    /// Radiosity that is reflected where a ray hit: none from backs that no ray of the solution met.
+    #[inline]
+    fn reflected(&self, hit: &Hit) -> DVec3 {
         let patch = self.patches.at(hit.triangle, hit.barycentric, hit.front);
-        patch.map_or(DVec3::ZERO, |i| self.irradiance[i as usize].into())
+        let irradiance = patch.map_or(DVec3::ZERO, |i| self.irradiance[i as usize].into());
+        DVec3::from(hit.reflectance(self.scene)) * irradiance
     }
 }
 
 /// Radiance that leaves a surface with a given irradiance, Le + ρ E / π, with the texture's values at that very point.
 pub(crate) fn outgoing(scene: &Scene, hit: &Hit, irradiance: DVec3) -> [f64; 3] {
-    let reflected = reflectance(scene, hit) * irradiance / std::f64::consts::PI;
-    let triangle = hit.triangle as usize;
-    let emitted = match hit.front && scene.emits(triangle) {
-        true => scene.emission_at(triangle, hit.barycentric.map(f64::from)).into(),
-        false => DVec3::ZERO,
-    };
-    (emitted + reflected).to_array()
-}
-
-fn reflectance(scene: &Scene, hit: &Hit) -> DVec3 {
-    scene.reflectance_at(hit.triangle as usize, hit.barycentric.map(f64::from)).into()
+    let reflected = DVec3::from(hit.reflectance(scene)) * irradiance / std::f64::consts::PI;
+    (DVec3::from(hit.emission(scene)) + reflected).to_array()
 }
 
 /// Interleaved values as red, green and blue; what a solver left below zero, by its tolerance, as zero.

@@ -9,7 +9,7 @@ use crate::{
     accuracy::survey::Survey,
     scene::{
         Scene,
-        inspection::{Inspection, MaterialUse},
+        inspection::{Edges, Inspection, MaterialUse},
     },
 };
 
@@ -29,7 +29,7 @@ pub struct InspectionReport {
     /// Its textures.
     pub textures: TexturesReport,
     /// What each quality would take.
-    pub forecast: Vec<ForecastReport>,
+    pub forecast: [ForecastReport; 4],
     /// What the reader left out or assumed.
     pub warnings: Vec<String>,
     /// What will go wrong or look odd, a sentence each.
@@ -66,14 +66,9 @@ pub struct MeshReport {
 /// Edges by the triangles that run through them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EdgesReport {
-    /// All.
-    pub total: usize,
-    /// With one triangle.
-    pub open: usize,
-    /// With more than two.
-    pub non_manifold: usize,
-    /// With two that run through it the same way.
-    pub inconsistent: usize,
+    /// Their numbers.
+    #[serde(flatten)]
+    pub count: Edges,
     /// Neither open nor non-manifold ones.
     pub closed: bool,
 }
@@ -94,16 +89,9 @@ pub struct SeenReport {
 /// A material.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MaterialReport {
-    /// Its name.
-    pub name: String,
-    /// Triangles made of it.
-    pub triangles: usize,
-    /// Their area.
-    pub area: f64,
-    /// Mean reflectance.
-    pub reflectance: [f64; 3],
-    /// Mean emitted radiance, W/(m² sr).
-    pub emission: [f64; 3],
+    /// Where and how it is used.
+    #[serde(flatten)]
+    pub used: MaterialUse,
     /// Of what was seen from behind, the share made of it.
     pub share_of_backs: f64,
 }
@@ -159,13 +147,7 @@ impl InspectionReport {
                 unit_guess: inspection.unit_guess(),
                 channels: scene.channels(),
             },
-            edges: EdgesReport {
-                total: edges.total,
-                open: edges.open,
-                non_manifold: edges.non_manifold,
-                inconsistent: edges.inconsistent,
-                closed: edges.is_closed(),
-            },
+            edges: EdgesReport { count: edges, closed: edges.is_closed() },
             seen: SeenReport {
                 rays: survey.all.rays,
                 back_share: survey.all.back_share(),
@@ -173,31 +155,16 @@ impl InspectionReport {
                 lamp_escaped_share: (survey.lamps.rays > 0).then(|| survey.lamps.escaped_share()),
             },
             materials: std::iter::zip(&inspection.materials, &survey.backs_of)
-                .map(|(m, &met)| MaterialReport {
-                    name: m.name.clone(),
-                    triangles: m.triangles,
-                    area: m.area,
-                    reflectance: m.reflectance,
-                    emission: m.emission,
-                    share_of_backs: met as f64 / backs,
-                })
+                .map(|(used, &met)| MaterialReport { used: used.clone(), share_of_backs: met as f64 / backs })
                 .collect(),
             textures: TexturesReport {
                 found: scene.textures.iter().map(|t| t.size()).collect(),
                 missing: scene.missing.clone(),
             },
-            forecast: [
-                ("draft", Quality::DRAFT),
-                ("medium", Quality::MEDIUM),
-                ("high", Quality::HIGH),
-                ("reference", Quality::REFERENCE),
-            ]
-            .into_iter()
-            .map(|(quality, preset)| {
+            forecast: Quality::PRESETS.map(|(quality, preset)| {
                 let (patches, rays, bytes, seconds) = forecast(preset);
                 ForecastReport { quality, patches, rays, bytes, seconds }
-            })
-            .collect(),
+            }),
             warnings: scene.warnings.clone(),
             concerns: concerns(scene, inspection, survey),
         }

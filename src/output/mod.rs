@@ -7,7 +7,7 @@ pub mod exposure;
 pub mod file;
 pub mod final_gather;
 pub mod inspection_report;
-pub(crate) mod meeting;
+mod meeting;
 pub mod picture;
 pub mod ply;
 pub mod report;

@@ -314,7 +314,7 @@ impl FormFactorsReport {
         };
         let escaped = count(|targets| targets.iter().filter(|&&t| t == hemisphere::ESCAPED).count());
         FormFactorsReport {
-            rays: hits.map_or(0, |h| h.rays()),
+            rays: form_factors.rays(),
             non_zeros: form_factors.non_zeros(),
             bytes: form_factors.bytes(),
             escaped_fraction: escaped as f64 / count(<[u32]>::len).max(1) as f64,

@@ -4,9 +4,13 @@
 //! one material and their normals differ by less than the crease angle. An edge of three triangles is where surfaces
 //! meet, a floor and the walls of two rooms on it, and light on one says nothing about the others.
 
-use rayon::prelude::*;
-
-use crate::{patch::Patches, scene::Scene};
+use crate::{
+    patch::{
+        Patches,
+        edges::{same_edge, slots},
+    },
+    scene::Scene,
+};
 
 /// No such edge, vertex or slot.
 pub(super) const NONE: u32 = u32::MAX;
@@ -27,10 +31,12 @@ impl Surfaces {
     /// Finds the smooth surfaces; `crease` in degrees.
     pub(super) fn new(scene: &Scene, patches: &Patches, crease: f64) -> Surfaces {
         let triangles = scene.triangles.len();
-        let mut surfaces = Surfaces {
-            triangles,
-            across: vec![NONE; 6 * triangles],
-            cluster: (0..6 * triangles as u32).collect(),
+        let (mut across, mut clusters) = (vec![NONE; 6 * triangles], DisjointSets::new(6 * triangles));
+        let mut join = |e: u32, f: u32| {
+            (across[e as usize], across[f as usize]) = (f, e);
+            // The windings agree: each edge starts where the other ends.
+            clusters.unite(e as usize, next(f) as usize);
+            clusters.unite(next(e) as usize, f as usize);
         };
         let back: Vec<bool> = (0..triangles).map(|t| has_side(patches, t, false)).collect();
         let same_material = |e: u32, f: u32| {
@@ -38,15 +44,13 @@ impl Surfaces {
             t == u
         };
         for [e, f] in smooth_edges(scene, crease).into_iter().filter(|&[e, f]| same_material(e, f)) {
-            surfaces.join(e, f);
+            join(e, f);
             if back[e as usize / 3] && back[f as usize / 3] {
-                surfaces.join(e + 3 * triangles as u32, f + 3 * triangles as u32);
+                join(e + 3 * triangles as u32, f + 3 * triangles as u32);
             }
         }
-        for slot in 0..surfaces.cluster.len() as u32 {
-            surfaces.cluster[slot as usize] = surfaces.root(slot);
-        }
-        surfaces
+        let cluster = (0..6 * triangles).map(|slot| clusters.root(slot) as u32).collect();
+        Surfaces { triangles, across, cluster }
     }
 
     /// The slot of corner, or edge, `k` of a side of triangle `t`.
@@ -73,26 +77,44 @@ impl Surfaces {
     pub(super) fn slots(&self) -> usize {
         self.across.len()
     }
+}
 
-    fn join(&mut self, e: u32, f: u32) {
-        (self.across[e as usize], self.across[f as usize]) = (f, e);
-        // The windings agree: each edge starts where the other ends.
-        self.unite(e, next(f));
-        self.unite(next(e), f);
+/// Sets of numbers, of which any two can be made one (Galler and Fischer, CACM 7(5), 1964).
+pub(crate) struct DisjointSets(Vec<u32>);
+
+impl DisjointSets {
+    /// Of one member each.
+    pub(crate) fn new(n: usize) -> DisjointSets {
+        DisjointSets((0..n as u32).collect())
     }
 
-    fn unite(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.cluster[a.max(b) as usize] = a.min(b);
-    }
-
-    fn root(&mut self, mut slot: u32) -> u32 {
-        while self.cluster[slot as usize] != slot {
-            let parent = self.cluster[slot as usize];
-            self.cluster[slot as usize] = self.cluster[parent as usize];
-            slot = self.cluster[slot as usize];
+    /// The least member of a set.
+    fn root(&mut self, mut i: usize) -> usize {
+        while self.0[i] as usize != i {
+            self.0[i] = self.0[self.0[i] as usize];
+            i = self.0[i] as usize;
         }
-        slot
+        i
+    }
+
+    pub(crate) fn unite(&mut self, i: usize, j: usize) {
+        let (i, j) = (self.root(i), self.root(j));
+        self.0[i.max(j)] = i.min(j) as u32;
+    }
+
+    /// The number of the set of each, in the order of their first members; and how many sets there are.
+    pub(crate) fn numbers(mut self) -> (Vec<u32>, usize) {
+        let (mut count, mut numbers) = (0, vec![NONE; self.0.len()]);
+        for i in 0..self.0.len() {
+            let root = self.root(i);
+            if root == i {
+                numbers[i] = count;
+                count += 1;
+            } else {
+                numbers[i] = numbers[root];
+            }
+        }
+        (numbers, count as usize)
     }
 }
 
@@ -108,18 +130,10 @@ fn next(slot: u32) -> u32 {
 
 /// Pairs of front slots whose triangles continue each other across the edge, whatever their materials.
 pub(crate) fn smooth_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
-    let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * scene.triangles.len());
-    for (t, triangle) in scene.triangles.iter().enumerate() {
-        for k in 0..3 {
-            let (a, b) = (triangle.vertices[k], triangle.vertices[(k + 1) % 3]);
-            edges.push((a.min(b), a.max(b), (3 * t + k) as u32));
-        }
-    }
-    edges.par_sort_unstable();
     let normals: Vec<_> = (0..scene.triangles.len()).map(|t| scene.normal(t)).collect();
     let least_cosine = crease.to_radians().cos();
-    edges
-        .chunk_by(|e, f| (e.0, e.1) == (f.0, f.1))
+    slots(scene)
+        .chunk_by(same_edge)
         .filter_map(|group| {
             let &[(_, _, e), (_, _, f)] = group else { return None };
             let (t, u) = (e as usize / 3, f as usize / 3);

@@ -47,22 +47,9 @@ pub struct ValidationReport {
 pub struct ComparisonReport {
     /// Which two.
     pub what: &'static str,
-    /// RMS difference relative to the mean irradiance.
-    pub rms_relative: f64,
-    /// Difference of the means, relative.
-    pub mean_relative: f64,
-    /// The same in standard errors.
-    pub mean_z: f64,
-    /// Mean of the z-scores of the patches.
-    pub z_mean: f64,
-    /// Their root mean square.
-    pub z_spread: f64,
-    /// Share beyond 2.
-    pub beyond_2: f64,
-    /// Share beyond 3.
-    pub beyond_3: f64,
-    /// Values compared, patches times channels.
-    pub compared: usize,
+    /// The figures.
+    #[serde(flatten)]
+    pub figures: Comparison,
     /// The worst patches.
     pub worst: Vec<WorstReport>,
 }
@@ -97,7 +84,7 @@ impl ValidationReport {
             valid: objections.is_empty(),
             objections,
             patches: solved.patches.len(),
-            rays: solved.form_factors.hits().map_or(0, |hits| hits.rays()),
+            rays: solved.form_factors.rays(),
             energy: EnergyReport::of(&validation.energy),
             row_sum_deviation: solved.form_factors.row_sum_deviation().into(),
             reciprocity_deviation: solved.form_factors.reciprocity_deviation().into(),
@@ -120,18 +107,8 @@ impl ValidationReport {
 
 impl ComparisonReport {
     fn new(what: &'static str, comparison: &Comparison, scene: &Scene, patches: &Patches) -> Self {
-        ComparisonReport {
-            what,
-            rms_relative: comparison.rms_relative,
-            mean_relative: comparison.mean_relative,
-            mean_z: comparison.mean_z,
-            z_mean: comparison.z_mean,
-            z_spread: comparison.z_spread,
-            beyond_2: comparison.beyond_2,
-            beyond_3: comparison.beyond_3,
-            compared: comparison.compared,
-            worst: comparison.worst.iter().map(|worst| WorstReport::new(worst, scene, patches)).collect(),
-        }
+        let worst = comparison.worst.iter().map(|worst| WorstReport::new(worst, scene, patches)).collect();
+        ComparisonReport { what, figures: comparison.clone(), worst }
     }
 }
 

@@ -18,16 +18,9 @@ pub(crate) struct Edges {
 
 impl Edges {
     pub(crate) fn new(scene: &Scene) -> Edges {
-        let mut slots: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * scene.triangles.len());
-        for (t, triangle) in scene.triangles.iter().enumerate() {
-            for k in 0..3 {
-                let (a, b) = (triangle.vertices[k], triangle.vertices[(k + 1) % 3]);
-                slots.push((a.min(b), a.max(b), (3 * t + k) as u32));
-            }
-        }
-        slots.par_sort_unstable();
+        let slots = slots(scene);
         let mut first = vec![0; slots.len()];
-        for edge in slots.chunk_by(|e, f| (e.0, e.1) == (f.0, f.1)) {
+        for edge in slots.chunk_by(same_edge) {
             edge.iter().for_each(|&(.., slot)| first[slot as usize] = edge[0].2);
         }
         Edges { first }
@@ -50,6 +43,27 @@ impl Edges {
             None => 2 << 62 | (t as u64) << (2 * FINEST) | u64::from(p[0]) << FINEST | u64::from(p[1]),
         }
     }
+}
+
+/// A triangle's edge by its vertices, the lower first, and its number 3 t + k.
+pub(crate) type Slot = (u32, u32, u32);
+
+/// The edges of all triangles, those with the same vertices next to each other.
+pub(crate) fn slots(scene: &Scene) -> Vec<Slot> {
+    let mut slots = Vec::with_capacity(3 * scene.triangles.len());
+    for (t, triangle) in scene.triangles.iter().enumerate() {
+        for k in 0..3 {
+            let (a, b) = (triangle.vertices[k], triangle.vertices[(k + 1) % 3]);
+            slots.push((a.min(b), a.max(b), (3 * t + k) as u32));
+        }
+    }
+    slots.par_sort_unstable();
+    slots
+}
+
+/// Whether two slots have the same vertices.
+pub(crate) fn same_edge(e: &Slot, f: &Slot) -> bool {
+    (e.0, e.1) == (f.0, f.1)
 }
 
 /// Which edge of its triangle a point that is no corner lies on, if any: `k` runs from corner `k` to the next.

@@ -64,17 +64,17 @@ impl Patches {
     /// # Panics
     /// When an edge length is not positive, or when the patches would outnumber 2³¹.
     pub fn subdivide(scene: &Scene, subdivision: &Subdivision) -> Patches {
-        let longest: Vec<f64> = (0..scene.triangles.len()).map(|t| longest_edge(scene, t)).collect();
-        let edge = match *subdivision {
-            Subdivision::Edge(edge) => edge,
-            Subdivision::Count(count) => edge_for_count(&longest, count),
-        };
+        let (edge, levels) = levels(scene, subdivision);
         assert!(edge > 0.0, "the patch size must be positive");
-        let levels: Vec<u8> = longest.iter().map(|&l| level(l, edge)).collect();
-        let total = count(&levels);
+        let total = count(levels.iter().copied());
         assert!(total < f64::from(1u32 << 31), "{total:.2e} patches are more than the program can number");
 
         Self::of_trees(scene, Forest::uniform(levels), edge)
+    }
+
+    fn of_cells(scene: &Scene, cells: &[Cell], edge: f64) -> Patches {
+        assert!(cells.len() < 1 << 31, "{} patches are more than the program can number", cells.len());
+        Self::of_trees(scene, Forest::of_leaves(cells), edge)
     }
 
     fn of_trees(scene: &Scene, trees: Forest, edge: f64) -> Patches {
@@ -106,8 +106,7 @@ impl Patches {
         assert_eq!(marked.len(), self.fronts, "one mark a front patch is wanted");
         let cells: Vec<Cell> = (0..self.fronts).map(|i| self.cell(i)).collect();
         let cells = restricted::restrict(scene, restricted::split(cells, marked));
-        assert!(cells.len() < 1 << 31, "{} patches are more than the program can number", cells.len());
-        Patches { restricted: true, ..Self::of_trees(scene, Forest::of_leaves(&cells), self.edge) }
+        Patches { restricted: true, ..Self::of_cells(scene, &cells, self.edge) }
     }
 
     /// Cuts every front patch in four, but for those at the last level. Backs are no unknowns yet.
@@ -117,20 +116,13 @@ impl Patches {
     pub fn quartered(&self, scene: &Scene) -> Patches {
         let cells: Vec<Cell> = (0..self.fronts).map(|i| self.cell(i)).collect();
         let cells = restricted::split(cells, &vec![true; self.fronts]);
-        assert!(cells.len() < 1 << 31, "{} patches are more than the program can number", cells.len());
-        let trees = Forest::of_leaves(&cells);
         // Where all are cut alike neighbours differ as they did.
-        Patches { restricted: self.restricted, ..Self::of_trees(scene, trees, 0.5 * self.edge) }
+        Patches { restricted: self.restricted, ..Self::of_cells(scene, &cells, 0.5 * self.edge) }
     }
 
     /// How many patches a subdivision gives, without making them.
     pub fn forecast(scene: &Scene, subdivision: &Subdivision) -> f64 {
-        let longest: Vec<f64> = (0..scene.triangles.len()).map(|t| longest_edge(scene, t)).collect();
-        let edge = match *subdivision {
-            Subdivision::Edge(edge) => edge,
-            Subdivision::Count(count) => edge_for_count(&longest, count),
-        };
-        count(&longest.iter().map(|&l| level(l, edge)).collect::<Vec<_>>())
+        count(levels(scene, subdivision).1.into_iter())
     }
 
     /// Makes the backs of these triangles unknowns, in this order, unless they are already.
@@ -314,6 +306,16 @@ impl Patches {
     }
 }
 
+/// The largest edge that is allowed, and the level of each triangle.
+fn levels(scene: &Scene, subdivision: &Subdivision) -> (f64, Vec<u8>) {
+    let longest: Vec<f64> = (0..scene.triangles.len()).map(|t| longest_edge(scene, t)).collect();
+    let edge = match *subdivision {
+        Subdivision::Edge(edge) => edge,
+        Subdivision::Count(count) => edge_for_count(&longest, count),
+    };
+    (edge, longest.iter().map(|&l| level(l, edge)).collect())
+}
+
 fn longest_edge(scene: &Scene, t: usize) -> f64 {
     let [a, b, c] = scene.corners(t);
     (b - a).length().max((c - b).length()).max((a - c).length())
@@ -329,15 +331,15 @@ fn level(longest: f64, edge: f64) -> u8 {
     level
 }
 
-fn count(levels: &[u8]) -> f64 {
-    levels.iter().map(|&l| f64::from(quadtree::children(l))).sum()
+/// Patches of triangles with these levels.
+fn count(levels: impl Iterator<Item = u8>) -> f64 {
+    levels.map(|l| f64::from(quadtree::children(l))).sum()
 }
 
 /// The edge length whose number of patches comes nearest to `wanted`, as a ratio.
 fn edge_for_count(longest: &[f64], wanted: usize) -> f64 {
     let Some(largest) = longest.iter().copied().reduce(f64::max) else { return f64::INFINITY };
-    let patches =
-        |edge: f64| longest.iter().map(|&l| f64::from(quadtree::children(level(l, edge)))).sum::<f64>();
+    let patches = |edge: f64| count(longest.iter().map(|&l| level(l, edge)));
     // The number of patches falls as the edge grows, in steps: bisect for the step that straddles the target.
     let wanted = wanted.max(1) as f64;
     let (mut fine, mut coarse) = (largest / f64::from(1u32 << MAX_LEVEL), largest);

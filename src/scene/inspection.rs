@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use glam::DVec3;
 use rayon::prelude::*;
+use serde::Serialize;
 
 use super::Scene;
 
@@ -35,7 +36,7 @@ pub struct Inspection {
 }
 
 /// Edges by the triangles that run through them.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct Edges {
     /// All.
     pub total: usize,
@@ -55,7 +56,7 @@ impl Edges {
 }
 
 /// Where and how a material is used.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MaterialUse {
     /// Its name.
     pub name: String,

@@ -33,7 +33,7 @@ use crate::{Error, Result};
 /// # Errors
 /// [`Error::Io`] when `path` cannot be read; [`Error::Input`], with the line where there is one, when what it or its
 /// libraries say cannot be used. Missing libraries and textures are warnings.
-pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
+pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
     let text = text::decode(bytes);
     let mut scan = scan::scan(path, &text)?;

@@ -8,8 +8,10 @@ use rayon::prelude::*;
 use crate::{
     Progress, Result,
     form_factor::{
-        SHORT, magnitude, ordered_sum,
-        sweep::{Arrived, Sweeper, Tally},
+        SHORT,
+        hemisphere::ESCAPED,
+        magnitude, ordered_sum,
+        sweep::{Sweeper, Tally},
     },
 };
 
@@ -20,8 +22,6 @@ pub(super) const RAYS: u32 = 32;
 const TOLERANCE: f64 = 1e-8;
 /// Iterations at most: three digits of reflectance next to 1 take some tens.
 const MOST: usize = 500;
-/// What a ray met that met no patch.
-const NOTHING: u32 = u32::MAX;
 
 /// An irradiance, or the like, of every patch.
 type Light<const C: usize> = Vec<[f64; C]>;
@@ -35,45 +35,21 @@ pub(super) struct FewRays {
 }
 
 impl FewRays {
-    /// Casts the hemisphere rays that begin with the index `first`. That patches send their own numbers instead of light tells
-    /// what a ray met.
-    pub(super) fn cast<const C: usize>(
-        sweeper: &Sweeper<'_>,
-        emission: &[[f64; C]],
-        first: u32,
-        progress: &Progress,
-    ) -> Result<Self> {
-        // What patches emit is left out where shadow rays bring it. Beside it numbers are told apart, and do not overflow.
-        let unit = magnitude(emission.as_flattened()) * 2f64.powi(-20);
-        let lamps = sweeper.has_lamps();
-        let number = |(i, emitted): (usize, &[f64; C])| {
-            let mut sent = [0.0; C];
-            sent[0] = i as f64 * unit + if lamps { emitted[0] } else { 0.0 };
-            sent
-        };
-        let numbers: Light<C> = emission.iter().enumerate().map(number).collect();
-        let met = |came: &Arrived<C>| {
-            if came.escaped > 0.0 { NOTHING } else { (came.met[0] / unit).round() as u32 }
-        };
-        let mut rays = FewRays { met: vec![[0; _]; numbers.len()], tally: Tally::default() };
-        for ray in 0..RAYS {
-            let (came, tally) = sweeper.sweep(&numbers, first + ray..first + ray + 1, 0..0, progress)?;
-            rays.met.iter_mut().zip(&came).for_each(|(all, came)| all[ray as usize] = met(came));
-            rays.tally.add(tally);
-            progress.advance(came.len() as u64);
-        }
-        Ok(rays)
+    /// Casts the hemisphere rays that begin with the index `first`.
+    pub(super) fn cast(sweeper: &Sweeper<'_>, first: u32, progress: &Progress) -> Result<Self> {
+        let (met, tally) = sweeper.met(first, progress)?;
+        Ok(FewRays { met, tally })
     }
 
     /// Share of the rays of patch `i` that met nothing.
     pub(super) fn escaping(&self, i: usize) -> f64 {
-        self.met[i].iter().filter(|met| **met == NOTHING).count() as f64 / f64::from(RAYS)
+        self.met[i].iter().filter(|met| **met == ESCAPED).count() as f64 / f64::from(RAYS)
     }
 
     /// What arrives at each patch of what all send.
     pub(super) fn gather<const C: usize>(&self, sent: &[[f64; C]]) -> Light<C> {
         let gathered = |met: &[u32; _]| {
-            let patches = met.iter().filter(|j| **j != NOTHING);
+            let patches = met.iter().filter(|j| **j != ESCAPED);
             let sum: SVector<f64, C> = patches.map(|&j| SVector::from(sent[j as usize])).sum();
             (sum / f64::from(RAYS)).into()
         };
@@ -88,8 +64,10 @@ impl FewRays {
         progress: &Progress,
     ) -> Result<Option<Light<C>>> {
         let product = |e: &[[f64; C]]| {
-            let mut gathered = self.gather(&combined([e, reflectance], |[e, rho]| e * rho));
-            update(&mut gathered, [e, e], |gathered, [e, _], _| e - gathered);
+            let mut reflected = e.to_vec();
+            update(&mut reflected, [reflectance; 2], |e, [rho, _], _| e * rho);
+            let mut gathered = self.gather(&reflected);
+            update(&mut gathered, [e; 2], |gathered, [e, _], _| e - gathered);
             gathered
         };
         let unit = magnitude(first.as_flattened());
@@ -113,11 +91,11 @@ impl FewRays {
             };
             let carried = product(&along);
             let step = ratio(shadow, dot(&first, &carried));
-            update(&mut residual, [&carried, &carried], |r, [v, _], c| r - step[c] * v);
+            update(&mut residual, [&carried; 2], |r, [v, _], c| r - step[c] * v);
             let smoothed = product(&residual);
             let weight = ratio(dot(&smoothed, &residual), dot(&smoothed, &smoothed));
             update(&mut light, [&along, &residual], |e, [p, s], c| e + step[c] * p + weight[c] * s);
-            update(&mut residual, [&smoothed, &smoothed], |s, [t, _], c| s - weight[c] * t);
+            update(&mut residual, [&smoothed; 2], |s, [t, _], c| s - weight[c] * t);
             let next = dot(&first, &residual);
             let turn = ratio(next, shadow).component_mul(&ratio(step, weight));
             update(&mut along, [&residual, &carried], |p, [r, v], c| r + turn[c] * (p - weight[c] * v));
@@ -130,13 +108,6 @@ impl FewRays {
 /// Σ p q of each channel.
 fn dot<const C: usize>(p: &[[f64; C]], q: &[[f64; C]]) -> SVector<f64, C> {
     ordered_sum(p.len(), |i| SVector::from(p[i]).component_mul(&SVector::from(q[i])))
-}
-
-/// Of two lights a third, value by value.
-fn combined<const C: usize>(of: [&[[f64; C]]; 2], value: impl Fn([f64; 2]) -> f64 + Sync) -> Light<C> {
-    let [p, q] = of;
-    let both = p.par_iter().zip(q).with_min_len(SHORT);
-    both.map(|(p, q)| std::array::from_fn(|c| value([p[c], q[c]]))).collect()
 }
 
 /// Changes a light by itself and two others, value by value.

@@ -134,25 +134,6 @@ impl<'a, const C: usize> Shooting<'a, C> {
     pub fn radiosity(&self) -> Vec<[f64; C]> {
         self.radiosity.iter().zip(&self.unshot).map(|(b, u)| std::array::from_fn(|c| b[c] + u[c])).collect()
     }
-
-    /// The radiosity so far with an ambient term for the light still unshot: spread evenly over all surfaces and
-    /// bounced at their mean reflectance. Good for looking at, never for measuring.
-    pub fn with_ambient(&self) -> Vec<[f64; C]> {
-        let areas = self.system.form_factors.areas();
-        let total: f64 = areas.iter().sum();
-        let mut ambient = [0.0; C];
-        for (c, ambient) in ambient.iter_mut().enumerate() {
-            let unshot: f64 = areas.iter().zip(&self.unshot).map(|(a, u)| a * u[c]).sum();
-            let rho: f64 =
-                areas.iter().zip(self.system.reflectance).map(|(a, r)| a * r[c]).sum::<f64>() / total;
-            *ambient = if rho < 1.0 { unshot / total / (1.0 - rho) } else { 0.0 };
-        }
-        self.radiosity()
-            .iter()
-            .zip(self.system.reflectance)
-            .map(|(b, rho)| std::array::from_fn(|c| b[c] + rho[c] * ambient[c]))
-            .collect()
-    }
 }
 
 /// Shoots until the residual is small.

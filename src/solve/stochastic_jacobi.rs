@@ -289,7 +289,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
             self.tally.add(tally);
             self.whole = came;
         }
-        let few = FewRays::cast(sweeper, self.emission, FAR, progress)?;
+        let few = FewRays::cast(sweeper, FAR, progress)?;
         self.tally.add(few.tally);
         // What arrives first, from lamps or by hemisphere rays.
         let arriving: Vec<[f64; C]> = if sweeper.has_lamps() {

@@ -37,6 +37,22 @@ impl Hit {
     fn new((triangle, met): (u32, Met)) -> Self {
         Hit { triangle, front: met.front(), t: met.t, barycentric: met.barycentric() }
     }
+
+    /// Reflectance of the surface there, R G B.
+    #[inline]
+    pub fn reflectance(&self, scene: &Scene) -> [f64; 3] {
+        scene.reflectance_at(self.triangle as usize, self.barycentric.map(f64::from))
+    }
+
+    /// Radiance that the surface emits there, W/(m² sr), R G B: none from its back.
+    #[inline]
+    pub fn emission(&self, scene: &Scene) -> [f64; 3] {
+        if self.front && scene.emits(self.triangle as usize) {
+            scene.emission_at(self.triangle as usize, self.barycentric.map(f64::from))
+        } else {
+            [0.0; 3]
+        }
+    }
 }
 
 /// A triangle in unit space.

@@ -109,12 +109,7 @@ impl<'a> Sweep<'a> {
     /// The presets that are not beyond the sweep.
     pub(super) fn presets(&self, lines: &[([f64; 2], Point)]) -> Result<Vec<Point>> {
         let mut points = Vec::new();
-        for (name, quality) in [
-            ("draft", Quality::DRAFT),
-            ("medium", Quality::MEDIUM),
-            ("high", Quality::HIGH),
-            ("reference", Quality::REFERENCE),
-        ] {
+        for (name, quality) in Quality::PRESETS {
             let subdivision = Subdivision::Count(quality.patches);
             let rays = f64::from(quality.rays);
             let edge = Patches::subdivide(self.scene, &subdivision).edge();
@@ -352,5 +347,5 @@ impl<'a> Sweep<'a> {
 
 /// Mean number of rays a patch that were cast.
 fn rays_a_patch(form_factors: &FormFactors) -> f64 {
-    form_factors.hits().map_or(0, |hits| hits.rays()) as f64 / form_factors.len() as f64
+    form_factors.rays() as f64 / form_factors.len() as f64
 }

@@ -1,6 +1,6 @@
 //! The layer after tobj: its materials to ours, with everything that light does not forgive checked.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
@@ -24,7 +24,7 @@ pub(super) struct Materials {
     /// By tobj's index and whether textures apply.
     made: HashMap<(Option<usize>, bool), u32>,
     read: HashMap<PathBuf, Option<usize>>,
-    absent: HashMap<(PathBuf, String), ()>,
+    absent: HashSet<(PathBuf, String)>,
 }
 
 impl Materials {
@@ -38,7 +38,7 @@ impl Materials {
             missing: Vec::new(),
             made: HashMap::new(),
             read: HashMap::new(),
-            absent: HashMap::new(),
+            absent: HashSet::new(),
         }
     }
 
@@ -50,9 +50,8 @@ impl Materials {
         definitions: &[tobj::Material],
         origins: &[Origin],
     ) -> Result<u32> {
-        let maps = id.is_some_and(|i| {
-            map_of(&definitions[i], "map_Kd").is_some() || has_emission_map(&definitions[i])
-        });
+        let has = |i: usize, map: &str| map_of(&definitions[i], map).is_some();
+        let maps = id.is_some_and(|i| has(i, "map_Kd") || has(i, "map_Ke"));
         let key = (id, textured || !maps);
         if let Some(&index) = self.made.get(&key) {
             return Ok(index);
@@ -162,7 +161,7 @@ impl Materials {
             (_, None) => "the material does not emit".to_string(),
         };
         let Some(path) = find_file(folder, name) else {
-            if self.absent.insert((folder.into(), name.into()), ()).is_none() {
+            if self.absent.insert((folder.into(), name.into())) {
                 let after = format!(" not found; {instead}");
                 self.warnings.repeat(place.into(), "texture", name, &after);
                 self.missing.push(name.into());
@@ -204,10 +203,6 @@ fn map_of<'a>(definition: &'a tobj::Material, statement: &str) -> Option<&'a str
         "map_Kd" => definition.diffuse_texture.as_deref(),
         _ => definition.unknown_param.get(statement).map(String::as_str),
     }
-}
-
-fn has_emission_map(definition: &tobj::Material) -> bool {
-    map_of(definition, "map_Ke").is_some()
 }
 
 /// What a material has beside diffuse reflection and emission.
