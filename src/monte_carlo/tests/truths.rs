@@ -69,6 +69,19 @@ fn furnace_of_many_colours_with_a_floating_box() {
 }
 
 #[test]
+fn nearly_white_furnace() {
+    // Of each bounce a thousandth is lost: the light of a point comes from a thousand bounces, most of which roulette must survive.
+    let scene = Scene::new(&box_walls(DVec3::ZERO, dvec3(3.0, 2.0, 2.5), true), grey(0.999, 0.001));
+    let tracer = Tracer::new(&scene);
+    let place = Receiver::on_triangle(&tracer, 0, [0.2, 0.3, 0.5], true);
+    for options in [PLAIN, NEXT_EVENT] {
+        let paths = PathTracer::new(&scene, &tracer, options);
+        let found = paths.irradiances(&[place], &effort(1 << 9), &Progress::new()).unwrap();
+        assert_is(&found[0], [PI; 3], 4.0, 0.05);
+    }
+}
+
+#[test]
 fn without_roulette_a_furnace_has_no_variance() {
     let scene = Scene::new(&box_walls(DVec3::ZERO, dvec3(3.0, 2.0, 2.5), true), grey(0.5, 0.5));
     let tracer = Tracer::new(&scene);
@@ -133,6 +146,25 @@ fn direct_light_of_a_triangle() {
         let place = Receiver::free(&tracer, point, DVec3::Z);
         let e = paths.irradiances(&[place], &effort(1 << 10), &Progress::new()).unwrap();
         assert_eq!(e[0].mean, [0.0; 3]);
+    }
+}
+
+#[test]
+fn error_bars_of_few_samples_hold_beside_a_lamp() {
+    let lamp = [dvec3(0.2, 0.3, 0.8), dvec3(0.2, 0.6, 0.8), dvec3(0.7, 0.6, 0.8), dvec3(0.7, 0.3, 0.8)];
+    let scene = Scene::new(&quad(lamp, 0), grey(0.0, 1.0));
+    let tracer = Tracer::new(&scene);
+    let paths = PathTracer::new(&scene, &tracer, NEXT_EVENT);
+    let few = Effort { samples: 32, replicates: 4, seed: 3 };
+    let count = 2000;
+    for point in [dvec3(0.5, 0.5, 0.0), dvec3(0.1, 0.9, 0.1), dvec3(0.4, 0.4, 0.6)] {
+        let truth = PI * lambert(point, DVec3::Z, &lamp);
+        let places = vec![Receiver::free(&tracer, point, DVec3::Z); count];
+        let found = paths.irradiances(&places, &few, &Progress::new()).unwrap();
+        // 95 % by Student's t with three degrees of freedom, less four standard deviations of a share of so many.
+        let holds = |e: &&Estimate| (e.mean[0] - truth).abs() <= 3.182 * e.standard_error[0];
+        let share = found.iter().filter(holds).count() as f64 / count as f64;
+        assert!(share > 0.95 - 4.0 * (0.95 * 0.05 / count as f64).sqrt(), "{point}: {share}");
     }
 }
 
