@@ -326,6 +326,25 @@ fn a_turned_wall_and_faces_at_one_place_are_told() {
 }
 
 #[test]
+fn rows_that_cannot_be_closed_are_told() {
+    // Boxes one in the other, 0.01 apart: few rays find the way between them past the edges.
+    let mut faces = cube(1, |_| "");
+    for (_, mut corners) in cube(1, |_| "") {
+        corners.iter_mut().flatten().for_each(|x| *x = 0.01 + 0.98 * *x);
+        corners.reverse();
+        faces.push(("", corners));
+    }
+    let worst = |error: &str| {
+        let (here, said) = run(&obj(faces.clone()), &format!("--error {error} --report r.json"));
+        (here.json("r.json")["row_sum_deviation"]["after"].as_f64().unwrap(), said)
+    };
+    let (off, said) = worst("1e-2");
+    assert!(off > 1e-3 && said.contains("could not be made to sum to 1"), "{off}: {said}");
+    let (off, said) = worst("1e-4");
+    assert!(off < 1e-12 && said.is_empty(), "{off}: {said}");
+}
+
+#[test]
 fn names_reach_the_table_as_they_are() {
     let scene = obj([("g a,b", flat(1.0, 1.0, 0.0, true)), ("g \"c\" d", flat(1.0, 1.0, 1.0, false))]);
     let (here, _) = run(&scene, "--by group");

@@ -148,6 +148,7 @@ pub fn run(args: &ViewFactorsArgs) -> Result<Outcome> {
     ((found, enclosed), times.view_factors) =
         watch.stage("view factors", || compute(args, &surfaces, &seen, &mut told))?;
     told.overfull(args, &surfaces, &found);
+    told.unclosed(args, &surfaces, &found);
 
     watch.begin_writing();
     let mut pending = Vec::new();
@@ -223,7 +224,28 @@ impl Told<'_> {
             found.row_sums[worst]
         ));
     }
+
+    /// Names surfaces whose rows do not sum to one after they were scaled, as the rays of some contradict each other's.
+    fn unclosed(&mut self, args: &ViewFactorsArgs, surfaces: &Surfaces, found: &ViewFactors) {
+        let sums: Vec<f64> = std::iter::zip(found.form_factors.row_sums(), found.form_factors.escaped())
+            .map(|(sum, escaped)| sum + escaped)
+            .collect();
+        let off = |i: usize| (sums[i] - 1.0).abs();
+        let rows: Vec<usize> = (0..sums.len()).filter(|&i| off(i) > CLOSED).collect();
+        let Some(&worst) = rows.iter().max_by(|&&i, &&j| off(i).total_cmp(&off(j))) else { return };
+        self.warn(format!(
+            "{}: the view factors of {} surfaces could not be made to sum to 1, those of `{}` sum to {:.7}: too few rays tell \
+             of what passes surfaces that are close to each other; a smaller --error tells more",
+            place(args, surfaces, worst),
+            rows.len(),
+            surfaces.list[worst].name,
+            sums[worst]
+        ));
+    }
 }
+
+/// Rows that sum to one but for more than this are told: rounding leaves less than a hundredth of it.
+const CLOSED: f64 = 1e-10;
 
 /// The file, and the line where a surface begins.
 fn place(args: &ViewFactorsArgs, surfaces: &Surfaces, i: usize) -> String {

@@ -18,8 +18,10 @@ use crate::{
     },
 };
 
-/// A path survives roulette with at most this probability, so that it ends even where nothing absorbs.
-const MOST_LIKELY_SURVIVAL: f64 = 0.98;
+/// A path survives roulette with at most this probability, so that it ends even where nothing absorbs. Where surfaces reflect
+/// more than its square root, weights of long paths grow beyond any variance: with 0.98 a furnace of reflectance 0.999 was told
+/// less than half as bright as it is, with error bars of a few percent.
+const MOST_LIKELY_SURVIVAL: f64 = 0.9999;
 
 /// How far from a surface, in unit space, a point can come to lie when its coordinates are printed with six digits.
 const NEAR: f32 = 4e-6;
@@ -243,8 +245,10 @@ impl<'a> PathTracer<'a> {
 
     /// Le cos θ/π over the density of a point chosen on an emitter, weighted against the same point met by a bounce.
     ///
-    /// With the balance heuristic (Veach and Guibas, "Optimally Combining Sampling Techniques", SIGGRAPH 95, eq. 8)
-    /// and p = cos θ/π the density of a bounce, Le p/q · q/(p + q) = Le p/(p + q): bounded, however near the lamp.
+    /// With the power heuristic (Veach and Guibas, "Optimally Combining Sampling Techniques", SIGGRAPH 95, section 3.3) and
+    /// p = cos θ/π the density of a bounce, Le p/q · q²/(p² + q²) = Le / (p/q + q/p): bounded, however near the lamp. With
+    /// the balance heuristic the few bounces that meet a small lamp carry p/q of its light, which error bars miss together with
+    /// them: at 32 rays a texel a floor under a lamp had 3.7 % of noise, and 83 % of its texels within 3.2 standard errors.
     #[inline]
     fn look_at_emitter(&self, origin: Vec3A, normal: Vec3A, samples: &mut Samples) -> DVec3 {
         let lamp = self.emitters.sample(self.scene, self.tracer, samples);
@@ -260,10 +264,11 @@ impl<'a> PathTracer<'a> {
         if !self.tracer.visible(origin, target) {
             return DVec3::ZERO;
         }
-        DVec3::from(lamp.radiance) * (bounce / (bounce + chosen))
+        let ratio = bounce / chosen;
+        DVec3::from(lamp.radiance) / (ratio + ratio.recip())
     }
 
-    /// Weight of emission met by a bounce: 1, or p/(p + q) where the emitter could also have been chosen.
+    /// Weight of emission met by a bounce: 1, or p²/(p² + q²) where the emitter could also have been chosen.
     #[inline]
     fn bounce_weight(&self, hit: &Hit, direction: Vec3A, cos: f32) -> f64 {
         if !self.options.next_event {
@@ -274,6 +279,6 @@ impl<'a> PathTracer<'a> {
         let cos_lamp = f64::from(direction.dot(normal).abs()).max(f64::MIN_POSITIVE);
         let chosen = self.emitters.density(hit.triangle) * squared / cos_lamp;
         let bounce = f64::from(cos) / PI;
-        if bounce > 0.0 { bounce / (bounce + chosen) } else { 0.0 }
+        if bounce > 0.0 { 1.0 / (1.0 + (chosen / bounce).powi(2)) } else { 0.0 }
     }
 }

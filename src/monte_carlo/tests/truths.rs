@@ -69,6 +69,19 @@ fn furnace_of_many_colours_with_a_floating_box() {
 }
 
 #[test]
+fn nearly_white_furnace() {
+    // Of each bounce a thousandth is lost: the light of a point comes from a thousand bounces, most of which roulette must survive.
+    let scene = Scene::new(&box_walls(DVec3::ZERO, dvec3(3.0, 2.0, 2.5), true), grey(0.999, 0.001));
+    let tracer = Tracer::new(&scene);
+    let place = Receiver::on_triangle(&tracer, 0, [0.2, 0.3, 0.5], true);
+    for options in [PLAIN, NEXT_EVENT] {
+        let paths = PathTracer::new(&scene, &tracer, options);
+        let found = paths.irradiances(&[place], &effort(1 << 9), &Progress::new()).unwrap();
+        assert_is(&found[0], [PI; 3], 4.0, 0.05);
+    }
+}
+
+#[test]
 fn without_roulette_a_furnace_has_no_variance() {
     let scene = Scene::new(&box_walls(DVec3::ZERO, dvec3(3.0, 2.0, 2.5), true), grey(0.5, 0.5));
     let tracer = Tracer::new(&scene);
@@ -134,6 +147,29 @@ fn direct_light_of_a_triangle() {
         let e = paths.irradiances(&[place], &effort(1 << 10), &Progress::new()).unwrap();
         assert_eq!(e[0].mean, [0.0; 3]);
     }
+}
+
+#[test]
+fn few_samples_show_the_light_of_a_lamp() {
+    let lamp = [dvec3(0.2, 0.3, 0.8), dvec3(0.2, 0.6, 0.8), dvec3(0.7, 0.6, 0.8), dvec3(0.7, 0.3, 0.8)];
+    let scene = Scene::new(&quad(lamp, 0), grey(0.0, 1.0));
+    let tracer = Tracer::new(&scene);
+    let paths = PathTracer::new(&scene, &tracer, NEXT_EVENT);
+    let (point, samples) = (dvec3(0.5, 0.5, 0.0), 32);
+    let places = vec![Receiver::free(&tracer, point, DVec3::Z); 1000];
+    let effort = Effort { samples, replicates: 4, seed: 3 };
+    let found = paths.irradiances(&places, &effort, &Progress::new()).unwrap();
+    let share = lambert(point, DVec3::Z, &lamp);
+    let off: Vec<f64> = found.iter().map(|e| e.mean[0] / (PI * share) - 1.0).collect();
+    let rms = (off.iter().map(|x| x * x).sum::<f64>() / off.len() as f64).sqrt();
+    let mean = off.iter().sum::<f64>() / off.len() as f64;
+    assert!(mean.abs() < 4.0 * rms / (off.len() as f64).sqrt(), "{mean} ± {rms}");
+    // A share of the bounces meets the lamp. With weights p/(p + q) these alone would bring so much noise: 4.5 %.
+    let to = (lamp[0] + lamp[2]) / 2.0 - point;
+    let cos = to.z / to.length();
+    let (p, q) = (cos / PI, to.length_squared() / (cos * 0.15));
+    let by_hits = p / (p + q) * (share * (1.0 - share) / f64::from(samples)).sqrt() / share;
+    assert!(rms < 0.5 * by_hits, "{rms}, {by_hits}");
 }
 
 #[test]
