@@ -39,13 +39,21 @@ impl Bvh {
         rays: impl IntoIterator<Item = (T, Vec3A, Vec3A)>,
         mut answered: impl FnMut(T, Q::Answer),
     ) {
-        let mut rays = rays.into_iter();
-        if self.bytes() <= NEAR {
-            for (name, origin, direction) in rays {
-                answered(name, self.ask::<L, Q>(lanes, &PreparedRay::new(origin, direction)));
-            }
-            return;
+        if self.bytes() > NEAR {
+            return self.take_turns::<L, Q, T>(lanes, rays.into_iter(), answered);
         }
+        for (name, origin, direction) in rays {
+            answered(name, self.ask::<L, Q>(lanes, &PreparedRay::new(origin, direction)));
+        }
+    }
+
+    #[inline(always)]
+    fn take_turns<L: Lanes, Q: Query, T>(
+        &self,
+        lanes: L,
+        mut rays: impl Iterator<Item = (T, Vec3A, Vec3A)>,
+        mut answered: impl FnMut(T, Q::Answer),
+    ) {
         let mut room = [MaybeUninit::uninit(); FLIGHTS * STACK];
         let mut large = Vec::new();
         let mut room = &mut room[..];
@@ -79,5 +87,82 @@ impl Bvh {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trace::{
+        Tracer,
+        query::{Free, Nearest},
+        wide::{
+            Kernel, Portable,
+            tests::{Random, soup, tracer},
+        },
+    };
+
+    /// Where all of these rays, taken in turns, end, and whether they are free; by their places.
+    fn in_turns(tracer: &Tracer, rays: &[(Vec3A, Vec3A)]) -> Vec<[Option<(u32, u32)>; 2]> {
+        let mut found = vec![[Some((u32::MAX, 0)); 2]; rays.len()];
+        let named = || rays.iter().enumerate().map(|(k, &(from, to))| (k, from, to - from));
+        tracer.bvh.take_turns::<_, Nearest, _>(Portable, named(), |k, met| {
+            assert_eq!(found[k][0], Some((u32::MAX, 0)), "answered twice");
+            found[k][0] = met.map(|(triangle, met)| (triangle, met.t.to_bits()));
+        });
+        tracer.bvh.take_turns::<_, Free, _>(Portable, named(), |k, free| {
+            assert_eq!(found[k][1], Some((u32::MAX, 0)), "answered twice");
+            found[k][1] = free.then_some((0, 0));
+        });
+        found
+    }
+
+    fn one_by_one(tracer: &Tracer, rays: &[(Vec3A, Vec3A)]) -> Vec<[Option<(u32, u32)>; 2]> {
+        let ask = |&(from, to): &(Vec3A, Vec3A)| {
+            let met = tracer.closest(from, to - from);
+            [met.map(|hit| (hit.triangle, hit.t.to_bits())), tracer.visible(from, to).then_some((0, 0))]
+        };
+        rays.iter().map(ask).collect()
+    }
+
+    /// Among ordinary rays those that break things; fewer rays than flights, and more.
+    fn some_rays(count: usize, random: &mut Random) -> Vec<(Vec3A, Vec3A)> {
+        let ray = |k: usize| match k % 4 {
+            0 => (random.odd_vector(), random.odd_vector()),
+            _ => (random.point().as_vec3a(), random.point().as_vec3a()),
+        };
+        (0..count).map(ray).collect()
+    }
+
+    #[test]
+    fn rays_in_turns_end_where_each_alone_does() {
+        for triangles in [0, 1, 9, if cfg!(miri) { 20 } else { 3000 }] {
+            let mut random = Random(triangles as u64);
+            let tracer = tracer(&soup(triangles, &mut random));
+            for count in [0, 1, FLIGHTS - 1, FLIGHTS, FLIGHTS + 1, if cfg!(miri) { 30 } else { 3000 }] {
+                let rays = some_rays(count, &mut random);
+                assert_eq!(in_turns(&tracer, &rays), one_by_one(&tracer, &rays), "{triangles} {count}");
+            }
+        }
+    }
+
+    /// The order in which rays end is the same with wide instructions and without, where they do take turns.
+    #[test]
+    #[cfg_attr(miri, ignore = "too many triangles")]
+    fn rays_end_in_one_order() {
+        let mut random = Random(5);
+        let tracer = tracer(&soup(30_000, &mut random));
+        assert!(tracer.bvh.bytes() > NEAR);
+        let rays = some_rays(3000, &mut random);
+        let [wide, plain] = [Kernel::detect(), Kernel::Portable].map(|kernel| {
+            let mut ended = Vec::new();
+            let named = rays.iter().enumerate().map(|(k, &(from, to))| (k, from, to - from));
+            kernel.ask_each::<Nearest, _>(&tracer.bvh, named, |k, met| {
+                ended.push((k, met.map(|(triangle, met)| (triangle, met.t.to_bits()))));
+            });
+            ended
+        });
+        assert_eq!(wide, plain);
+        assert!(!wide.is_sorted_by_key(|(k, _)| *k), "they did not take turns");
     }
 }

@@ -284,7 +284,7 @@ impl<'a> Stack<'a> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use glam::{DVec3, dvec3, vec3a};
 
     use super::*;
@@ -299,7 +299,7 @@ mod tests {
     };
 
     /// Numbers in \[-1, 1), the same each time.
-    struct Random(u64);
+    pub(in super::super) struct Random(pub(in super::super) u64);
 
     impl Random {
         fn bits(&mut self) -> u64 {
@@ -311,7 +311,7 @@ mod tests {
             self.bits() as f64 / 2f64.powi(63) - 1.0
         }
 
-        fn point(&mut self) -> DVec3 {
+        pub(in super::super) fn point(&mut self) -> DVec3 {
             dvec3(self.next(), self.next(), self.next())
         }
 
@@ -338,7 +338,7 @@ mod tests {
             }
         }
 
-        fn odd_vector(&mut self) -> Vec3A {
+        pub(in super::super) fn odd_vector(&mut self) -> Vec3A {
             vec3a(self.odd(), self.odd(), self.odd())
         }
     }
@@ -403,7 +403,7 @@ mod tests {
     }
 
     /// Triangles of all sizes, slivers, coplanar ones one upon the other, needles as long as the scene.
-    fn soup(count: usize, random: &mut Random) -> Vec<([DVec3; 3], u32)> {
+    pub(in super::super) fn soup(count: usize, random: &mut Random) -> Vec<([DVec3; 3], u32)> {
         let mut triangles = Vec::new();
         while triangles.len() < count {
             let a = random.point();
@@ -419,7 +419,7 @@ mod tests {
         triangles
     }
 
-    fn tracer(triangles: &[([DVec3; 3], u32)]) -> Tracer {
+    pub(in super::super) fn tracer(triangles: &[([DVec3; 3], u32)]) -> Tracer {
         Tracer::new(&Scene::new(triangles, vec![Material::new("black", [0.0; 3], [0.0; 3])]))
     }
 
