@@ -140,7 +140,7 @@ impl Assembled {
         areas.iter_mut().for_each(|a| *a = a.max(LEAST_AREA * mean));
         let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
         if options.estimator == Estimator::Pooled {
-            hits.withdraw_hidden(&relative);
+            hits.withdraw_hidden(&relative, tracer, patches);
         }
         let mut densities = Densities::new(&hits, &relative, scale * (scale / mean));
         let buckets = Buckets::new(&hits, Blocks::new(n));
