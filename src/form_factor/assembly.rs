@@ -200,7 +200,8 @@ impl Assembled {
         let mut plain = std::mem::take(&mut self.plain);
         let buckets = std::mem::take(&mut self.buckets);
         let brightness = self.samples.densities.brightness();
-        closure::balance(&mut self.links, brightness, &self.samples.areas, &self.escaped);
+        let known = self.samples.hits.sources.are_lamps();
+        closure::balance(&mut self.links, brightness, &self.samples.areas, &mut self.escaped, known);
         self.link_sums = self.links.row_sums();
         let radiosity =
             calibration::calibrate(&mut plain, buckets, &self.measured(), patches, &self.samples.radiosity);
