@@ -131,3 +131,32 @@ fn form_factors_of_knots_are_shares() {
         }
     }
 }
+
+/// Of two faces at the same place one is hidden, and the other gets what it gets alone: under a lamp that is all they see, and among
+/// many lamps, some of which its own rays find.
+#[test]
+fn of_doubled_faces_the_first_takes_part() {
+    let mut sphere = flipped(icosphere(1.0, 2));
+    // Light escapes, so that what does is asked of the lamps.
+    sphere.pop();
+    let below = level_square(0.5, -0.2, true);
+    for (lamps, edge) in [(level_square(0.5, -0.1, false), 0.1), (sphere, f64::INFINITY)] {
+        let irradiance = |floor: Vec<Corners>| {
+            let parts = [part(lamps.clone(), 0.0, 1.0), black(floor), black(level_square(0.4, 0.4, false))];
+            let options = CastOptions { rays: 256.0, ..CastOptions::default() };
+            let cast = cast(scene(&parts), Subdivision::Edge(edge), options);
+            let exitance: Vec<f64> = (0..cast.patches.len()).map(|i| cast.patches.emission()[i]).collect();
+            let irradiance = cast.form_factors.irradiance(&exitance, 1);
+            let floor = cast.of_part(1);
+            let mean =
+                |of: &[usize]| cast.mean(of, &irradiance, &standard_errors(&cast.form_factors, &exitance));
+            // Of the first of two, and of the second.
+            let (first, second) = floor.split_at(floor.len() / 2);
+            (mean(&floor), mean(first), mean(second))
+        };
+        let (alone, ..) = irradiance(below.clone());
+        let (_, first, second) = irradiance([below.clone(), below.clone()].concat());
+        assert_eq!(second.value, 0.0);
+        first.assert_is(alone.value, T15 * alone.error + 1e-5);
+    }
+}

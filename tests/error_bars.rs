@@ -163,6 +163,22 @@ fn light_of_a_lamp_close_to_the_floor_is_known_to_its_bar() {
     }
 }
 
+/// What of a lamp's light passes a floor by is what does not arrive there. Few rays of a patch of the lamp tell how much of its own
+/// escapes, none or too much by chance, and that must not be made good from what arrives, which is known.
+#[test]
+fn light_of_a_lamp_in_the_open_is_known_to_its_bar() {
+    let lamp = [(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)].map(|(x, y)| DVec3::new(x, y, 0.1));
+    let floor = black(rectangle(DVec3::ZERO, DVec3::X, DVec3::Y));
+    let parts = [floor, part(rectangle(lamp[0], DVec3::Y, DVec3::X), 0.0, 1.0)];
+    for (patches, rays) in [(256, 64.0), (4096, 64.0), (4096, 256.0)] {
+        let options = CastOptions { rays, ..CastOptions::default() };
+        let lit = cast(scene(&parts), Subdivision::Count(patches), options);
+        let [within, off, told] = against_lambert(&lit, |_| Some((&lamp[..], 1.0)));
+        println!("{patches} patches, {rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
+        assert!(within >= 0.95 && off <= 2.0 * told && told <= 1e-3, "{within}, {off:e}, {told:e}");
+    }
+}
+
 /// Two closed rooms, a ceiling in each, of which one shines ten thousand times as brightly: its power must not draw all shadow rays
 /// of the other room, where nobody sees it.
 #[test]

@@ -88,6 +88,22 @@ fn right_answers_pass() {
     assert!(objecting.len() <= 1, "{objecting:#?}");
 }
 
+/// Files often hold faces twice. The second of two is never lit, and paths that begin on it are no reason to doubt that.
+#[test]
+fn doubled_faces_pass() {
+    let scene = cornell_box();
+    let all = 0..scene.triangles.len();
+    let corners: Vec<_> = all
+        .clone()
+        .chain(all.clone().skip(all.len() - 10))
+        .map(|t| (scene.corners(t), scene.triangles[t].material))
+        .collect();
+    let doubled = Scene::new(&corners, scene.materials);
+    let tracer = Tracer::new(&doubled);
+    let validation = Validation::of(&doubled, &tracer, &options(0), &Progress::new()).unwrap();
+    assert_eq!(validation.objections(), Vec::<String>::new());
+}
+
 #[test]
 fn two_percent_of_reflectance_are_noticed() {
     let scene = cornell_box();

@@ -12,7 +12,7 @@ use crate::{
         solved::Solved,
     },
     energy::EnergyLedger,
-    form_factor::CastOptions,
+    form_factor::{CastOptions, is_hidden},
     monte_carlo::{Effort, Estimate, LightOptions, LightTracer, PathOptions, PathTracer, Region},
     patch::{Patches, Subdivision},
     scene::Scene,
@@ -131,8 +131,14 @@ pub fn path_traced(
         .map(|i| Region { triangle: patches.triangle(i), part: patches.corners(i), front: true })
         .collect();
     let effort = Effort { samples: options.paths, seed: options.seed, ..Effort::default() };
-    let found = PathTracer::new(scene, tracer, PathOptions::default())
+    let mut found = PathTracer::new(scene, tracer, PathOptions::default())
         .mean_irradiances(&regions, &effort, progress)?;
+    // Paths that begin on one of two faces at the same place do not know that light comes to the other.
+    for (i, found) in found.iter_mut().enumerate() {
+        if is_hidden(tracer, patches, i) {
+            *found = Estimate::default();
+        }
+    }
     Ok(from_monte_carlo(&found, patches, |_| 1.0))
 }
 

@@ -140,7 +140,7 @@ impl Assembled {
         areas.iter_mut().for_each(|a| *a = a.max(LEAST_AREA * mean));
         let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
         if options.estimator == Estimator::Pooled {
-            hits.withdraw_hidden(&relative);
+            hits.withdraw_hidden(&relative, tracer, patches);
         }
         let mut densities = Densities::new(&hits, &relative, scale * (scale / mean));
         let buckets = Buckets::new(&hits, Blocks::new(n));
@@ -200,7 +200,8 @@ impl Assembled {
         let mut plain = std::mem::take(&mut self.plain);
         let buckets = std::mem::take(&mut self.buckets);
         let brightness = self.samples.densities.brightness();
-        closure::balance(&mut self.links, brightness, &self.samples.areas, &self.escaped);
+        let known = self.samples.hits.sources.are_lamps();
+        closure::balance(&mut self.links, brightness, &self.samples.areas, &mut self.escaped, known);
         self.link_sums = self.links.row_sums();
         let radiosity =
             calibration::calibrate(&mut plain, buckets, &self.measured(), patches, &self.samples.radiosity);

@@ -60,7 +60,17 @@ const BALANCED: f64 = 1e-5;
 ///
 /// Were sources closed alone, a patch that by chance got much from one near it, and so made it scale down, would lose light
 /// for that: in a cube with a ceiling that shines, floors were 2.5 % too bright at 64 rays a patch.
-pub(super) fn balance(links: &mut Symmetric, brightness: &[f64], areas: &[f64], escaped: &[f64]) {
+///
+/// Where it is `known` what arrives, what sources lose in all is what arrives nowhere; which of them loses it is told by `escaped`,
+/// which follows. Its noise does not cancel, since no share is below zero: under a lamp as large as the floor and a tenth of its
+/// width above, irradiances were 0.8 % too low at 64 rays a patch.
+pub(super) fn balance(
+    links: &mut Symmetric,
+    brightness: &[f64],
+    areas: &[f64],
+    escaped: &mut [f64],
+    known: bool,
+) {
     let n = areas.len();
     let is_source = |i: usize| brightness[i] > 0.0;
     let arriving = links.product(brightness);
@@ -69,10 +79,18 @@ pub(super) fn balance(links: &mut Symmetric, brightness: &[f64], areas: &[f64], 
     let sum = |source: bool, value: &dyn Fn(usize) -> f64| {
         (0..n).filter(|&i| is_source(i) == source).map(value).sum::<f64>()
     };
+    let arrives = sum(false, &|i| arriving[i]);
+    // Those without links lose all, whatever the others do.
+    let open: Vec<usize> = (0..n).filter(|&i| known && is_source(i) && escaped[i] < 1.0).collect();
+    let told: f64 = open.iter().map(|&i| brightness[i] * areas[i] * escaped[i]).sum();
+    if told > 0.0 {
+        let sent: f64 = open.iter().map(|&i| brightness[i] * (areas[i] - among_sources[i])).sum();
+        let factor = ((sent - arrives) / told).max(0.0);
+        open.iter().for_each(|&i| escaped[i] = (escaped[i] * factor).min(1.0 - f64::EPSILON));
+    }
     let target = |i: usize| areas[i] * (1.0 - escaped[i]);
-    // What sources send, and what arrives.
-    let sent = sum(true, &|i| brightness[i] * (target(i) - among_sources[i]));
-    let common = sent / sum(false, &|i| arriving[i]);
+    // What sources send for what arrives.
+    let common = sum(true, &|i| brightness[i] * (target(i) - among_sources[i])) / arrives;
     if !(common > FACTORS.0 && common < FACTORS.1) {
         return;
     }

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use super::{
     hemisphere::{Hits, LINKED, REPLICATES},
     reciprocity::Densities,
+    shadow::Found,
 };
 
 /// An escaped share, and how it responds to what it was made of.
@@ -93,7 +94,7 @@ fn link_variance(hits: &Hits, densities: &Densities, areas: &[f64]) -> Vec<f64> 
     let sources = hits.sources.patches();
     let mut sums = vec![[0f64; REPLICATES]; sources.len()];
     for i in 0..hits.len() {
-        for link in hits.links_of(i) {
+        for link in hits.links_of(i).iter().filter(|link| link.found != Found::Blocked) {
             let (replicate, many) = hits.part_of(i, link);
             let exchange = many * densities.link(hits, i, link);
             for l in [i as u32, link.to] {

@@ -14,8 +14,9 @@ use rayon::prelude::*;
 
 use super::{
     checkpoint::Section,
-    shadow::{Found, Link, Sources},
+    shadow::{self, Found, Link, Sources},
 };
+use crate::{patch::Patches, trace::Tracer};
 
 /// Parts that the rays of each patch are divided into. The standard error then has 15 degrees of freedom; with 4 parts
 /// intervals of two standard errors held only 85 % of patches, with 16 about 94 %.
@@ -195,10 +196,10 @@ impl Hits {
         4 * self.targets.len() + size_of::<Link>() * self.links.len() + 32 * self.shares.len()
     }
 
-    /// Lets patches lose all light that are not there for others: their own rays meet patches that should have met them
-    /// [many times](HIDDEN), and never did. So it is with one of two faces at the same place, and reciprocity would have to
-    /// send it what it cannot get. Sources are kept, but for those that are known to be hidden.
-    pub(super) fn withdraw_hidden(&mut self, areas: &[f64]) {
+    /// Lets patches lose all light that are not there for others: none ever met them, though another face is at the same place, or
+    /// though their own rays meet patches that should have met them [many times](HIDDEN). Reciprocity would have to send them what
+    /// they cannot get. Sources are kept, but for those that are known to be hidden.
+    pub(super) fn withdraw_hidden(&mut self, areas: &[f64], tracer: &Tracer, patches: &Patches) {
         let density = |i: usize| f64::from(self.rays_of(i)) / areas[i];
         let met: Vec<AtomicBool> = (0..self.len()).map(|_| AtomicBool::new(false)).collect();
         let meets = |j: u32| {
@@ -213,9 +214,12 @@ impl Hits {
             targets.inspect(|&&j| meets(j)).map(|&j| density(j as usize) / density(i)).sum::<f64>()
         };
         let expected: Vec<f64> = (0..self.len()).into_par_iter().with_min_len(128).map(met_by).collect();
-        let is_hidden =
-            |i: usize| !met[i].load(Relaxed) && expected[i] >= HIDDEN && !self.sources.contains(i);
-        for i in (0..self.len()).filter(|&i| self.sources.hide(i) || is_hidden(i)).collect::<Vec<_>>() {
+        let is_hidden = |i: usize| {
+            let unmet = !met[i].load(Relaxed) && !self.sources.contains(i);
+            unmet && (expected[i] >= HIDDEN || shadow::is_hidden(tracer, patches, i))
+        };
+        let hidden = (0..self.len()).into_par_iter().filter(|&i| self.sources.hide(i) || is_hidden(i));
+        for i in hidden.collect::<Vec<_>>() {
             self.targets[self.offsets[i]..self.offsets[i + 1]].fill(ESCAPED);
             self.links[self.link_offsets[i]..self.link_offsets[i + 1]]
                 .iter_mut()

@@ -36,6 +36,7 @@ use checkpoint::Section;
 use hemisphere::Hits;
 use replicates::Samples;
 use shadow::Sources;
+pub(crate) use shadow::is_hidden;
 pub(crate) use symmetric::Real;
 use symmetric::Symmetric;
 

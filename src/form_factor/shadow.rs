@@ -45,7 +45,7 @@ pub(super) enum Found {
     Hemisphere,
     /// By a shadow ray.
     Shadow,
-    /// By a shadow ray that something stopped.
+    /// By a shadow ray that something stopped, or by any ray of a patch that is hidden.
     Blocked,
 }
 
@@ -92,10 +92,11 @@ impl Sources {
             .map(|i| patches.area(i) * patches.emission()[i * channels..][..channels].iter().sum::<f64>())
             .collect();
         let emits = |&i: &u32| power[i as usize] > 0.0;
-        let is_hidden =
-            |&i: &u32| Footprint::new(tracer, patches, i as usize).is_hidden(tracer, patches, i as usize);
-        let hidden: Vec<u32> =
-            (0..power.len() as u32).into_par_iter().filter(emits).filter(is_hidden).collect();
+        let hidden: Vec<u32> = (0..power.len() as u32)
+            .into_par_iter()
+            .filter(emits)
+            .filter(|&i| is_hidden(tracer, patches, i as usize))
+            .collect();
         hidden.iter().for_each(|&i| power[i as usize] = 0.0);
         let total: f64 = power.iter().sum();
         let mut sources = Sources { hidden, ..Sources::default() };
@@ -208,6 +209,17 @@ impl Sources {
     }
 }
 
+/// Whether a ray that comes to the middle of patch `i` meets another face there, which faces the same way.
+pub(crate) fn is_hidden(tracer: &Tracer, patches: &Patches, i: usize) -> bool {
+    let Footprint { corners, normal } = Footprint::new(tracer, patches, i);
+    let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+    tracer.closest(Tracer::leave(middle, normal), -normal).is_some_and(|hit| {
+        hit.front == patches.is_front(i)
+            && hit.t <= SAME_PLACE
+            && hit.triangle as usize != patches.triangle(i)
+    })
+}
+
 /// Where rays leave a patch: its corners, inset from the triangle's edges, and its normal, in unit space.
 #[derive(Debug, Clone)]
 pub(super) struct Footprint {
@@ -222,14 +234,6 @@ impl Footprint {
             corners: patches.corners(i).map(|b| triangle.point(b.map(|x| x as f32))),
             normal: triangle.side_normal(patches.is_front(i)),
         }
-    }
-
-    /// Whether a ray that comes to the middle of the front patch `i` meets another face there.
-    fn is_hidden(&self, tracer: &Tracer, patches: &Patches, i: usize) -> bool {
-        let middle = (self.corners[0] + self.corners[1] + self.corners[2]) / 3.0;
-        tracer.closest(Tracer::leave(middle, self.normal), -self.normal).is_some_and(|hit| {
-            hit.front && hit.t <= SAME_PLACE && hit.triangle as usize != patches.triangle(i)
-        })
     }
 
     /// Hemisphere rays of a sequence.
