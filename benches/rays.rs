@@ -3,7 +3,8 @@
 //!
 //! Each ray leaves a random point of the scene, so that no two in a row share a part of the hierarchy: what is measured
 //! is the worst order. The program itself casts the rays of a patch together and is faster. Ours and Embree's turns
-//! alternate, and the ratio is the median over the rounds: other load on the machine strikes both.
+//! alternate, and the ratio is the median over the rounds: other load on the machine strikes both. Ours go one by one, and in
+//! turns as the program casts the rays of a patch (`Tracer::closest_each`).
 
 mod embree;
 mod scenes;
@@ -33,9 +34,9 @@ fn main() {
     // Cargo itself passes `--bench`.
     let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
     println!(
-        "| scene | triangles | built in, ms | threads | Mrays/s | Embree, Mrays/s | ratio | quartiles |"
+        "| scene | triangles | built in, ms | threads | one by one, Mrays/s | in turns | Embree | one by one / Embree | quartiles | in turns / Embree | quartiles |"
     );
-    println!("|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
     for place in PLACES {
         if wanted.is_empty() || wanted.iter().any(|w| place.name.contains(w.as_str())) {
             measure(place);
@@ -58,29 +59,43 @@ fn measure(place: Place) {
     }
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
-        let ours = |(from, to): &(Vec3A, Vec3A)| tracer.closest(*from, *to).is_some();
-        let rounds: Vec<(f64, Option<f64>)> = (0..ROUNDS)
+        let single = |rays: &[(Vec3A, Vec3A)]| {
+            rays.iter().filter(|(from, to)| tracer.closest(*from, *to).is_some()).count()
+        };
+        let in_turns = |rays: &[(Vec3A, Vec3A)]| {
+            let mut hits = 0;
+            let named = rays.iter().map(|&(from, to)| ((), from, to));
+            tracer.closest_each(named, |(), hit| hits += usize::from(hit.is_some()));
+            hits
+        };
+        let theirs = |embree: &Embree| {
+            time(&pool, &rays, |rays| {
+                rays.iter().filter(|(from, to)| embree.closest(*from, *to).is_some()).count()
+            })
+        };
+        let rounds: Vec<([f64; 2], Option<f64>)> = (0..ROUNDS)
             .map(|_| {
-                let mine = time(&pool, &rays, ours);
-                let theirs = |e: &Embree| time(&pool, &rays, |(from, to)| e.closest(*from, *to).is_some());
-                (mine, embree.as_ref().map(theirs))
+                ([time(&pool, &rays, single), time(&pool, &rays, in_turns)], embree.as_ref().map(theirs))
             })
             .collect();
         let rate = |seconds: f64| f64::from(RAYS) / seconds / 1e6;
-        let mine = quantile(rounds.iter().map(|r| rate(r.0)), 0.5);
+        let [one, turns] = [0, 1].map(|k| quantile(rounds.iter().map(|r| rate(r.0[k])), 0.5));
         print!(
-            "| {place} | {} | {:.1} | {threads} | {mine:.2} | ",
+            "| {place} | {} | {:.1} | {threads} | {one:.2} | {turns:.2} | ",
             tracer.triangles().len(),
             1e3 * built_in.as_secs_f64()
         );
-        if embree.is_some() {
-            let theirs = || rounds.iter().filter_map(|r| r.1);
-            let ratios = || rounds.iter().zip(theirs()).map(|(r, theirs)| theirs / r.0);
-            let [low, middle, high] = [0.25, 0.5, 0.75].map(|q| quantile(ratios(), q));
-            println!("{:.2} | {middle:.2} | {low:.2} to {high:.2} |", quantile(theirs().map(rate), 0.5));
-        } else {
-            println!("not installed | | |");
+        if embree.is_none() {
+            println!("not installed | | | | |");
+            continue;
         }
+        print!("{:.2} |", quantile(rounds.iter().filter_map(|r| r.1).map(rate), 0.5));
+        for k in 0..2 {
+            let ratios = || rounds.iter().filter_map(|r| Some(r.1? / r.0[k]));
+            let [low, middle, high] = [0.25, 0.5, 0.75].map(|q| quantile(ratios(), q));
+            print!(" {middle:.2} | {low:.2} to {high:.2} |");
+        }
+        println!();
     }
 }
 
@@ -88,13 +103,11 @@ fn measure(place: Place) {
 fn time(
     pool: &rayon::ThreadPool,
     rays: &[(Vec3A, Vec3A)],
-    hits: impl Fn(&(Vec3A, Vec3A)) -> bool + Sync,
+    hits: impl Fn(&[(Vec3A, Vec3A)]) -> usize + Sync,
 ) -> f64 {
     pool.install(|| {
         let start = Instant::now();
-        black_box(
-            rays.par_chunks(1024).map(|some| some.iter().filter(|ray| hits(ray)).count()).sum::<usize>(),
-        );
+        black_box(rays.par_chunks(1024).map(&hits).sum::<usize>());
         start.elapsed().as_secs_f64()
     })
 }
