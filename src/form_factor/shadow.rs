@@ -328,5 +328,6 @@ pub(super) fn cast_patch(
             links.push(Link { found: if visible { Found::Shadow } else { Found::Blocked }, ..link });
         }
     });
+    // In the order of the sequence, not that in which rays end: sums over links go by it.
     links[known..].sort_unstable_by_key(|link| link.index);
 }

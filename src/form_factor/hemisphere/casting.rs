@@ -206,6 +206,7 @@ fn cast_patch(
             *target = LINKED;
         }
     });
+    // In the order of the sequence, not that in which rays end: sums over links go by it.
     links[known..].sort_unstable_by_key(|link| link.index);
 }
 
