@@ -74,7 +74,7 @@ impl Memory {
             _ => (0.75 * rays, 0.25 * rays + 0.75 * rays * (1.0 - (1.0 - bright).powi(2))),
         };
         // What each sends if nothing stands between, and how much of that samples saw.
-        let of_lamps = if pooled && lamps.len() <= MOST_LAMPS { 16.0 * lamps.len() as f64 } else { 0.0 };
+        let of_lamps = if pooled && lamps.len() <= MOST_LAMPS { 24.0 * lamps.len() as f64 } else { 0.0 };
         // Entries of a row that has so many samples among so many patches.
         let row = |samples: f64, patches: f64| -patches * (-samples / patches).exp_m1();
         let both = if pooled { 2.0 } else { 1.0 };

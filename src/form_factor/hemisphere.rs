@@ -111,7 +111,9 @@ impl Hits {
                 let (own, shadow) = (of(share.hemisphere), of(share.shadow));
                 for link in self.links_of(i) {
                     let range = if link.found == Found::Hemisphere { &own } else { &shadow };
-                    if range.contains(&link.index) {
+                    if link.probe().is_some() {
+                        hits.links.push(*link);
+                    } else if range.contains(&link.index) {
                         hits.links.push(Link { index: link.index - range.start, ..*link });
                     }
                 }
@@ -166,7 +168,8 @@ impl Hits {
     #[inline]
     pub(super) fn part_of(&self, i: usize, link: &Link) -> (usize, f64) {
         let (many, rays) = (REPLICATES as u64, self.rays_like(i, link));
-        let replicate = ((many * u64::from(link.index) + many - 1) / u64::from(rays)) as usize;
+        let index = link.probe().map_or(link.index, |probe| (link.to + probe) % rays);
+        let replicate = ((many * u64::from(index) + many - 1) / u64::from(rays)) as usize;
         (replicate, f64::from(rays) / part(rays, replicate).len() as f64)
     }
 

@@ -39,7 +39,7 @@ pub(super) struct Densities {
     brightness: Vec<f64>,
     /// The known mean kernel of each patch's shadow rays to each lamp over that of its samples; 1 where lamps are many.
     ratios: Vec<f64>,
-    /// What gives each patch the light that it is known to get from lamps; 1 of sources, and where lamps are many.
+    /// What gives each patch the light that it is known to get from each lamp; 1 of sources, and where lamps are many.
     restored: Vec<f64>,
     /// Relative area of one unit-space area.
     unit: f64,
@@ -58,7 +58,7 @@ impl Densities {
             source: a_patch(&probability),
             brightness: a_patch(&|i| probability(i) * hits.sources.weight(i)),
             ratios: ratios.collect(),
-            restored: vec![1.0; areas.len()],
+            restored: vec![1.0; areas.len() * hits.sources.lamps()],
             unit,
         }
     }
@@ -100,10 +100,17 @@ impl Densities {
             let hemisphere = LAMPS_TRUST * (of_lamp(i) + of_lamp(j)) * kernel;
             let weight = if by_shadow_ray { shadow } else { LAMPS_TRUST * hemisphere };
             let both = (hemisphere.powi(2) + shadow.powi(2)).max(f64::MIN_POSITIVE);
-            return self.restored[i] * self.restored[j] * weight * kernel / both;
+            return self.restored(hits, i, j) * weight * kernel / both;
         }
         let weight = if by_shadow_ray { 1.0 } else { TRUST };
         weight * kernel / (TRUST * (self.hemisphere[i] + self.hemisphere[j]) * kernel + shadow)
+    }
+
+    /// What gives a pair of a lamp and another patch the light that this is known to get.
+    #[inline]
+    fn restored(&self, hits: &Hits, i: usize, j: usize) -> f64 {
+        let (lamps, lamp) = (hits.sources.lamps(), |k: usize| hits.sources.lamp_of(k));
+        self.restored[i * lamps + lamp(j)] * self.restored[j * lamps + lamp(i)]
     }
 
     /// What a link from patch `i` adds to what a row gets from all lamps together, where these are few and the row's patch is none:
@@ -335,18 +342,23 @@ pub(super) fn links(hits: &Hits, densities: &mut Densities) -> Symmetric {
             })
             .collect();
         let restore = |i: usize| {
-            let of_link = |l: &Link| densities.received(hits, i, l) * densities.brightness[l.to as usize];
-            let mut known: f64 = hits.links_of(i).iter().map(of_link).sum();
-            let mut all = 0.0;
-            for (lamp, divided) in divided.iter().enumerate() {
-                all += divided[i];
-                // Of a lamp that no shadow ray could see, as it hardly rises above the horizon, its own rays tell.
-                known += if densities.ratios[i * lamps + lamp].is_finite() { 0.0 } else { divided[i] };
+            let mut known = vec![0.0; lamps];
+            for link in hits.links_of(i) {
+                let j = link.to as usize;
+                known[hits.sources.lamp_of(j)] += densities.received(hits, i, link) * densities.brightness[j];
             }
-            if densities.source[i] == 0.0 && all > 0.0 { known / all } else { 1.0 }
+            let (of_lamps, divided, is_source) =
+                (&densities.ratios[i * lamps..], &divided, densities.source[i] > 0.0);
+            // Of a lamp that no shadow ray could see, as it hardly rises above the horizon, its own rays tell.
+            let factor = move |(lamp, known): (usize, f64)| {
+                let is_known = !is_source && of_lamps[lamp].is_finite() && divided[lamp][i] > 0.0;
+                if is_known { known / divided[lamp][i] } else { 1.0 }
+            };
+            known.into_iter().enumerate().map(factor)
         };
-        densities.restored = (0..hits.len()).into_par_iter().with_min_len(128).map(restore).collect();
-        links.update(|i, j, s| s * (densities.restored[i] * densities.restored[j]) as f32);
+        densities.restored =
+            (0..hits.len()).into_par_iter().with_min_len(128).flat_map_iter(restore).collect();
+        links.update(|i, j, s| s * densities.restored(hits, i, j) as f32);
     }
     links
 }

@@ -10,7 +10,7 @@
 //!
 //!   Σ_(j in l) S_ij b_j = G_il / (Σ g / N_i) · Σ_visible g A_i A_j / N_i,
 //!
-//! in proportion to the brightness b.
+//! in proportion to the brightness b. Where no sample has a kernel, since most of i is behind l, a few more rays [probe] it.
 //!
 //! How it divides among the sources, their own hemisphere rays tell too, with density (R_j / A_j) g: by the power heuristic
 //! (Veach and Guibas, SIGGRAPH 95), and scaled to that sum.
@@ -33,7 +33,7 @@ use crate::{
     patch::Patches,
     trace::{
         Tracer,
-        sampling::{cosine_hemisphere, square_to_triangle, tangents},
+        sampling::{cosine_hemisphere, mix, square_to_triangle, tangents},
         sobol::{LANES, Sobol, blocks},
     },
 };
@@ -62,6 +62,21 @@ pub(super) struct Link {
     pub(super) found: Found,
 }
 
+/// The least index of a [probe](probe): no patch casts as many rays.
+const FIRST_PROBE: u32 = u32::MAX - PROBES;
+
+impl Link {
+    fn found(self, visible: bool) -> Link {
+        Link { found: if visible { Found::Shadow } else { Found::Blocked }, ..self }
+    }
+
+    /// Which probe of its lamp it is, if any.
+    #[inline]
+    pub(super) fn probe(&self) -> Option<u32> {
+        self.index.checked_sub(FIRST_PROBE)
+    }
+}
+
 /// The patches that shadow rays go to.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Sources {
@@ -77,6 +92,10 @@ pub(super) struct Sources {
     /// Patches that emit behind another face at the same place, in order: nobody sees their light.
     hidden: Vec<u32>,
 }
+
+/// Probes of a patch to a lamp, and points that are tried for each batch of them.
+const PROBES: u32 = 4;
+const MOST_TRIES: u32 = 4096;
 
 /// The share of shadow rays that all lamps get alike, where they are few.
 const TO_EACH: f64 = 0.25;
@@ -199,6 +218,31 @@ impl Sources {
         self.contains(i) || self.contains(j)
     }
 
+    /// A shadow ray from a patch with its points, moved off their surfaces, where these face each other.
+    #[inline]
+    fn link(&self, from: &Footprint, index: u32, [x, y, u, v]: [f32; 4]) -> Option<(Link, Vec3A, Vec3A)> {
+        let (source, u) = self.choose(u);
+        let to = &self.footprints[source];
+        let (p, q) = (from.point(x, y), to.point(u, v));
+        let path = q - p;
+        if path.dot(from.normal) <= 0.0 || path.dot(to.normal) >= 0.0 {
+            return None;
+        }
+        let kernel = kernel(path, from.normal, to.normal);
+        let link = Link { to: self.patches[source], kernel, index, found: Found::Blocked };
+        (kernel > 0.0).then(|| (link, Tracer::leave(p, from.normal), Tracer::leave(q, to.normal)))
+    }
+
+    /// Which of the numbers in \[0, 1) choose sources of a lamp, where lamps are few.
+    fn range(&self, lamp: usize) -> Range<f64> {
+        let of_sources = self.lamps.as_ref().map_or(&[][..], |lamps| &lamps.of_sources);
+        let below = |lamp: usize| match of_sources.partition_point(|&l| usize::from(l) < lamp) {
+            0 => 0.0,
+            k => self.cumulative[k - 1],
+        };
+        below(lamp)..below(lamp + 1)
+    }
+
     /// Index of the source for a number in \[0, 1), and what is left of the number, stretched to \[0, 1) again.
     fn choose(&self, u: f32) -> (usize, f32) {
         let u = f64::from(u);
@@ -307,27 +351,54 @@ pub(super) fn cast_patch(
     links: &mut Vec<Link>,
 ) {
     let (sobol, known) = (Sobol::new(seed), links.len());
-    let link = |index: u32, [x, y, u, v]: [f32; 4]| {
-        let (source, u) = sources.choose(u);
-        let to = &sources.footprints[source];
-        let (p, q) = (from.point(x, y), to.point(u, v));
-        let path = q - p;
-        if path.dot(from.normal) <= 0.0 || path.dot(to.normal) >= 0.0 {
-            return None;
-        }
-        let kernel = kernel(path, from.normal, to.normal);
-        let link = Link { to: sources.patches[source], kernel, index, found: Found::Blocked };
-        (kernel > 0.0).then(|| (link, Tracer::leave(p, from.normal), Tracer::leave(q, to.normal)))
-    };
     let rays = blocks(indices).flat_map(|(first, lanes)| {
         let points = sobol.points(first);
-        lanes.filter_map(move |lane| link(first + lane as u32, points.map(|coordinates| coordinates[lane])))
+        lanes.filter_map(move |lane| {
+            sources.link(from, first + lane as u32, points.map(|coordinates| coordinates[lane]))
+        })
     });
     tracer.visible_each(rays, |link, visible| {
         if visible || sources.are_lamps() {
-            links.push(Link { found: if visible { Found::Shadow } else { Found::Blocked }, ..link });
+            links.push(link.found(visible));
         }
     });
     // In the order of the sequence, not that in which rays end: sums over links go by it.
     links[known..].sort_unstable_by_key(|link| link.index);
+}
+
+/// Sends some rays to each lamp, where these are few, that a patch sees part of, though none of its shadow rays left from what is
+/// before the lamp, or came to what is before the patch. What it gets from there unblocked is known, and would count as nothing.
+pub(super) fn probe(
+    tracer: &Tracer,
+    sources: &Sources,
+    from: &Footprint,
+    mean_kernels: &[f64],
+    seed: u64,
+    before: &[Link],
+    links: &mut Vec<Link>,
+) {
+    let mut unseen: Vec<bool> = mean_kernels.iter().map(|&mean| mean > 0.0).collect();
+    let cast = |link: &&Link| link.found != Found::Hemisphere && link.probe().is_none();
+    before
+        .iter()
+        .chain(&*links)
+        .filter(cast)
+        .for_each(|link| unseen[sources.lamp_of(link.to as usize)] = false);
+    for lamp in (0..unseen.len()).filter(|&lamp| unseen[lamp]) {
+        let sobol = Sobol::new(mix(&[seed, lamp as u64]));
+        let range = sources.range(lamp);
+        let tries = blocks(0..MOST_TRIES).flat_map(|(first, lanes)| {
+            let points = sobol.points(first);
+            lanes.map(move |lane| points.map(|coordinates| coordinates[lane]))
+        });
+        let facing = tries.filter_map(|[x, y, u, v]| {
+            let u = f64::from(u).mul_add(range.end - range.start, range.start) as f32;
+            let link = sources.link(from, FIRST_PROBE, [x, y, u, v]);
+            link.filter(|(link, ..)| sources.lamp_of(link.to as usize) == lamp)
+        });
+        for (k, (link, p, q)) in (0..PROBES).zip(facing) {
+            let link = Link { index: FIRST_PROBE + k, ..link };
+            links.push(link.found(tracer.visible(p, q)));
+        }
+    }
 }

@@ -98,7 +98,8 @@ impl Hits {
         progress: &Progress,
     ) -> Result<()> {
         const BLOCK: usize = 32;
-        let Hits { shares, offsets, targets, sources, checkpoint, .. } = self;
+        let Hits { shares, offsets, targets, sources, checkpoint, mean_kernels, .. } = self;
+        let (old_links, link_offsets, lamps) = (&self.links, &self.link_offsets, sources.lamps());
         let checkpoint = checkpoint.as_ref().map(|section| section.names(patches, sources));
         let mut rest = &mut targets[offsets[first]..];
         let mut blocks = Vec::new();
@@ -136,6 +137,11 @@ impl Hits {
                     if let Some(checkpoint) = &checkpoint {
                         checkpoint.add(&mut record, i, (known.rays, share), own, &links);
                     }
+                    if share.shadow > 0 && sources.are_lamps() && !sources.contains(i) {
+                        let before = link_offsets.get(i..i + 2).map_or(&[][..], |l| &old_links[l[0]..l[1]]);
+                        let kernels = &mean_kernels[i * lamps..][..lamps];
+                        shadow::probe(tracer, sources, &from, kernels, mix(&[seed, 2]), before, &mut links);
+                    }
                     found.push(links);
                     let before = had.hemisphere + had.shadow;
                     progress.advance(u64::from(share.hemisphere + share.shadow - before));
@@ -162,7 +168,8 @@ impl Hits {
         self.link_offsets.extend_from_slice(&old_offsets[..=first.min(known)]);
         for (k, links) in found.into_iter().flatten().enumerate() {
             if first + k < known {
-                self.links.extend_from_slice(&old[old_offsets[first + k]..old_offsets[first + k + 1]]);
+                let old = &old[old_offsets[first + k]..old_offsets[first + k + 1]];
+                self.links.extend(old.iter().filter(|link| link.probe().is_none()));
             }
             self.links.extend(links);
             self.link_offsets.push(self.links.len());

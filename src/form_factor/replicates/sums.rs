@@ -139,8 +139,8 @@ pub(super) struct Counted<'a, const C: usize> {
     /// Of pooled form factors.
     incoming: Option<Incoming>,
     seen: Vec<Seen<C>>,
-    /// Area and power of all sources over the same with their brightness.
-    of_lamps: Exchange<C>,
+    /// Area and power of each lamp over the same with its brightness.
+    of_lamps: Vec<Exchange<C>>,
 }
 
 impl<'a, const C: usize> Counted<'a, C> {
@@ -282,22 +282,28 @@ impl<'a, const C: usize> Counted<'a, C> {
         let mut sum = Exchange::ZERO;
         sum.add(exchange, &self.seen[from].radiosity);
         if let Some(known) = densities.known(hits, row, i, link) {
-            // All light of lamps together, which the matrix holds as it is known, not as its entries are told.
-            sum.add_times((known as f32 - exchange) * densities.brightness()[from] as f32, &self.of_lamps);
+            let of_lamp = &self.of_lamps[hits.sources.lamp_of(from)];
+            // All light of a lamp together, which the matrix holds as it is known, not as its entries are told.
+            sum.add_times((known as f32 - exchange) * densities.brightness()[from] as f32, of_lamp);
         }
         sum
     }
 }
 
-/// Area and power of all sources over the same with their brightness.
-fn per_brightness<const C: usize>(samples: &Samples, radiosity: &[[f32; C]]) -> Exchange<C> {
-    let (mut sum, mut brightness) = (Exchange::ZERO, 0.0);
-    for i in samples.hits.sources.patches().iter().map(|&i| i as usize) {
+/// Area and power of each lamp over the same with its brightness.
+fn per_brightness<const C: usize>(samples: &Samples, radiosity: &[[f32; C]]) -> Vec<Exchange<C>> {
+    let sources = &samples.hits.sources;
+    let mut sums = vec![(Exchange::ZERO, 0.0); sources.lamps()];
+    for i in sources.patches().iter().map(|&i| i as usize) {
+        let (sum, brightness) = &mut sums[sources.lamp_of(i)];
         sum.add(samples.areas[i] as f32, &radiosity[i]);
-        brightness += samples.areas[i] * samples.densities.brightness()[i];
+        *brightness += samples.areas[i] * samples.densities.brightness()[i];
     }
-    let per = (1.0 / brightness.max(f64::MIN_POSITIVE)) as f32;
-    Exchange { area: sum.area * per, power: sum.power.map(|power| power * per) }
+    let each = |(sum, brightness): (Exchange<C>, f64)| {
+        let per = (1.0 / brightness.max(f64::MIN_POSITIVE)) as f32;
+        Exchange { area: sum.area * per, power: sum.power.map(|power| power * per) }
+    };
+    sums.into_iter().map(each).collect()
 }
 
 /// What a hemisphere ray adds to the exchange area of its patches as the row of one of them counts it, which has so many rays of
