@@ -311,6 +311,11 @@ fn scaled_cross(e: DVec3, f: DVec3) -> (DVec3, f64) {
     ((e / scale).cross(f / scale), scale)
 }
 
+/// The unit vector that points where `v` does, also where the square of its length under- or overflows; none for zero.
+pub(crate) fn direction(v: DVec3) -> Option<DVec3> {
+    (v / v.abs().max_element()).try_normalize()
+}
+
 /// Centre and half of the longest side of the box round some points: what makes a unit space of them.
 pub(crate) fn centre_and_extent(points: impl Iterator<Item = DVec3>) -> (DVec3, f64) {
     let none = [DVec3::INFINITY, DVec3::NEG_INFINITY];
