@@ -2,7 +2,11 @@
 
 mod cli_common;
 
-use std::fs;
+use std::{
+    fs,
+    process::{Command, Stdio},
+    time::Duration,
+};
 
 use cli_common::{Here, stderr};
 use glam::{DVec2, DVec3, dvec3};
@@ -189,4 +193,32 @@ fn files_of_a_scene_are_never_replaced() {
     fs::write(here.path("out/scene.mtl"), MTL).unwrap();
     let errors = here.fails("bake out/scene.obj -o out", 2);
     assert!(errors.contains("would replace the input"), "{errors}");
+}
+
+/// Two signals at once, as timeout(1) sends them: the second does not wait for what stops at the first.
+#[cfg(unix)]
+#[test]
+fn a_directory_made_for_nothing_goes_with_the_second_signal() {
+    let here = here();
+    let scene = cornell();
+    for command in ["bake", "tradeoff"] {
+        for pause in [0, 1, 2, 3, 5, 8] {
+            let mut child = Command::new(env!("CARGO_BIN_EXE_radiosity"))
+                .current_dir(here.directory())
+                .args([command, &scene, "-o", "a/b", "--patches", "20000", "--threads", "1"])
+                .stdout(Stdio::null())
+                .stderr(Stdio::null())
+                .spawn()
+                .unwrap();
+            while !here.path("a/b").exists() {
+                assert!(child.try_wait().unwrap().is_none(), "{command} ended without its directory");
+            }
+            // Whether it can be written to is tried with files that are there for a moment.
+            std::thread::sleep(Duration::from_millis(20));
+            let script = format!("kill -INT {0}; sleep 0.00{pause}; kill -INT {0} 2>/dev/null", child.id());
+            Command::new("sh").args(["-c", &script]).status().unwrap();
+            assert_eq!(child.wait().unwrap().code(), Some(130), "{command}");
+            assert_eq!(here.names(), ["scene.mtl", "scene.obj"], "{command}, {pause} ms");
+        }
+    }
 }

@@ -258,6 +258,7 @@ fn bad_usage_is_told_before_any_work_and_exits_with_two() {
         ("solve scene.obj --patches 10 --patch-size 1", "cannot be used with"),
         ("solve scene.obj --tolerance 0", "between 0 and 1"),
         ("solve scene.obj --exposure inf", "between -100 and 100"),
+        ("solve scene.obj --emit 1e308", "from 0 to 1e100 are wanted"),
         ("solve scene.obj --threads 0", "--threads"),
         ("solve scene.obj --threads 100000", "--threads 100000 is more than"),
         ("solve scene.obj --solver magic", "possible values"),

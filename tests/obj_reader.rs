@@ -105,8 +105,9 @@ fn bad_materials_are_named() {
         ("Ka 0\nKd 0.5 1.5 0", "s.mtl:3: material `m`: reflectance 1.5 is outside 0..1"),
         ("Kd -0.1", "s.mtl:2: material `m`: reflectance -0.1 is outside 0..1"),
         ("Kd 0.5 NaN 0.5", "s.mtl:2: material `m`: reflectance NaN is outside 0..1"),
-        ("Kd 0.5\nKe 0 -1 0", "s.mtl:3: material `m`: radiance -1 is not a finite number of 0 or more"),
-        ("Ke inf 0 0", "s.mtl:2: material `m`: radiance inf is not a finite number of 0 or more"),
+        ("Kd 0.5\nKe 0 -1 0", "s.mtl:3: material `m`: radiance -1.0 is not a number from 0 to 1e100"),
+        ("Ke 0 1e308 0", "s.mtl:2: material `m`: radiance 1e308 is not a number from 0 to 1e100"),
+        ("Ke inf 0 0", "s.mtl:2: material `m`: radiance inf is not a number from 0 to 1e100"),
         ("Kd 0.5 0.5", "s.mtl:2: Kd needs three numbers, not `0.5 0.5`"),
         ("Kd 0.5 red 0.5", "s.mtl:2: Kd needs three numbers, not `red`"),
     ] {

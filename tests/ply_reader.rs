@@ -177,7 +177,7 @@ fn reflectance_and_emission_come_as_numbers() {
     );
     assert_eq!(
         error(format!("{text}4 0 1 2 3 0 1 0 0 -1 0\n")),
-        "s.PLY:20: radiance -1 is not a finite number of 0 or more"
+        "s.PLY:20: radiance -1.0 is not a number from 0 to 1e100"
     );
 }
 

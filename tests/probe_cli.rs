@@ -62,6 +62,22 @@ fn direct_light_is_lambert_s() {
     }
 }
 
+/// The square of these lengths is beyond double precision; scaled by a power of two the direction is the same to the bit.
+#[test]
+fn directions_of_any_length_are_directions() {
+    let here = Here::new(LAMP, BLACK);
+    let light = |length: f64| {
+        let n = dvec3(1.0, 0.1, 0.2) * length;
+        fs::write(here.path("p"), format!("0.5 0.7 0.3 {} {} {}\n", n.x, n.y, n.z)).unwrap();
+        probe(&here, "scene.obj --points p --spp 16")[0].split_off(6)
+    };
+    let wanted = light(1.0);
+    assert!(wanted[0] > 0.0);
+    for length in [2f64.powi(1000), 2f64.powi(-600), 2f64.powi(-1000)] {
+        assert_eq!(light(length), wanted, "{length:e}");
+    }
+}
+
 #[test]
 fn both_methods_tell_the_irradiance_of_a_furnace() {
     let here = Here::new(LAMP, BLACK);

@@ -101,6 +101,24 @@ fn closed_scenes() -> Vec<(&'static str, Scene)> {
     scenes
 }
 
+/// Of triangles with the same corners the first is met, and the hierarchy holds no other: obvhs merges boxes that are all the same
+/// one pair a pass, which takes quadratic time.
+#[test]
+fn triangles_at_one_place_are_met_once() {
+    const TIMES: usize = 50;
+    let once = turned(room(DVec3::ZERO, dvec3(1.0, 0.7, 0.4)));
+    let (single, many) = (scene(&[black(once.clone())]), scene(&[black(once.repeat(TIMES))]));
+    assert_eq!(many.triangles.len(), TIMES * once.len());
+    let (single, many) = (Tracer::new(&single), Tracer::new(&many));
+    let more = (TIMES - 1) * size_of_val(single.triangles());
+    assert_eq!(many.bytes(), single.bytes() + more);
+    let mut random = Random::new(5);
+    for _ in 0..10_000 {
+        let [origin, direction] = [0; 2].map(|_| Vec3A::from([0; 3].map(|_| random.next() as f32 - 0.5)));
+        assert_eq!(many.closest(origin, direction), single.closest(origin, direction));
+    }
+}
+
 fn leak_test(hemisphere_rays: u64, aimed_rays: u64) {
     let scenes = closed_scenes();
     let n = scenes.len() as u64;

@@ -4,7 +4,11 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
-use radiosity::{Error, Quality, Result as RadiosityResult, Scene, patch::Subdivision, scene::LoadOptions};
+use radiosity::{
+    Error, Quality, Result as RadiosityResult, Scene,
+    patch::Subdivision,
+    scene::{LoadOptions, MOST_RADIANCE, is_radiance},
+};
 
 /// The scene, and what its file does not say: arguments of every command.
 #[derive(Args)]
@@ -190,13 +194,12 @@ fn emission(text: &str) -> Result<Emission, String> {
         Some((radiance, name)) => (radiance, Some(name.to_owned())),
         None => (text, None),
     };
-    let good = |c: &[f64; 3]| c.iter().all(|l| l.is_finite() && *l >= 0.0);
+    let good = |c: &[f64; 3]| c.iter().all(|&l| is_radiance(l));
     match colour(radiance).filter(good) {
         Some(radiance) => Ok(Emission { radiance, material }),
-        None => {
-            Err("one number or three of 0 or more are wanted, then perhaps @ and the name of a material"
-                .into())
-        }
+        None => Err(format!(
+            "one number or three from 0 to {MOST_RADIANCE:e} are wanted, then perhaps @ and the name of a material"
+        )),
     }
 }
 
@@ -224,7 +227,9 @@ mod tests {
         assert_eq!(emission("10"), of([10.0; 3], None));
         assert_eq!(emission("1,0,2.5@my lamp@2"), of([1.0, 0.0, 2.5], Some("my lamp@2")));
         assert_eq!(emission("3@#ffcc00"), of([3.0; 3], Some("#ffcc00")));
-        for wrong in ["", "@lamp", "1,2@lamp", "-1", "inf", "nan", "1,2,3,4", "lamp"] {
+        for wrong in
+            ["", "@lamp", "1,2@lamp", "-1", "inf", "nan", "1e308", "1,1,1e101@lamp", "1,2,3,4", "lamp"]
+        {
             assert!(emission(wrong).is_err(), "{wrong}");
         }
     }

@@ -4,6 +4,7 @@ use std::{
     fs,
     io::Read,
     path::{Path, PathBuf},
+    sync::Mutex,
 };
 
 use radiosity::{Error, Result, monte_carlo::PictureFormat, output::file::OutputFile};
@@ -59,12 +60,20 @@ fn no_scene(path: &Path, inputs: &[&Path], what: &str, hint: &str) -> Result<Out
     Ok(output)
 }
 
+/// The directories made in this run, outermost first. Here, since who insists on a stop gets out without dropping anything.
+static MADE: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Removes what directories were made, but for those that hold something.
+pub fn remove_made() {
+    // Held until all are gone: who gets out meanwhile waits for it.
+    let mut made = MADE.lock().expect("no thread panics holding it");
+    made.drain(..).rev().for_each(|path| drop(fs::remove_dir(path)));
+}
+
 /// A directory for the files of a command. One that was made here, and in which nothing was written, goes again.
 #[derive(Debug)]
 pub struct Directory {
     path: PathBuf,
-    /// The directories made for it, outermost first.
-    made: Vec<PathBuf>,
     command: &'static str,
     /// Whether what is there comes from an earlier run of the command, and may be replaced.
     is_ours: bool,
@@ -78,10 +87,11 @@ impl Directory {
             .take_while(|p| !p.as_os_str().is_empty() && !p.exists())
             .map(Path::to_owned)
             .collect();
-        let mut directory = Directory { path: path.to_owned(), made: Vec::new(), command, is_ours: false };
+        let mut directory = Directory { path: path.to_owned(), command, is_ours: false };
         for path in missing.into_iter().rev() {
+            let mut made = MADE.lock().expect("no thread panics holding it");
             fs::create_dir(&path).map_err(|e| Error::io(&path, e))?;
-            directory.made.push(path);
+            made.push(path);
         }
         if !path.is_dir() {
             return Err(Error::io(path, std::io::ErrorKind::NotADirectory.into()));
@@ -106,8 +116,7 @@ impl Directory {
 
 impl Drop for Directory {
     fn drop(&mut self) {
-        // Fails, as it should, where something is in it.
-        self.made.iter().rev().for_each(|path| drop(fs::remove_dir(path)));
+        remove_made();
     }
 }
 

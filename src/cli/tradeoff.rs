@@ -66,6 +66,9 @@ const SVG: &str = "tradeoff.svg";
 
 /// Runs the command.
 pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
+    args.common.start_threads()?;
+    // A signal that nobody listens to would leave the directory behind.
+    let watch = Watch::new(args.common.quiet);
     let directory = Directory::new(&args.output, "tradeoff", (CSV, CSV_NAMES))?;
     let file = |name: &str| directory.file(name, &[&args.scene.path]);
     let (csv, json, svg) = (file(CSV)?, file(JSON)?, file(SVG)?);
@@ -74,8 +77,6 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     let report_file = elsewhere.map(|path| outputs::report(path, &args.scene.path)).transpose()?;
     let all: Vec<&OutputFile> = [&csv, &json, &svg].into_iter().chain(&report_file).collect();
     outputs::check_distinct(&all)?;
-    args.common.start_threads()?;
-    let watch = Watch::new(args.common.quiet);
     let (scene, tracer) = pipeline::load(&args.scene, &all, &watch, &mut Seconds::default())?;
     let options =
         TradeoffOptions { patches: args.patches as usize, rays: args.most_rays as f64, seed: args.seed };

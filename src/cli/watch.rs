@@ -36,9 +36,11 @@ impl Watch {
         let handled = Arc::clone(&shared);
         // Only a second handler or an exhausted system can fail here: then Ctrl-C kills, which is no worse.
         let _ = ctrlc::set_handler(move || {
-            // Not every stage looks for the wish to stop. Who insists gets out at once, except that temporary files
-            // must not stay behind; writing takes seconds at most.
+            // Not every stage looks for the wish to stop. Who insists gets out at once, except that neither temporary files
+            // nor empty directories must stay behind; writing takes seconds at most. One Ctrl-C can be two signals: timeout(1)
+            // sends its own to the program and to its group.
             if handled.progress.is_stopped() && !handled.writing.load(Ordering::Relaxed) {
+                super::outputs::remove_made();
                 std::process::exit(super::STOPPED.into());
             }
             handled.progress.stop();

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3A};
 
 use super::{PathTracer, Samples};
-use crate::{Error, Result, trace::Tracer};
+use crate::{Error, Result, scene::direction, trace::Tracer};
 
 /// A pinhole camera in the file's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,11 +71,11 @@ impl Camera {
                 "give --fov between 0 and 180",
             ));
         }
-        let Some(forward) = (look_at - eye).try_normalize() else {
+        let Some(forward) = direction(look_at - eye) else {
             return Err(usage("the camera looks at its own place", "move --eye or --look-at"));
         };
         // An angle below 10⁻⁶ leaves the picture's rotation to rounding.
-        if up.try_normalize().is_none_or(|up| up.cross(forward).length() < 1e-6) {
+        if direction(up).is_none_or(|up| up.cross(forward).length() < 1e-6) {
             return Err(usage(
                 "the camera's up direction is parallel to its view",
                 "give another --up, for instance 0,1,0 or 0,0,1",
@@ -116,8 +116,9 @@ impl Camera {
 
     /// The camera in unit space.
     pub fn lens(&self, tracer: &Tracer) -> Lens {
-        let forward = (self.look_at - self.eye).normalize();
-        let right = forward.cross(self.up.normalize()).normalize();
+        let [forward, up] =
+            [self.look_at - self.eye, self.up].map(|v| direction(v).expect("a camera has directions"));
+        let right = forward.cross(up).normalize();
         let vertical = (self.fov.to_radians() / 2.0).tan();
         Lens {
             eye: tracer.to_unit(self.eye),
@@ -288,6 +289,12 @@ mod tests {
         let good = (dvec3(0., 0., 2.), DVec3::ZERO, DVec3::Y, 45.0, 8, 8);
         let make = |c: (DVec3, DVec3, DVec3, f64, usize, usize)| Camera::new(c.0, c.1, c.2, c.3, c.4, c.5);
         assert!(make(good).is_ok());
+        // Up is a direction, of any length.
+        let tracer = Tracer::new(&wall());
+        for length in [1e-300, 1e300] {
+            let lens = make((good.0, good.1, DVec3::Y * length, 45.0, 8, 8)).unwrap().lens(&tracer);
+            assert_eq!((lens.up, lens.right), (DVec3::Y, DVec3::X));
+        }
         let bad = [
             ((good.0, good.1, good.2, good.3, 0, 8), "empty"),
             ((good.0, good.1, good.2, good.3, 8, 0), "empty"),

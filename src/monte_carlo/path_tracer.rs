@@ -11,7 +11,7 @@ use glam::{DVec3, Vec3A};
 use super::{Effort, Emitters, Estimate, Samples};
 use crate::{
     Progress, Result,
-    scene::Scene,
+    scene::{Scene, direction},
     trace::{
         Hit, Tracer,
         sampling::{around, square_to_cosine_hemisphere, square_to_triangle},
@@ -67,7 +67,7 @@ impl Receiver {
     /// # Panics
     /// When the normal is zero or not finite.
     pub fn free(tracer: &Tracer, point: DVec3, normal: DVec3) -> Receiver {
-        let normal = normal.try_normalize().expect("a normal has a direction").as_vec3a();
+        let normal = direction(normal).expect("a normal has a direction").as_vec3a();
         let given = Receiver { position: tracer.to_unit(point), normal };
         match tracer.closest(given.position + normal * NEAR, -normal) {
             Some(hit) if hit.t < 2.0 * NEAR => {

@@ -5,7 +5,7 @@ use std::{io::Write, path::Path};
 use glam::DVec3;
 
 use super::Estimate;
-use crate::{Error, Result};
+use crate::{Error, Result, scene::direction};
 
 /// A place and the direction it faces, in the file's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,7 +52,7 @@ fn parse(line: &str) -> std::result::Result<Probe, String> {
         return Err(format!("6 numbers expected, found {}", numbers.len()));
     };
     let normal = DVec3::new(nx, ny, nz);
-    if normal.try_normalize().is_none() {
+    if direction(normal).is_none() {
         return Err("the normal has no direction".into());
     }
     Ok(Probe { point: DVec3::new(x, y, z), normal })

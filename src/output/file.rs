@@ -56,7 +56,7 @@ impl OutputFile {
                 return Err(failed(io::ErrorKind::PermissionDenied.into()));
             }
             Ok(_) => Some(fs::canonicalize(path).map_err(failed)?),
-            Err(e) if e.kind() == io::ErrorKind::NotFound => Some(path.to_owned()),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => Some(end_of_links(path)),
             Err(e) => return Err(failed(e)),
         };
         let output = OutputFile { path: path.to_owned(), target };
@@ -229,6 +229,15 @@ fn sync_directory(directory: &Path) {
     let _ = directory;
 }
 
+/// Where a file would be made that is not there yet: also through links that lead nowhere so far.
+fn end_of_links(path: &Path) -> PathBuf {
+    let mut target = path.to_owned();
+    while let Ok(next) = fs::read_link(&target) {
+        target = directory(&target).join(next);
+    }
+    target
+}
+
 /// The directory that holds `path`.
 fn directory(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
@@ -351,5 +360,27 @@ mod tests {
         assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!(fs::read(&real).unwrap(), b"new");
         assert_eq!(fs::metadata(&real).unwrap().permissions().mode() & 0o777, 0o640);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_that_lead_nowhere_yet_are_followed() {
+        use std::os::unix::fs::symlink;
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::create_dir(at("sub")).unwrap();
+        symlink("second", at("first")).unwrap();
+        symlink("sub/real", at("second")).unwrap();
+        let [first, real] = ["first", "sub/real"].map(|name| OutputFile::new(&at(name), &[]).unwrap());
+        assert!(first.is_same(&real));
+        first.write(|out| out.write_all(b"new")).unwrap().commit().unwrap();
+        assert_eq!(fs::read(at("sub/real")).unwrap(), b"new");
+        assert!(["first", "second"].iter().all(|link| fs::symlink_metadata(at(link)).unwrap().is_symlink()));
+        symlink("nowhere/real", at("lost")).unwrap();
+        symlink("circle", at("circle")).unwrap();
+        for bad in ["lost", "circle"] {
+            let error = OutputFile::new(&at(bad), &[]).unwrap_err().to_string();
+            assert!(error.starts_with(&at(bad).display().to_string()), "{error}");
+        }
     }
 }

@@ -117,6 +117,15 @@ pub struct LoadOptions {
 /// Reflectance of whatever neither the file nor [`LoadOptions`] give one: grey plaster.
 pub const DEFAULT_REFLECTANCE: f64 = 0.5;
 
+/// Largest radiance that a surface may emit, W/(m² sr). Errors add up by squares, and ledgers by areas: both have to stay within
+/// the range of double precision.
+pub const MOST_RADIANCE: f64 = 1e100;
+
+/// Whether a surface may emit so much: a number from 0 to [`MOST_RADIANCE`].
+pub fn is_radiance(radiance: f64) -> bool {
+    (0.0..=MOST_RADIANCE).contains(&radiance)
+}
+
 impl LoadOptions {
     /// The reflectance of what has none.
     fn default_reflectance(&self) -> [f64; 3] {
@@ -212,9 +221,9 @@ impl Scene {
     /// not be unique.
     ///
     /// # Panics
-    /// When the radiance is negative or not finite.
+    /// When it [is no radiance](is_radiance).
     pub fn emit(&mut self, material: Option<&str>, radiance: [f64; 3]) -> usize {
-        assert!(radiance.iter().all(|&l| l.is_finite() && l >= 0.0), "not a radiance");
+        assert!(radiance.into_iter().all(is_radiance), "not a radiance");
         let mut found = 0;
         for m in self.materials.iter_mut().filter(|m| material.is_none_or(|name| m.name == name)) {
             m.emission = radiance;
@@ -300,6 +309,11 @@ fn scaled_cross(e: DVec3, f: DVec3) -> (DVec3, f64) {
     }
     let scale = 2f64.powi(largest.log2().floor() as i32);
     ((e / scale).cross(f / scale), scale)
+}
+
+/// The unit vector that points where `v` does, also where the square of its length under- or overflows; none for zero.
+pub(crate) fn direction(v: DVec3) -> Option<DVec3> {
+    (v / v.abs().max_element()).try_normalize()
 }
 
 /// Centre and half of the longest side of the box round some points: what makes a unit space of them.

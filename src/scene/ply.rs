@@ -25,7 +25,9 @@ use ply_rs::ply::{ElementDef, Encoding, Header, PropertyAccess, PropertyType};
 
 use self::element::{Face, INDICES, Ignored, Vertex};
 use super::warnings::Warnings;
-use super::{LoadOptions, Material, Part, Scene, SceneBuilder, text, triangulate};
+use super::{
+    LoadOptions, MOST_RADIANCE, Material, Part, Scene, SceneBuilder, is_radiance, text, triangulate,
+};
 use crate::{Error, Result, tone};
 
 /// Reads `path`.
@@ -304,8 +306,8 @@ impl Mesh<'_> {
             return Err(error(format!("reflectance {bad} is outside 0..1")));
         }
         let emission = face.emission.given().unwrap_or_default();
-        if let Some(bad) = emission.iter().find(|l| !(l.is_finite() && **l >= 0.0)) {
-            return Err(error(format!("radiance {bad} is not a finite number of 0 or more")));
+        if let Some(bad) = emission.into_iter().find(|&l| !is_radiance(l)) {
+            return Err(error(format!("radiance {bad:?} is not a number from 0 to {MOST_RADIANCE:e}")));
         }
         let points: Vec<DVec3> = corners.iter().map(|(p, _)| *p).collect();
         let triangles = triangulate::polygon(&points).ok_or_else(|| error(triangulate::TOO_MANY.into()))?;

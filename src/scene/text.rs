@@ -41,7 +41,11 @@ pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
             && let Some(kept) = line.trim_end().strip_suffix('\\')
         {
             number += 1;
-            line = Cow::Owned(format!("{kept} {}", physical_line(&mut rest)));
+            let kept = kept.trim_end().len();
+            let line = line.to_mut();
+            line.truncate(kept);
+            line.push(' ');
+            line.push_str(physical_line(&mut rest));
         }
         Some((first, line))
     })
@@ -114,6 +118,19 @@ mod tests {
         let text = "a \\\r\n b\r\n# c:\\\nd\re";
         let got: Vec<_> = lines(text).map(|(n, l)| (n, l.split_whitespace().collect::<String>())).collect();
         assert_eq!(got, [(1, "ab".into()), (3, "#c:\\".into()), (4, "d".into()), (5, "e".into())]);
+    }
+
+    /// In quadratic time these would take minutes.
+    #[test]
+    fn lines_continued_very_often_are_read_in_linear_time() {
+        let start = std::time::Instant::now();
+        for part in ["1 2 3 \\\n", "\\\n"] {
+            let text = part.repeat(500_000) + "4\n";
+            let got: Vec<_> = lines(&text).collect();
+            let words = got[0].1.split_whitespace().count();
+            assert_eq!((got.len(), words), (1, if part.len() > 2 { 1_500_001 } else { 1 }));
+        }
+        assert!(start.elapsed().as_secs() < 10, "{:?}", start.elapsed());
     }
 
     #[test]

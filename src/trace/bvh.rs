@@ -157,8 +157,8 @@ impl<'a> Way<'a> {
 pub(super) const STACK: usize = 96;
 
 impl Bvh {
-    /// Builds the hierarchy over triangles whose coordinates are at most 1.
-    pub(super) fn new(triangles: &[UnitTriangle]) -> Bvh {
+    /// Builds the hierarchy over those of the triangles that `kept` names; their coordinates are at most 1.
+    pub(super) fn new(triangles: &[UnitTriangle], kept: &[u32]) -> Bvh {
         // Four ulp of the largest coordinate, which is 1: the box test rounds, and must never round a ray out of a
         // box whose triangle the watertight test would report.
         let padding = Vec3A::splat(4.0 * f32::EPSILON);
@@ -166,8 +166,9 @@ impl Bvh {
             let [a, b, c] = t.corners;
             Aabb::new(a.min(b).min(c) - padding, a.max(b).max(c) + padding)
         };
-        let boxes: Vec<Aabb> = triangles.iter().map(padded).collect();
-        let binary = build_bvh2(&boxes, BUILD, &mut Default::default());
+        let boxes: Vec<Aabb> = kept.iter().map(|&t| padded(&triangles[t as usize])).collect();
+        let mut binary = build_bvh2(&boxes, BUILD, &mut Default::default());
+        binary.primitive_indices.iter_mut().for_each(|index| *index = kept[*index as usize]);
         let mut bvh = Bvh { nodes: vec![Node::EMPTY], leaves: Vec::new(), facets: Vec::new(), stack: 1 };
         if binary.nodes.is_empty() {
             return bvh;

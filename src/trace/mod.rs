@@ -13,6 +13,7 @@ mod watertight;
 mod wide;
 
 use glam::{DVec3, Vec3A};
+use rayon::prelude::*;
 
 use crate::scene::{Scene, centre_and_extent};
 use bvh::Bvh;
@@ -125,7 +126,7 @@ impl Tracer {
                 UnitTriangle::new(corners, scene.normal(t).as_vec3a())
             })
             .collect();
-        let bvh = Bvh::new(&triangles);
+        let bvh = Bvh::new(&triangles, &distinct(scene));
         Tracer { bvh, kernel: Kernel::detect(), triangles, centre, scale }
     }
 
@@ -213,6 +214,17 @@ impl Tracer {
         let rays = pairs.into_iter().map(|(name, from, to)| (name, from, to - from));
         self.kernel.ask_each::<Free, T>(&self.bvh, rays, found);
     }
+}
+
+/// The scene's triangles but for those with the corners of an earlier one in the same order: rays meet both at once, and then the
+/// lower index wins. The hierarchy would be built in quadratic time where many boxes are the same, one pair after the other.
+fn distinct(scene: &Scene) -> Vec<u32> {
+    let corners = |t: u32| scene.triangles[t as usize].vertices;
+    let mut kept: Vec<u32> = (0..scene.triangles.len() as u32).collect();
+    kept.par_sort_unstable_by_key(|&t| (corners(t), t));
+    kept.dedup_by_key(|t| corners(*t));
+    kept.par_sort_unstable();
+    kept
 }
 
 /// The next larger number where `towards` is positive, the next smaller one where it is negative.

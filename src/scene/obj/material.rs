@@ -9,7 +9,9 @@ use super::map_line;
 use super::mtl::Origin;
 use crate::Result;
 use crate::scene::text::find_file;
-use crate::scene::{LoadOptions, Material, Texture, TextureMap, warnings::Warnings};
+use crate::scene::{
+    LoadOptions, MOST_RADIANCE, Material, Texture, TextureMap, is_radiance, warnings::Warnings,
+};
 
 /// Makes the materials that faces use, each once, in the order of their first use.
 pub(super) struct Materials {
@@ -86,9 +88,10 @@ impl Materials {
                 .with_hint("a surface cannot give back more light than it gets: scale Kd into 0..1"));
         }
         if let Some(ke) = definition.emissive
-            && let Some(bad) = ke.iter().find(|e| !(e.is_finite() && **e >= 0.0))
+            && let Some(bad) = ke.into_iter().find(|&l| !is_radiance(l))
         {
-            let message = format!("material `{name}`: radiance {bad} is not a finite number of 0 or more");
+            let message =
+                format!("material `{name}`: radiance {bad:?} is not a number from 0 to {MOST_RADIANCE:e}");
             return Err(origin.error("Ke", message));
         }
         if first {
