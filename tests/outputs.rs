@@ -107,6 +107,8 @@ fn places_that_do_not_exist_or_are_directories() {
         (format!("{VALIDATE} --report nowhere/r.json"), "nowhere/r.json", "No such file"),
         (format!("{SOLVE} -o points/out.ply"), "points/out.ply", "ot a directory"),
         (format!("{SOLVE} -o dir.ply"), "dir.ply", "directory"),
+        (format!("{RENDER} -o out.png --report nowhere/"), "nowhere/", "the path of a directory"),
+        (format!("{SOLVE} -o out.ply --report nowhere/."), "nowhere/.", "the path of a directory"),
         (format!("{RENDER} -o dir.png"), "dir.png", "directory"),
         (format!("{PROBE} -o ."), ".", "directory"),
         (format!("{BAKE} -o points"), "points", "ot a directory"),
