@@ -136,6 +136,23 @@ fn an_error_is_reached_without_a_matrix() {
     }
 }
 
+/// No memory holds patches small enough for this error: the rays reach it, the answer does not.
+#[test]
+fn an_error_that_patches_leave_is_not_reached() {
+    let here = Here::new("", "");
+    let output = here.run(&format!("solve {} --error 1 --memory 25MB --report r.json", mesh("cornell-box")));
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("warning: 1.00 % is out of reach"), "{said}");
+    assert!(
+        said.contains("the error of the patches' size is") && said.contains("1.00 % was asked for"),
+        "{said}"
+    );
+    let error = &here.json("r.json")["error"];
+    let [sampling, patches] = ["rms_relative", "discretisation_relative"].map(|e| number(&error[e]));
+    assert!(sampling <= 0.01 && patches > 0.01, "{sampling}, {patches}");
+}
+
 #[test]
 fn what_sweeps_cannot_do_is_refused_with_a_way_out() {
     let here = Here::new("", "");

@@ -81,6 +81,21 @@ fn no_output_replaces_an_input() {
     assert!(here.read("board.json") == board);
 }
 
+/// The names of files may hold line ends; an error is one line even so.
+#[test]
+fn errors_of_odd_names_are_one_line() {
+    let here = textured();
+    let output = Command::new(env!("CARGO_BIN_EXE_radiosity"))
+        .current_dir(here.directory())
+        .args(["solve", "textured.obj", "-o", "a\nhint: b.stl"])
+        .output()
+        .unwrap();
+    let errors = stderr(&output);
+    let lines: Vec<_> = errors.lines().collect();
+    assert!(lines.len() == 2 && lines[0].starts_with("error: a\\nhint: b.stl: "), "{errors}");
+    assert!(lines[1].starts_with("hint: the program writes"), "{errors}");
+}
+
 #[test]
 fn two_outputs_are_two_files() {
     let here = textured();
@@ -107,6 +122,8 @@ fn places_that_do_not_exist_or_are_directories() {
         (format!("{VALIDATE} --report nowhere/r.json"), "nowhere/r.json", "No such file"),
         (format!("{SOLVE} -o points/out.ply"), "points/out.ply", "ot a directory"),
         (format!("{SOLVE} -o dir.ply"), "dir.ply", "directory"),
+        (format!("{RENDER} -o out.png --report nowhere/"), "nowhere/", "the path of a directory"),
+        (format!("{SOLVE} -o out.ply --report nowhere/."), "nowhere/.", "the path of a directory"),
         (format!("{RENDER} -o dir.png"), "dir.png", "directory"),
         (format!("{PROBE} -o ."), ".", "directory"),
         (format!("{BAKE} -o points"), "points", "ot a directory"),

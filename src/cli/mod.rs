@@ -185,9 +185,9 @@ fn say_error(what: &dyn Display) {
     to_stderr(format_args!("error: {what}"));
 }
 
-/// Prints a line. Nobody reading is no reason to panic, which `eprintln!` would.
+/// Prints a line, and one whatever names of files hold. Nobody reading is no reason to panic, which `eprintln!` would.
 fn to_stderr(line: impl Display) {
-    let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()));
+    let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()).replace('\n', "\\n"));
 }
 
 /// Prints text that ends its own lines. That nobody reads on is no error; a full disk behind stdout is.

@@ -110,6 +110,8 @@ pub struct Sampled {
     pub rounds: Vec<Round>,
     /// Who chose the patches.
     pub chosen: String,
+    /// The error that they leave, where the light chose them and that could be told.
+    pub floor: Option<f64>,
 }
 
 impl Sampling<'_> {
@@ -161,7 +163,7 @@ impl Sampling<'_> {
             true => self.by_matrix(patches, first, &cast, plan, wanted.filter(|_| floor.is_none()), times)?,
             false => self.sweep(patches, rays, &plan, times)?,
         };
-        Ok(Sampled { answer, rounds, chosen })
+        Ok(Sampled { answer, rounds, chosen, floor })
     }
 
     /// Casts and solves for as long as the plan says, from the first round if there is one. Says if the patches are too large for

@@ -6,7 +6,7 @@
 //! What a killed process leaves is removed by the next that writes there.
 
 use std::{
-    ffi::OsString,
+    ffi::{OsStr, OsString},
     fs,
     io::{self, BufWriter, Write},
     path::{Path, PathBuf},
@@ -125,8 +125,14 @@ impl OutputFile {
     fn temporary(&self) -> Result<NamedTempFile> {
         let target = self.target.as_deref().expect("only regular files are replaced");
         let failed = |e| Error::io(&self.path, e);
-        let Some(name) = target.file_name() else {
-            return Err(failed(io::ErrorKind::InvalidInput.into()));
+        // What goes on after its last name, as `a/` and `a/.` do, is the path of a directory.
+        let is_last =
+            |name: &&OsStr| target.as_os_str().as_encoded_bytes().ends_with(name.as_encoded_bytes());
+        let Some(name) = target.file_name().filter(is_last) else {
+            return Err(Error::Usage {
+                message: format!("{}: this is the path of a directory", self.path.display()),
+                hint: Some("give the name of a file".into()),
+            });
         };
         let mut prefix = OsString::from(".");
         prefix.push(name);

@@ -145,7 +145,7 @@ pub struct ErrorReport {
     pub confidence: f64,
     /// Estimated bias, relative to the mean irradiance.
     pub bias_relative: Option<f64>,
-    /// Error of taking radiosity as constant over each patch, relative.
+    /// Error of taking radiosity as constant over each patch, relative; without a matrix only where it chose the patches.
     pub discretisation_relative: Option<f64>,
     /// Bound on what the solver left, relative to the mean irradiance; `null` where nothing bounds it.
     pub solver_relative: Option<f64>,

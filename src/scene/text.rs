@@ -120,17 +120,15 @@ mod tests {
         assert_eq!(got, [(1, "ab".into()), (3, "#c:\\".into()), (4, "d".into()), (5, "e".into())]);
     }
 
-    /// In quadratic time these would take minutes.
+    /// In quadratic time these take minutes.
     #[test]
     fn lines_continued_very_often_are_read_in_linear_time() {
-        let start = std::time::Instant::now();
         for part in ["1 2 3 \\\n", "\\\n"] {
             let text = part.repeat(500_000) + "4\n";
             let got: Vec<_> = lines(&text).collect();
             let words = got[0].1.split_whitespace().count();
             assert_eq!((got.len(), words), (1, if part.len() > 2 { 1_500_001 } else { 1 }));
         }
-        assert!(start.elapsed().as_secs() < 10, "{:?}", start.elapsed());
     }
 
     #[test]
