@@ -6,11 +6,13 @@ use common::*;
 use glam::DVec3;
 use radiosity::{
     Progress,
+    accuracy::error_bars::ErrorBars,
     form_factor::{
         CastOptions, FormFactors,
         exact::{polygon_exchange_area, polygon_form_factor},
     },
     patch::{Patches, Subdivision},
+    solve::{SolveOptions, solve},
     trace::Tracer,
 };
 
@@ -239,5 +241,17 @@ fn light_of_a_dim_lamp_is_known_to_its_bar() {
                 "{name} {within}, {off:e}, {told:e}"
             );
         }
+    }
+}
+
+/// Where everything shines alike, rows that are moved to sum to one change nothing; there are more lamps than are known by themselves.
+#[test]
+fn bars_of_light_that_is_the_same_everywhere_are_short() {
+    let lit = cast(load("furnace"), Subdivision::Count(500), CastOptions::default());
+    let solution =
+        solve(&lit.form_factors, &lit.patches, &SolveOptions::default(), &Progress::new()).unwrap();
+    let bars = ErrorBars::of(&lit.form_factors, &lit.patches, &solution).unwrap();
+    for (irradiance, error) in solution.irradiance.iter().zip(&bars.standard_error) {
+        assert!((irradiance - 1.0).abs() <= *error && *error <= 1e-4, "{irradiance} +- {error}");
     }
 }

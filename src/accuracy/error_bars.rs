@@ -127,16 +127,23 @@ impl ErrorBars {
         let sources = Strata::sum(&strata, patches.clone().filter(is_source), |i| areas[i])
             .beside(&others, 1.0 / patches.filter(is_source).count() as f64);
         let mut standard_error = smoothed_errors(form_factors, solution, &local, &own, &strata);
-        let moved = form_factors.moved();
+        let (moved, radiosity) = (form_factors.moved(), solution.radiosity.as_chunks::<C>().0);
+        let brightest: [f64; C] = std::array::from_fn(|c| radiosity.iter().map(|b| b[c]).fold(0.0, f64::max));
         for family in form_factors.siblings() {
             let typical = if is_source(&family.start) { &sources } else { &others };
             let near = Strata::sum(&strata, family.clone(), |_| 1.0);
             let stratified = near.beside(typical, PRIOR / family.len() as f64).factor();
             for i in family.clone() {
-                let (unseen, least) = (form_factors.unseen(i), moved(i).hypot(LEAST));
+                let (unseen, moved) = (form_factors.unseen(i), moved(i));
                 for q in C * i..C * (i + 1) {
+                    let irradiance = solution.irradiance[q];
+                    // Rows still sum to one: what was moved counts as far as what the patch sees differs, of which this is the most
+                    // (Bhatia and Davis, "A better bound on the variance", American Mathematical Monthly 107, 2000).
+                    let differs =
+                        (irradiance * (brightest[q % C] - irradiance)).max(0.0).sqrt().min(irradiance);
                     standard_error[q] = (unit * stratified * standard_error[q])
-                        .hypot(least * solution.irradiance[q])
+                        .hypot(moved * differs)
+                        .hypot(LEAST * irradiance)
                         .hypot(unseen * solution.radiosity[q]);
                 }
             }
