@@ -96,7 +96,7 @@ impl Memory {
         let (sums, deviations) = (16.0 + 8.0 * channels, 4.0 * (7.0 * channels + 3.0));
         Memory {
             scene: BASE + TRIANGLE * scene.triangles.len() as f64,
-            patches: n * (if pooled { 700.0 } else { 1200.0 } + of_lamps),
+            patches: n * (if pooled { 700.0 } else { 1500.0 } + of_lamps),
             hits: n * hits,
             matrix: n * entry * entries,
             calibration: n * factors,
