@@ -2,6 +2,8 @@
 
 #![allow(dead_code, reason = "every test file uses a part of it")]
 
+pub mod program;
+
 use std::{collections::HashMap, f64::consts::PI};
 
 use glam::{DVec3, dvec3};

@@ -1,11 +1,9 @@
-//! Numbers at the extremes, each with the answer that physics gives. `cargo test --test extremes -- --nocapture` prints
+//! Numbers at the extremes, each with the answer that physics gives. `cargo test --test light extremes:: -- --nocapture` prints
 //! the figures of docs/extremes.md.
-
-mod common;
 
 use std::f64::consts::PI;
 
-use common::*;
+use crate::common::*;
 use glam::{DVec3, dvec3};
 use radiosity::{
     Error, Progress, Scene,

@@ -1,8 +1,6 @@
 //! What every matrix of form factors by rays must keep: closure, reciprocity and bounds, whatever the scene.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use glam::{DVec3, dvec3};
 use radiosity::{
     Scene,

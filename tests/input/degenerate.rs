@@ -1,8 +1,6 @@
 //! The geometry kernel on triangles that are degenerate on purpose: slivers, folds, doubles, flat bodies.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use glam::{DVec3, Vec3A, dvec3};
 use radiosity::{
     Scene, form_factor::CastOptions, patch::Subdivision, scene::inspection::Inspection, trace::Tracer,

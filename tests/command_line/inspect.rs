@@ -1,10 +1,7 @@
 //! What is told of a scene before anything is computed.
 
-mod cli_common;
-mod common;
-
-use cli_common::{Here, stderr};
-use common::*;
+use crate::common::program::{Here, stderr};
+use crate::common::*;
 use glam::DVec3;
 use radiosity::{
     Scene,

@@ -1,11 +1,9 @@
 //! Checkpoints: what was cast is taken from the file, and the result is the same to the bit; what is damaged or of something
 //! else is refused and left as it is.
 
-mod common;
-
 use std::{fs, path::Path, sync::Arc};
 
-use common::*;
+use crate::common::*;
 use glam::DVec3;
 use radiosity::{
     Error, Progress, Scene,

@@ -1,11 +1,9 @@
 //! Form factors by rays against exact ones. Tolerances are 5.24 of the standard errors that the library itself reports
 //! (10⁻⁴ by chance, see `common::T15`), plus what tessellation is known to change.
 
-mod common;
-
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
 
-use common::*;
+use crate::common::*;
 use glam::{DVec3, dvec3};
 use radiosity::form_factor::{CastOptions, Estimator, exact::*};
 use radiosity::patch::Subdivision;

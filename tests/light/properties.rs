@@ -1,8 +1,6 @@
 //! Subdivision, sampling and matrices, for whatever comes.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use glam::{DVec3, Vec3A, dvec3};
 use proptest::{prelude::*, test_runner::RngSeed};
 use radiosity::{

@@ -1,10 +1,6 @@
 //! `solve` where memory holds no matrix.
 
-#![cfg(target_os = "linux")]
-
-mod cli_common;
-
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 use ply_rs::{
     parser::Parser,
     ply::{DefaultElement, Property},
@@ -45,7 +41,7 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// A matrix of this work takes 40 MB and more (`tests/memory.rs`), 25 MB are given. Of 95 % intervals of the difference to the
+/// A matrix of this work takes 40 MB and more (`tests/command_line/memory.rs`), 25 MB are given. Of 95 % intervals of the difference to the
 /// matrix's answer 95 % should hold zero; patches err together, so that single runs scatter by some per cent.
 #[test]
 fn what_fits_no_matrix_is_solved_without_one_within_its_error_bars() {

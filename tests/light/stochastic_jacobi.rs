@@ -1,7 +1,5 @@
 //! The solution without a matrix, against the one with it.
 
-mod common;
-
 use glam::DVec3;
 use radiosity::{
     Progress, Scene,
@@ -40,7 +38,7 @@ fn by_matrix(scene: &Scene, patches: usize) -> (Patches, Vec<f64>) {
 #[test]
 fn sweeps_agree_with_the_matrix_within_their_error_bars() {
     for name in ["cornell-box", "door-ajar", "corridor"] {
-        let scene = if name == "corridor" { corridor() } else { common::load(name) };
+        let scene = if name == "corridor" { corridor() } else { crate::common::load(name) };
         let (patches, truth) = by_matrix(&scene, 300);
         let (mut inside, mut all, mut squares, mut off, mut mean) = (0, 0, 0.0, 0.0, 0.0);
         for seed in 0..3 {
@@ -76,17 +74,21 @@ fn sweeps_agree_with_the_matrix_within_their_error_bars() {
 /// to the dark end is missing in the mean of many, and more there than scatter tells.
 fn corridor() -> Scene {
     let [left, right, floor, ceiling, lit, dark] =
-        common::room_faces(DVec3::ZERO, DVec3::new(1.0, 1.0, 12.0));
+        crate::common::room_faces(DVec3::ZERO, DVec3::new(1.0, 1.0, 12.0));
     let walls = [left, right, floor, ceiling].concat();
-    common::scene(&[common::part(walls, 0.95, 0.0), common::part(lit, 0.0, 1.0), common::black(dark)])
+    crate::common::scene(&[
+        crate::common::part(walls, 0.95, 0.0),
+        crate::common::part(lit, 0.0, 1.0),
+        crate::common::black(dark),
+    ])
 }
 
 /// In a closed furnace every patch gets Be / (1 - ρ), here with ρ = 0.9: the rows of few rays sum to 1, so that they tell it to 10⁻⁸
 /// over 1 - ρ, and every sweep keeps it. Without them 0.95⁶⁴ = 4 % of it would still be missing after 64 sweeps.
 #[test]
 fn a_furnace_is_as_bright_as_it_must_be() {
-    let room = common::room(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
-    let scene = common::scene(&[common::part(room, 0.9, 1.0)]);
+    let room = crate::common::room(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
+    let scene = crate::common::scene(&[crate::common::part(room, 0.9, 1.0)]);
     let (_, found) = by_sweeps(&scene, 200, 64.0, 1);
     let wanted = 1.0 / (1.0 - 0.9);
     for (e, error) in found.irradiance.iter().zip(&found.standard_error) {
@@ -145,7 +147,7 @@ fn many_short_sweeps_balance_their_energy() {
 /// batches are the same, and tell no error at all.
 #[test]
 fn light_without_noise_balances_to_what_is_known_of_it() {
-    let (_, found) = by_sweeps(&common::low_lamp(), 1000, 64.0, 1);
+    let (_, found) = by_sweeps(&crate::common::low_lamp(), 1000, 64.0, 1);
     let (imbalance, error) = found.worst_imbalance();
     println!("{imbalance:.2e} with error {error:.2e}");
     assert!(found.is_balanced() && imbalance.abs() < 1e-6 && error < 1e-6, "{imbalance} with error {error}");
@@ -154,11 +156,12 @@ fn light_without_noise_balances_to_what_is_known_of_it() {
 /// Light beyond the range of single precision and of its squares: powers of two change no digit.
 #[test]
 fn brightness_makes_no_difference() {
-    let room = common::room(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
+    let room = crate::common::room(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
     let (lamp, walls) = room.split_at(2);
     let [dim, bright] = [1.0, 2f64.powi(600)].map(|light| {
-        let parts = [common::part(lamp.to_vec(), 0.5, light), common::part(walls.to_vec(), 0.5, 0.0)];
-        let scene = common::scene(&parts);
+        let parts =
+            [crate::common::part(lamp.to_vec(), 0.5, light), crate::common::part(walls.to_vec(), 0.5, 0.0)];
+        let scene = crate::common::scene(&parts);
         by_sweeps(&scene, 100, 32.0, 1).1
     });
     assert!(dim.irradiance.iter().any(|&e| e > 0.0) && dim.standard_error.iter().any(|&e| e > 0.0));

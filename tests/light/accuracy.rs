@@ -17,8 +17,7 @@ use radiosity::{
     trace::Tracer,
 };
 
-mod common;
-use common::*;
+use crate::common::*;
 use glam::DVec3;
 
 struct Case {

@@ -1,16 +1,12 @@
 //! `solve --checkpoint`, killed and stopped: the result is the same bytes as that of a run that nothing disturbed.
 
-#![cfg(unix)]
-
-mod cli_common;
-
 use std::{
     fs,
     os::unix::process::ExitStatusExt,
     process::{Child, Command, Stdio},
 };
 
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 use serde_json::Value;
 
 /// A cube with a lamp, and a plate in it whose back is seen.
@@ -124,7 +120,7 @@ fn killed_again_and_again_it_ends_with_the_same_bytes() {
     assert!(kills >= 12, "only {kills} kills of 20 met the program at work");
 }
 
-/// The count in docs/extremes.md: `cargo test --test checkpoint_cli -- --ignored --nocapture`.
+/// The count in docs/extremes.md: `cargo test --test command_line checkpoint:: -- --ignored --nocapture`.
 #[test]
 #[ignore = "minutes"]
 fn killed_hundreds_of_times_it_ends_with_the_same_bytes() {

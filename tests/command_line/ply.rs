@@ -1,10 +1,8 @@
 //! What the PLY reader makes of files as they come: in all encodings, good, odd and broken.
 
-mod cli_common;
-
 use std::fmt::Write as _;
 
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 use glam::DVec3;
 use radiosity::{Error, Scene, scene::LoadOptions};
 

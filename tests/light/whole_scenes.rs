@@ -1,10 +1,8 @@
 //! Whole solutions against scenes whose light is known.
 
-mod common;
-
 use std::f64::consts::PI;
 
-use common::*;
+use crate::common::*;
 use glam::{DVec2, DVec3, dvec2};
 use radiosity::{
     Progress, Scene,

@@ -1,8 +1,6 @@
 //! Rays neither leak through edges and vertices nor meet the surface they leave.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use glam::{DQuat, DVec3, EulerRot, Vec3A, dvec3};
 use radiosity::{
     Scene,
@@ -141,9 +139,9 @@ fn ten_million_rays_stay_in_closed_scenes() {
 }
 
 /// Half a minute:
-/// `cargo test --test rays -- --ignored`
+/// `cargo test --test light rays:: -- --ignored`
 #[test]
-#[ignore = "takes long: cargo test --test rays -- --ignored"]
+#[ignore = "takes long: cargo test --test light rays:: -- --ignored"]
 fn a_hundred_million_rays_stay_in_closed_scenes() {
     leak_test(100_000_000, 20_000_000);
 }

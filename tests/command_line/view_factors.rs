@@ -1,10 +1,8 @@
 //! `radiosity view-factors`: tables that hold what closed forms say, whatever a file calls a surface.
 
-mod cli_common;
-
 use std::{collections::HashMap, fs};
 
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 use radiosity::form_factor::exact::{
     opposed_rectangles, opposed_squares_with_blocker, perpendicular_rectangles,
 };

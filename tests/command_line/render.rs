@@ -1,10 +1,8 @@
 //! Pictures, as the shell sees them.
 
-mod cli_common;
-
 use std::f64::consts::PI;
 
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 
 /// One block of a picture, a value a channel.
 type Block = [f64; 3];

@@ -1,16 +1,12 @@
 //! Outputs that cannot be written, and outputs that would replace an input: one clear error, nothing lost, nothing left.
 
-#![cfg(unix)]
-
-mod cli_common;
-
 use std::{
     fs,
     path::Path,
     process::{Command, Output},
 };
 
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 
 /// The textured mesh of the repository, with what it refers to.
 fn textured() -> Here {

@@ -1,8 +1,6 @@
 //! The same seed gives the same bytes, whatever the number of threads.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use radiosity::{
     Progress, Scene,
     accuracy::error_bars::ErrorBars,

@@ -1,10 +1,8 @@
 //! `radiosity tradeoff`: files that others can read, and errors that behave as physics wants.
 
-mod cli_common;
-
 use std::fs;
 
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 use serde_json::Value;
 
 /// A closed room whose ceiling shines.

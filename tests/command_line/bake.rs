@@ -1,14 +1,12 @@
 //! Lightmaps, as the shell sees them.
 
-mod cli_common;
-
 use std::{
     fs,
     process::{Command, Stdio},
     time::Duration,
 };
 
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 use glam::{DVec2, DVec3, dvec3};
 use radiosity::Scene;
 

@@ -1,10 +1,8 @@
 //! Subdivisions whose patches differ in size: restricted quadtrees, the meshes that they make, and what is solved on them.
 
-mod common;
-
 use std::collections::{HashMap, HashSet};
 
-use common::*;
+use crate::common::*;
 use glam::{DVec3, dvec3};
 use proptest::{prelude::*, test_runner::RngSeed};
 use radiosity::{

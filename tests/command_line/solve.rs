@@ -1,7 +1,5 @@
 //! The program as the shell sees it.
 
-mod cli_common;
-
 use std::{collections::BTreeMap, fs, path::Path, process::Command};
 
 use ply_rs::{
@@ -10,7 +8,7 @@ use ply_rs::{
 };
 use serde_json::Value;
 
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 
 /// A closed unit cube seen from inside, whose walls all emit 1/π and reflect half: B = Be + B / 2 = 2.
 const FURNACE: &str = "mtllib scene.mtl\nusemtl wall

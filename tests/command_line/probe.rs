@@ -1,10 +1,8 @@
 //! Irradiance at points, as the shell sees it.
 
-mod cli_common;
-
 use std::{f64::consts::PI, fs};
 
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 use glam::{DVec3, dvec3};
 use radiosity::form_factor::exact::point_to_polygon;
 

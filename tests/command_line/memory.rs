@@ -1,12 +1,8 @@
 //! Memory: forecast before it is taken, and refused where it is too much.
 
-#![cfg(target_os = "linux")]
-
-mod cli_common;
-
 use std::{fs, path::Path};
 
-use cli_common::{Here, stderr};
+use crate::common::program::{Here, stderr};
 use radiosity::{
     Scene,
     accuracy::memory::{Memory, without_matrix},
@@ -116,7 +112,7 @@ fn sweeps_take_no_more_than_was_forecast() {
     }
 }
 
-/// The table in docs/extremes.md: `cargo test --test memory -- --ignored --nocapture`.
+/// The table in docs/extremes.md: `cargo test --test command_line memory:: -- --ignored --nocapture`.
 #[test]
 #[ignore = "minutes, and a gigabyte"]
 fn no_more_is_taken_than_was_forecast_on_many_scenes() {

@@ -1,8 +1,6 @@
 //! Whether error bars are as long as errors.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use glam::DVec3;
 use radiosity::{
     Progress,

@@ -1,8 +1,6 @@
 //! Solvers on matrices known exactly: the unit cube's.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
 use radiosity::{

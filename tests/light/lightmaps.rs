@@ -1,9 +1,7 @@
 //! Lightmaps against the solver's energy, against path tracing at random points of the surface, and against themselves
 //! across seams.
 
-mod common;
-
-use common::{Corners, Random, icosphere, part, rectangle, room_faces};
+use crate::common::{Corners, Random, icosphere, part, rectangle, room_faces};
 use glam::{DVec3, dvec3};
 use radiosity::{
     Progress, Scene,
@@ -126,13 +124,13 @@ fn furnished(things: Vec<Corners>) -> Scene {
         strip(0.4 * x - 0.4 * y, 0.6 * x, 0.8 * y),
     ]
     .concat();
-    let mut parts: Vec<common::Part> = faces.into_iter().map(|face| part(face, 0.7, 0.0)).collect();
+    let mut parts: Vec<crate::common::Part> = faces.into_iter().map(|face| part(face, 0.7, 0.0)).collect();
     parts[0].reflectance = RED;
     parts.push(part(strip(-0.4 * x - 0.4 * y, 0.8 * x, 0.8 * y), 0.0, 10.0));
     if !things.is_empty() {
         parts.push(part(things, 0.6, 0.0));
     }
-    common::scene(&parts)
+    crate::common::scene(&parts)
 }
 
 /// A torus round the vertical axis through `centre`; fronts outside.
@@ -199,14 +197,14 @@ fn curved_meshes_are_lit_as_paths_light_them() {
 #[test]
 fn an_occluded_room_is_lit_as_paths_light_it() {
     // 2.5 % was found.
-    assert_shows_the_light(&solved(common::load("door-ajar"), 4000, 256.0), 160, 0.045);
+    assert_shows_the_light(&solved(crate::common::load("door-ajar"), 4000, 256.0), 160, 0.045);
 }
 
 #[test]
 fn more_texels_show_the_light_better() {
     // What is left beside noise is what texels are too large for. Shadows' edges cross a share of the texels that falls
     // with their size, and each is off by no less: the error falls with the root of the size at least.
-    let s = solved(common::load("cornell-box"), 4000, 128.0);
+    let s = solved(crate::common::load("cornell-box"), 4000, 128.0);
     let [coarse, fine] = [64, 256].map(|side| s.against_paths(&finished(&s, side), 300, 512).rms());
     assert!(fine < 0.5 * coarse, "{fine} with 256 texels, {coarse} with 64");
 }
@@ -215,8 +213,8 @@ fn more_texels_show_the_light_better() {
 fn the_map_holds_the_flux_of_the_solver() {
     let plain = BakeOptions { final_gather: 0, dilate: false, close_seams: false, ..BakeOptions::default() };
     for (scene, side) in [
-        (common::load("cornell-box"), 100),
-        (common::load("textured"), 64),
+        (crate::common::load("cornell-box"), 100),
+        (crate::common::load("textured"), 64),
         (furnished(icosphere(0.5, 2)), 77),
     ] {
         let s = solved(scene, 2000, 64.0);
@@ -282,8 +280,8 @@ fn error_bars_of_texels_cover_what_many_rays_find() {
 #[test]
 fn charts_neither_overlap_nor_touch() {
     let scenes = [
-        common::load("cornell-box"),
-        common::load("door-ajar"),
+        crate::common::load("cornell-box"),
+        crate::common::load("door-ajar"),
         furnished(torus(DVec3::ZERO, (0.5, 0.2), (48, 24))),
     ];
     for scene in scenes {
@@ -326,7 +324,7 @@ fn charts_neither_overlap_nor_touch() {
 
 #[test]
 fn the_floor_under_a_block_is_hidden_and_not_black() {
-    let s = solved(common::load("cornell-box"), 2000, 64.0);
+    let s = solved(crate::common::load("cornell-box"), 2000, 64.0);
     // The floor is the first quad; the short block stands on it round (186, 0, 168), the room is lit at (100, 0, 400).
     for final_gather in [0, 16] {
         let map = s.bake(Layout::Resolution(128), &BakeOptions { final_gather, ..BakeOptions::default() });
@@ -350,7 +348,7 @@ fn the_floor_under_a_block_is_hidden_and_not_black() {
 #[test]
 fn the_floor_under_a_shell_with_a_gap_is_lit_as_paths_light_it() {
     let faces = room_faces(dvec3(-0.5, -0.5, -0.9), dvec3(0.5, 0.5, 0.1));
-    let shell = common::flipped([&faces[..4], &faces[5..]].concat().concat());
+    let shell = crate::common::flipped([&faces[..4], &faces[5..]].concat().concat());
     let s = solved(furnished(shell), 2000, 64.0);
     let map = s.bake(Layout::Resolution(128), &BakeOptions { final_gather: 64, ..BakeOptions::default() });
     let floor: Vec<usize> =
@@ -398,7 +396,7 @@ fn a_room_that_shows_its_backs_is_mapped_by_them() {
 
 #[test]
 fn texels_of_a_length_take_as_many_pages_as_they_need() {
-    let scene = common::load("cornell-box");
+    let scene = crate::common::load("cornell-box");
     let tracer = Tracer::new(&scene);
     let make = |layout| Atlas::new(&scene, &tracer, layout, Coordinates::Auto);
     let one = make(Layout::Texel(10.0, 4096)).unwrap();
@@ -416,7 +414,7 @@ fn texels_of_a_length_take_as_many_pages_as_they_need() {
 
 #[test]
 fn the_smallest_map_that_works_is_told_and_works() {
-    let scene = common::load("cornell-box");
+    let scene = crate::common::load("cornell-box");
     let tracer = Tracer::new(&scene);
     let make = |side| Atlas::new(&scene, &tracer, Layout::Resolution(side), Coordinates::Auto);
     let error = make(8).unwrap_err();
@@ -431,7 +429,7 @@ fn own_coordinates_are_kept_where_they_suit() {
         let uv = [(0., 0.), (1., 0.), (1., 1.), (0., 1.)].map(|(u, v)| map(glam::dvec2(u, v)));
         scene.texcoords = vec![[uv[0], uv[1], uv[2]], [uv[0], uv[2], uv[3]]];
     };
-    let mut scene = common::scene(&[part(common::level_square(1.0, 0.0, true), 0.5, 1.0)]);
+    let mut scene = crate::common::scene(&[part(crate::common::level_square(1.0, 0.0, true), 0.5, 1.0)]);
     let tracer = Tracer::new(&scene);
     let make = |scene: &Scene, whose| Atlas::new(scene, &tracer, Layout::Resolution(16), whose);
     square(&mut scene, |uv| 0.1 + 0.5 * uv);

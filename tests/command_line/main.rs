@@ -1,0 +1,21 @@
+//! The program as its users run it.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod bake;
+#[cfg(unix)]
+mod checkpoint;
+mod inspect;
+#[cfg(target_os = "linux")]
+mod matrix_free;
+#[cfg(target_os = "linux")]
+mod memory;
+#[cfg(unix)]
+mod outputs;
+mod ply;
+mod probe;
+mod render;
+mod solve;
+mod tradeoff;
+mod view_factors;

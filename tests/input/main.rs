@@ -1,0 +1,11 @@
+//! What is read, and the house itself: readers, meshes that ship, damaged geometry, layers.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod corpus;
+mod degenerate;
+mod independence;
+mod meshes;
+mod obj_reader;
+mod textures;

@@ -1,0 +1,24 @@
+//! The library: form factors, light, error bars and lightmaps against physics.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod accuracy;
+mod adaptive;
+mod checkpoint;
+mod determinism;
+mod error_bars;
+mod exact_form_factors;
+mod extremes;
+mod form_factors;
+mod lightmaps;
+mod matrix;
+mod ply;
+mod presets;
+mod properties;
+mod rays;
+mod solvers;
+mod stochastic_jacobi;
+mod validation;
+mod view_factors;
+mod whole_scenes;
