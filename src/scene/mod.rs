@@ -6,6 +6,7 @@
 pub mod inspection;
 pub mod obj;
 mod ply;
+mod specular;
 pub mod surfaces;
 mod text;
 mod texture;
@@ -17,6 +18,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec2, DVec3};
 
 use crate::{Error, Result};
+pub use specular::{Distribution, Fresnel, MOST_EXPONENT, Specular};
 pub use texture::{Texture, TextureMap};
 
 /// One triangle of the scene; counter-clockwise vertices seen from its front.
@@ -30,7 +32,7 @@ pub struct Triangle {
     pub source: u32,
 }
 
-/// A Lambertian material.
+/// A material: a Lambertian surface that may emit, and may have a specular part.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Material {
     /// Its name in the file.
@@ -43,12 +45,24 @@ pub struct Material {
     pub reflectance_map: Option<TextureMap>,
     /// Texture that multiplies the emitted radiance.
     pub emission_map: Option<TextureMap>,
+    /// Reflectance on top of what the texture gives; has no effect without [`Material::reflectance_map`].
+    pub reflectance_offset: [f64; 3],
+    /// What it reflects beside its diffuse part. Only path and light tracing follow it.
+    pub specular: Option<Box<Specular>>,
 }
 
 impl Material {
     /// A material of one colour without textures.
     pub fn new(name: &str, reflectance: [f64; 3], emission: [f64; 3]) -> Self {
-        Material { name: name.into(), reflectance, emission, reflectance_map: None, emission_map: None }
+        Material {
+            name: name.into(),
+            reflectance,
+            emission,
+            reflectance_map: None,
+            emission_map: None,
+            reflectance_offset: [0.0; 3],
+            specular: None,
+        }
     }
 
     /// Whether any point of it can emit.
@@ -211,6 +225,11 @@ impl Scene {
         self.material(t).emits()
     }
 
+    /// Whether any material has a specular part.
+    pub fn has_specular(&self) -> bool {
+        self.materials.iter().any(|m| m.specular.is_some())
+    }
+
     /// Whether any triangle emits.
     pub fn has_emitter(&self) -> bool {
         (0..self.triangles.len()).any(|t| self.emits(t))
@@ -238,6 +257,7 @@ impl Scene {
         let grey = |c: [f64; 3]| c[0] == c[1] && c[1] == c[2];
         let colourful = self.materials.iter().any(|m| {
             !grey(m.reflectance)
+                || !grey(m.reflectance_offset)
                 || !grey(m.emission)
                 || [&m.reflectance_map, &m.emission_map]
                     .into_iter()
@@ -250,7 +270,7 @@ impl Scene {
     /// Reflectance at a point of triangle `t` given by barycentric coordinates.
     pub fn reflectance_at(&self, t: usize, barycentric: [f64; 3]) -> [f64; 3] {
         let m = self.material(t);
-        self.mapped(t, m.reflectance, &m.reflectance_map, |texture, map, uv| {
+        self.mapped(t, m.reflectance, m.reflectance_offset, &m.reflectance_map, |texture, map, uv| {
             texture.at(map, interpolate(uv, barycentric))
         })
     }
@@ -258,7 +278,7 @@ impl Scene {
     /// Radiance emitted at a point of the front of triangle `t` given by barycentric coordinates.
     pub fn emission_at(&self, t: usize, barycentric: [f64; 3]) -> [f64; 3] {
         let m = self.material(t);
-        self.mapped(t, m.emission, &m.emission_map, |texture, map, uv| {
+        self.mapped(t, m.emission, [0.0; 3], &m.emission_map, |texture, map, uv| {
             texture.at(map, interpolate(uv, barycentric))
         })
     }
@@ -266,7 +286,7 @@ impl Scene {
     /// Reflectance averaged over the part of triangle `t` whose corners have these barycentric coordinates.
     pub fn mean_reflectance(&self, t: usize, part: &[[f64; 3]; 3]) -> [f64; 3] {
         let m = self.material(t);
-        self.mapped(t, m.reflectance, &m.reflectance_map, |texture, map, uv| {
+        self.mapped(t, m.reflectance, m.reflectance_offset, &m.reflectance_map, |texture, map, uv| {
             texture.mean(map, part.map(|b| interpolate(uv, b)))
         })
     }
@@ -274,7 +294,7 @@ impl Scene {
     /// Emitted radiance averaged over the part of triangle `t` whose corners have these barycentric coordinates.
     pub fn mean_emission(&self, t: usize, part: &[[f64; 3]; 3]) -> [f64; 3] {
         let m = self.material(t);
-        self.mapped(t, m.emission, &m.emission_map, |texture, map, uv| {
+        self.mapped(t, m.emission, [0.0; 3], &m.emission_map, |texture, map, uv| {
             texture.mean(map, part.map(|b| interpolate(uv, b)))
         })
     }
@@ -283,6 +303,7 @@ impl Scene {
         &self,
         t: usize,
         factor: [f64; 3],
+        offset: [f64; 3],
         map: &Option<TextureMap>,
         look_up: impl Fn(&Texture, &TextureMap, &[DVec2; 3]) -> [f64; 3],
     ) -> [f64; 3] {
@@ -290,7 +311,7 @@ impl Scene {
             None => factor,
             Some(map) => {
                 let texel = look_up(&self.textures[map.texture], map, &self.texcoords[t]);
-                std::array::from_fn(|c| factor[c] * texel[c])
+                std::array::from_fn(|c| factor[c] * texel[c] + offset[c])
             }
         }
     }

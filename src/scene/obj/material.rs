@@ -121,6 +121,8 @@ impl Materials {
             emission: definition.emissive.unwrap_or([dark; 3]),
             reflectance_map,
             emission_map,
+            reflectance_offset: [0.0; 3],
+            specular: None,
         })
     }
 
