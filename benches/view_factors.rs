@@ -11,13 +11,11 @@ use std::{fmt::Write, path::Path, time::Instant};
 use glam::DVec3;
 use radiosity::{
     Progress, Scene,
-    form_factor::{
-        CastOptions, FormFactors,
-        between_polygons::{ViewFactorOptions, view_factors},
-    },
+    form_factor::{CastOptions, FormFactors},
     patch::{Patches, Subdivision},
     scene::Material,
     trace::Tracer,
+    view_factor::{ViewFactorOptions, view_factors},
 };
 
 const ROUNDS: usize = 5;

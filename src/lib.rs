@@ -23,6 +23,7 @@ pub mod scene;
 pub mod solve;
 pub mod tone;
 pub mod trace;
+pub mod view_factor;
 
 pub use error::{Error, Result};
 pub use progress::Progress;

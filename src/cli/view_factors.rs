@@ -6,7 +6,6 @@ use clap::{Args, ValueEnum};
 use radiosity::{
     Error, Result, Scene,
     accuracy::survey::{Seen, Survey},
-    form_factor::between_polygons::{ViewFactorOptions, ViewFactors, view_factors_of_surfaces},
     output::{
         file::{OutputFile, Pending},
         report::{peak_bytes, seconds},
@@ -20,6 +19,7 @@ use radiosity::{
         surfaces::{By, Side, Surface, Surfaces},
     },
     trace::Tracer,
+    view_factor::{ViewFactorOptions, ViewFactors, view_factors_of_surfaces},
 };
 
 use super::{Common, Outcome, options, outputs, summary, to_stdout, watch::Watch};

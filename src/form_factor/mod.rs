@@ -2,12 +2,11 @@
 //!
 //! Rays measure them ([`hemisphere`]), both directions of a pair are pooled into one symmetric exchange area
 //! S_ij = A_i F_ij ([`reciprocity`]), and a diagonal scaling makes every row sum to one ([`closure`]). [`exact`] holds
-//! the closed forms that all of it is tested against. [`between_polygons`] is for who wants view factors, each accurate by
-//! itself, and no light.
+//! the closed forms that all of it is tested against. View factors of single surfaces, each accurate by itself, are in
+//! [`view_factor`](crate::view_factor).
 
 mod allocation;
 mod assembly;
-pub mod between_polygons;
 mod blocks;
 mod calibration;
 mod checkpoint;
@@ -36,7 +35,7 @@ use checkpoint::Section;
 use hemisphere::Hits;
 use replicates::Samples;
 use shadow::Sources;
-pub(crate) use shadow::is_hidden;
+pub(crate) use shadow::{is_hidden, kernel};
 pub(crate) use symmetric::Real;
 use symmetric::Symmetric;
 
@@ -306,6 +305,11 @@ impl FormFactors {
     /// Area of each patch; at least 10⁻²⁰ of their mean.
     pub fn areas(&self) -> &[f64] {
         &self.areas
+    }
+
+    /// Puts areas in another unit; view factors stay.
+    pub(crate) fn scale_areas(&mut self, unit: f64) {
+        self.areas.iter_mut().for_each(|area| *area *= unit);
     }
 
     /// Share of each patch's light that leaves the scene.

@@ -335,7 +335,7 @@ pub(super) struct HemisphereRay {
 
 /// cos θ cos θ' / (π r²) over a path between two points whose unit normals face each other.
 #[inline]
-pub(super) fn kernel(path: Vec3A, from: Vec3A, to: Vec3A) -> f32 {
+pub(crate) fn kernel(path: Vec3A, from: Vec3A, to: Vec3A) -> f32 {
     let squared = path.length_squared();
     path.dot(from) * -path.dot(to) / (std::f32::consts::PI * squared * squared)
 }

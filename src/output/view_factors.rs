@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::report::BeforeAfter;
-use crate::{form_factor::between_polygons::ViewFactors, scene::surfaces::Surfaces};
+use crate::{scene::surfaces::Surfaces, view_factor::ViewFactors};
 
 /// Rows that are written as text at a time.
 const ROWS: usize = 256;

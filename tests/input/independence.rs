@@ -10,7 +10,7 @@ use std::{
 const COMMON: [&str; 5] = ["Error", "Result", "Progress", "Quality", "Scene"];
 
 /// A module, what it may use, and what its tests may use besides.
-const LAYERS: [(&str, &[&str], &[&str]); 14] = [
+const LAYERS: [(&str, &[&str], &[&str]); 15] = [
     ("error", &[], &[]),
     ("progress", &[], &[]),
     ("quality", &[], &[]),
@@ -19,13 +19,25 @@ const LAYERS: [(&str, &[&str], &[&str]); 14] = [
     ("trace", &["scene"], &[]),
     ("patch", &["scene"], &["trace"]),
     ("form_factor", &["scene", "trace", "patch"], &[]),
+    ("view_factor", &["scene", "trace", "patch", "form_factor"], &[]),
     ("solve", &["patch", "form_factor"], &["scene", "trace"]),
     ("energy", &["patch", "form_factor", "solve"], &["scene", "trace"]),
     ("monte_carlo", &["tone", "scene", "trace"], &[]),
     ("accuracy", &["tone", "scene", "trace", "patch", "form_factor", "solve", "energy", "monte_carlo"], &[]),
     (
         "output",
-        &["tone", "scene", "trace", "patch", "form_factor", "solve", "energy", "monte_carlo", "accuracy"],
+        &[
+            "tone",
+            "scene",
+            "trace",
+            "patch",
+            "form_factor",
+            "view_factor",
+            "solve",
+            "energy",
+            "monte_carlo",
+            "accuracy",
+        ],
         &[],
     ),
     ("lightmap", &["tone", "scene", "trace", "patch", "solve", "monte_carlo", "output"], &["form_factor"]),

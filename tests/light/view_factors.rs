@@ -5,12 +5,12 @@ use radiosity::{
     Error, Progress, Scene,
     form_factor::{
         CastOptions, FormFactors,
-        between_polygons::{ViewFactorOptions, ViewFactors, view_factors, view_factors_of_surfaces},
         exact::{opposed_rectangles, opposed_squares_with_blocker, perpendicular_rectangles},
     },
     patch::{Patches, Subdivision},
     scene::Material,
     trace::Tracer,
+    view_factor::{ViewFactorOptions, ViewFactors, view_factors, view_factors_of_surfaces},
 };
 
 /// The six sides of a box, cut into n × n each; outwards with side 1, inwards with side -1.

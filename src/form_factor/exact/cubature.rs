@@ -52,7 +52,7 @@ fn points_for(ratio: f64, precision: f64) -> usize {
 }
 
 /// Points of a convex polygon and their weights, which sum to its area.
-pub(in crate::form_factor) fn nodes(polygon: &[DVec3], n: usize) -> Vec<(DVec3, f64)> {
+pub(crate) fn nodes(polygon: &[DVec3], n: usize) -> Vec<(DVec3, f64)> {
     let rule = gauss_legendre(n);
     let o = polygon[0];
     let mut out = Vec::with_capacity(n * n * (polygon.len() - 2));

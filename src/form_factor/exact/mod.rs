@@ -16,7 +16,8 @@ mod rectangle;
 pub use catalogue::{
     coaxial_disks, opposed_rectangles, opposed_squares_with_blocker, perpendicular_rectangles,
 };
-pub(super) use cubature::nodes;
-pub(super) use polygon::{exchange_area_to, lambert};
+pub(crate) use cubature::nodes;
+pub(crate) use polygon::exchange_area_to;
+pub(super) use polygon::lambert;
 pub use polygon::{point_to_polygon, polygon_area, polygon_exchange_area, polygon_form_factor};
 pub use rectangle::{Axis, AxisRectangle, box_room_patches, rectangle_form_factors};

@@ -123,7 +123,7 @@ pub fn polygon_exchange_area(p: &[DVec3], q: &[DVec3]) -> f64 {
 }
 
 /// As [`polygon_exchange_area`], with polygons as far away as told integrated by points to this relative precision.
-pub(in crate::form_factor) fn exchange_area_to(p: &[DVec3], q: &[DVec3], far: f64, precision: f64) -> f64 {
+pub(crate) fn exchange_area_to(p: &[DVec3], q: &[DVec3], far: f64, precision: f64) -> f64 {
     assert_polygon(p);
     assert_polygon(q);
     let origin = p[0];

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{super::Matrix, pair::Pair, polygon::Polygon};
-use crate::{Error, Result};
+use super::{pair::Pair, polygon::Polygon};
+use crate::{Error, Result, form_factor::Matrix};
 
 /// A sum of view factors is off one where it is so by more than this, and by more than so many standard errors.
 const OFF: f64 = 0.01;

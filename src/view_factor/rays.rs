@@ -3,12 +3,12 @@
 use glam::Vec3A;
 
 use super::{
-    super::shadow::kernel,
     pair::{NEAR, Pair},
     polygon::Polygon,
 };
 use crate::{
     Progress,
+    form_factor::kernel,
     trace::{
         Tracer,
         sampling::{mix, sobol_4d},

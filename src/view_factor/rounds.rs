@@ -4,7 +4,6 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
-    super::ordered_sum,
     ViewFactorOptions,
     pair::Pair,
     polygon::Polygon,
@@ -12,6 +11,7 @@ use super::{
 };
 use crate::{
     Progress, Result,
+    form_factor::ordered_sum,
     scene::{Material, Scene},
     trace::Tracer,
 };

@@ -2,7 +2,7 @@
 //! itself, where a lighting solution wants but their sums.
 //!
 //! What two polygons would exchange if nothing stood between them is known: by Gauss-Legendre products where they are apart,
-//! by [closed forms](super::exact) where they are near. Only the visible share of it is sampled (a ratio estimator; Cochran,
+//! by [closed forms](crate::form_factor::exact) where they are near. Only the visible share of it is sampled (a ratio estimator; Cochran,
 //! *Sampling Techniques*, ch. 6): where all see each other nothing is left to chance. Polygons that are apart are sampled by
 //! rays between points of both, weighted by the kernel. Between neighbours that has a singularity, and its square no integral:
 //! there rays leave the smaller one as light does, and those count that would meet the other. Rays go to pairs in proportion to
@@ -25,8 +25,10 @@ use self::{
     rounds::sample,
     rows::{allowances, check_enclosed, sums_of_rows, upper_triangles},
 };
-use super::{FormFactors, Matrix};
-use crate::{Progress, Result};
+use crate::{
+    Progress, Result,
+    form_factor::{self, FormFactors, Matrix},
+};
 
 /// How accurate view factors are wanted.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,7 +73,7 @@ impl ViewFactors {
     /// The standard error of F_ij that as many independent samples would have, before rows are closed.
     pub fn standard_error(&self, i: usize, j: usize) -> f64 {
         let (row, column) = (i.min(j), i.max(j));
-        let (columns, errors) = super::row(&self.errors, row);
+        let (columns, errors) = form_factor::row(&self.errors, row);
         columns.binary_search(&(column as u32)).map_or(0.0, |k| f64::from(errors[k]) / self.areas[i])
     }
 
@@ -142,6 +144,6 @@ pub fn view_factors_of_surfaces(
     let escapes = |sum: &f64| if options.enclosed { 0.0 } else { (1.0 - sum).max(0.0) };
     let escaped = row_sums.iter().map(escapes).collect();
     let mut form_factors = FormFactors::from_exchange(matrix, areas.clone(), escaped);
-    form_factors.areas.iter_mut().for_each(|area| *area *= mean * scale * scale);
+    form_factors.scale_areas(mean * scale * scale);
     Ok(ViewFactors { form_factors, rays, error, row_sums, errors, areas })
 }

@@ -2,8 +2,8 @@
 
 use glam::{DVec3, Vec3A};
 
-use super::super::exact::nodes;
 use crate::{
+    form_factor::exact::nodes,
     scene::centre_and_extent,
     trace::{Tracer, sampling::square_to_triangle},
 };

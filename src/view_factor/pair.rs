@@ -3,11 +3,11 @@
 use glam::Vec3A;
 use rayon::prelude::*;
 
-use super::{
-    super::{exact::exchange_area_to, shadow::kernel},
-    polygon::Polygon,
+use super::polygon::Polygon;
+use crate::{
+    Progress, Result,
+    form_factor::{exact::exchange_area_to, kernel},
 };
-use crate::{Progress, Result};
 
 /// What counts for a pair whose rays all met the same: as if so many more had been both free and blocked.
 const DOUBT: f64 = 0.1;
