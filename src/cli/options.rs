@@ -13,7 +13,7 @@ use radiosity::{
 /// The scene, and what its file does not say: arguments of every command.
 #[derive(Args)]
 pub struct SceneArgs {
-    /// The scene: Wavefront .obj with its .mtl beside it, or .ply
+    /// The scene: Wavefront .obj with its .mtl beside it, .ply, .gltf or .glb
     #[arg(value_name = "SCENE")]
     pub path: PathBuf,
     /// Reflectance of surfaces that the file gives none: a number or R,G,B [default: 0.5]
@@ -23,6 +23,9 @@ pub struct SceneArgs {
     /// materials by their colours, as in 10@#ffcc00. May be given several times
     #[arg(long, value_name = "L[,M,N][@MATERIAL]", allow_hyphen_values = true, value_parser = emission)]
     emit: Vec<Emission>,
+    /// Let surfaces that a glTF file calls unlit emit their colour, instead of reflecting by it
+    #[arg(long)]
+    unlit_emits: bool,
 }
 
 /// Who shall emit what.
@@ -37,7 +40,11 @@ impl SceneArgs {
     pub fn load(&self) -> RadiosityResult<Scene> {
         let mut scene = Scene::load_with(
             &self.path,
-            &LoadOptions { reflectance: self.reflectance, ..LoadOptions::default() },
+            &LoadOptions {
+                reflectance: self.reflectance,
+                unlit_emits: self.unlit_emits,
+                ..LoadOptions::default()
+            },
         )?;
         for Emission { radiance, material } in &self.emit {
             if scene.emit(material.as_deref(), *radiance) == 0 {

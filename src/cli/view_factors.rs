@@ -258,7 +258,7 @@ fn read(args: &ViewFactorsArgs, outputs: &[&OutputFile], told: &mut Told) -> Res
     let path = &args.scene;
     // Nothing here depends on it: given, it needs no warning where the file has none.
     let reflectance = Some([DEFAULT_REFLECTANCE; 3]);
-    let scene = Scene::load_with(path, &LoadOptions { reflectance, faces: true })?;
+    let scene = Scene::load_with(path, &LoadOptions { reflectance, faces: true, ..LoadOptions::default() })?;
     outputs.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
     scene.warnings.iter().for_each(|warning| told.warn(warning.clone()));
     if scene.degenerate > 0 {

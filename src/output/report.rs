@@ -295,7 +295,7 @@ impl SceneReport {
     pub fn of(file: &str, scene: &Scene, patches: &Patches) -> Self {
         SceneReport {
             file: file.into(),
-            triangles: scene.triangles.len(),
+            triangles: scene.triangles.len() - scene.backs_of_lamps,
             patches: patches.len(),
             area: (0..scene.triangles.len()).map(|t| scene.area(t)).sum(),
             channels: patches.channels(),

@@ -78,7 +78,7 @@ impl Inspection {
         let triangles: Vec<[u32; 3]> =
             scene.triangles.iter().map(|t| t.vertices.map(|v| names[v as usize])).collect();
         Inspection {
-            triangles: scene.triangles.len(),
+            triangles: scene.triangles.len() - scene.backs_of_lamps,
             degenerate: scene.degenerate,
             vertices: scene.vertices.len(),
             near_vertices,

@@ -3,6 +3,7 @@
 //! Everything is kept as the file says it: lengths in the file's unit and double precision, `Ke` as radiance,
 //! `Kd` as reflectance. Whoever casts rays recentres and rescales ([`crate::trace`]).
 
+pub(crate) mod gltf;
 pub mod inspection;
 pub mod obj;
 mod ply;
@@ -100,6 +101,10 @@ pub struct Scene {
     pub triangles: Vec<Triangle>,
     /// Texture coordinates of each triangle's corners, zero where it has none; empty when no triangle has any.
     pub texcoords: Vec<[DVec2; 3]>,
+    /// Texture coordinates of each triangle's corners for its texture of emission; empty where they are the same.
+    pub emission_texcoords: Vec<[DVec2; 3]>,
+    /// Linear colours of each triangle's corners, which multiply its reflectance; empty when no triangle has any.
+    pub colours: Vec<[[f32; 3]; 3]>,
     /// The faces that the triangles come from, in file order; empty unless [`LoadOptions::faces`] asked for them.
     pub faces: Vec<Face>,
     /// What the faces belong to.
@@ -108,6 +113,8 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Textures that the materials refer to.
     pub textures: Vec<Texture>,
+    /// How many of the last triangles are no faces of the file, but the backs of double-sided lamps.
+    pub backs_of_lamps: usize,
     /// Triangles left out because their area is zero.
     pub degenerate: usize,
     /// What the reader left out or assumed, a sentence each.
@@ -126,6 +133,8 @@ pub struct LoadOptions {
     pub reflectance: Option<[f64; 3]>,
     /// Whether to keep which triangles were one face, and what the file says that it belongs to.
     pub faces: bool,
+    /// Whether surfaces that a glTF file calls unlit emit their colour, instead of reflecting by it.
+    pub unlit_emits: bool,
 }
 
 /// Reflectance of whatever neither the file nor [`LoadOptions`] give one: grey plaster.
@@ -156,7 +165,7 @@ impl LoadOptions {
 }
 
 impl Scene {
-    /// Reads a scene; the format is told by the file's extension (`.obj` with its `.mtl`, `.ply`).
+    /// Reads a scene; the format is told by the file's extension (`.obj` with its `.mtl`, `.ply`, `.gltf`, `.glb`).
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] with file and line when it cannot be used.
@@ -179,8 +188,9 @@ impl Scene {
         match extension.as_deref() {
             Some("obj") => obj::load(path, options),
             Some("ply") => ply::load(path, options),
+            Some("gltf" | "glb") => gltf::load(path, options),
             _ => Err(Error::input(path, None, "unknown kind of scene")
-                .with_hint("the program reads Wavefront .obj and .ply files")),
+                .with_hint("the program reads Wavefront .obj, .ply, .gltf and .glb files")),
         }
     }
 
@@ -264,57 +274,103 @@ impl Scene {
                     .flatten()
                     .any(|map| !self.textures[map.texture].is_grey())
         });
+        let colourful = colourful || self.colours.iter().flatten().any(|&c| !grey(c.map(f64::from)));
         if colourful { 3 } else { 1 }
     }
 
     /// Reflectance at a point of triangle `t` given by barycentric coordinates.
     pub fn reflectance_at(&self, t: usize, barycentric: [f64; 3]) -> [f64; 3] {
         let m = self.material(t);
-        self.mapped(t, m.reflectance, m.reflectance_offset, &m.reflectance_map, |texture, map, uv| {
-            texture.at(map, interpolate(uv, barycentric))
-        })
+        let reflectance =
+            self.mapped(m.reflectance, m.reflectance_offset, &m.reflectance_map, |texture, map| {
+                texture.at(map, interpolate(&self.texcoords[t], barycentric))
+            });
+        self.coloured(t, reflectance, barycentric)
     }
 
     /// Radiance emitted at a point of the front of triangle `t` given by barycentric coordinates.
     pub fn emission_at(&self, t: usize, barycentric: [f64; 3]) -> [f64; 3] {
         let m = self.material(t);
-        self.mapped(t, m.emission, [0.0; 3], &m.emission_map, |texture, map, uv| {
-            texture.at(map, interpolate(uv, barycentric))
+        self.mapped(m.emission, [0.0; 3], &m.emission_map, |texture, map| {
+            texture.at(map, interpolate(self.uv_of_emission(t), barycentric))
         })
     }
 
-    /// Reflectance averaged over the part of triangle `t` whose corners have these barycentric coordinates.
+    /// Reflectance averaged over the part of triangle `t` whose corners have these barycentric coordinates. Where both a
+    /// texture and colours vary, the part is taken as sixteen, each of one colour.
     pub fn mean_reflectance(&self, t: usize, part: &[[f64; 3]; 3]) -> [f64; 3] {
         let m = self.material(t);
-        self.mapped(t, m.reflectance, m.reflectance_offset, &m.reflectance_map, |texture, map, uv| {
-            texture.mean(map, part.map(|b| interpolate(uv, b)))
-        })
+        let mean = |part: &[[f64; 3]; 3]| {
+            let reflectance =
+                self.mapped(m.reflectance, m.reflectance_offset, &m.reflectance_map, |texture, map| {
+                    texture.mean(map, part.map(|b| interpolate(&self.texcoords[t], b)))
+                });
+            // The mean of what is linear is its value in the middle.
+            self.coloured(t, reflectance, middle(part))
+        };
+        let vary = self.colours.get(t).is_some_and(|[a, b, c]| a != b || b != c);
+        if !vary || m.reflectance_map.is_none() {
+            return mean(part);
+        }
+        let parts: Vec<[[f64; 3]; 3]> = quarters(part).iter().flat_map(quarters).collect();
+        let mut sum = [0.0; 3];
+        for mean in parts.iter().map(mean) {
+            (0..3).for_each(|c| sum[c] += mean[c] / parts.len() as f64);
+        }
+        sum
     }
 
     /// Emitted radiance averaged over the part of triangle `t` whose corners have these barycentric coordinates.
     pub fn mean_emission(&self, t: usize, part: &[[f64; 3]; 3]) -> [f64; 3] {
         let m = self.material(t);
-        self.mapped(t, m.emission, [0.0; 3], &m.emission_map, |texture, map, uv| {
-            texture.mean(map, part.map(|b| interpolate(uv, b)))
+        self.mapped(m.emission, [0.0; 3], &m.emission_map, |texture, map| {
+            texture.mean(map, part.map(|b| interpolate(self.uv_of_emission(t), b)))
         })
+    }
+
+    fn uv_of_emission(&self, t: usize) -> &[DVec2; 3] {
+        self.emission_texcoords.get(t).unwrap_or_else(|| &self.texcoords[t])
     }
 
     fn mapped(
         &self,
-        t: usize,
         factor: [f64; 3],
         offset: [f64; 3],
         map: &Option<TextureMap>,
-        look_up: impl Fn(&Texture, &TextureMap, &[DVec2; 3]) -> [f64; 3],
+        look_up: impl Fn(&Texture, &TextureMap) -> [f64; 3],
     ) -> [f64; 3] {
         match map {
             None => factor,
             Some(map) => {
-                let texel = look_up(&self.textures[map.texture], map, &self.texcoords[t]);
+                let texel = look_up(&self.textures[map.texture], map);
                 std::array::from_fn(|c| factor[c] * texel[c] + offset[c])
             }
         }
     }
+
+    /// A reflectance times the colour at a point of triangle `t`.
+    fn coloured(&self, t: usize, reflectance: [f64; 3], barycentric: [f64; 3]) -> [f64; 3] {
+        match self.colours.get(t) {
+            None => reflectance,
+            Some(colours) => std::array::from_fn(|c| {
+                let colour: f64 = (0..3).map(|k| f64::from(colours[k][c]) * barycentric[k]).sum();
+                // Barycentric coordinates sum to 1 up to rounding.
+                reflectance[c] * colour.clamp(0.0, 1.0)
+            }),
+        }
+    }
+}
+
+/// The middle of a part of a triangle in barycentric coordinates.
+fn middle(part: &[[f64; 3]; 3]) -> [f64; 3] {
+    std::array::from_fn(|k| (part[0][k] + part[1][k] + part[2][k]) / 3.0)
+}
+
+/// A part of a triangle, cut in four alike.
+fn quarters([a, b, c]: &[[f64; 3]; 3]) -> [[[f64; 3]; 3]; 4] {
+    let between = |p: &[f64; 3], q: &[f64; 3]| std::array::from_fn(|k| 0.5 * (p[k] + q[k]));
+    let (ab, bc, ca) = (between(a, b), between(b, c), between(c, a));
+    [[*a, ab, ca], [ab, *b, bc], [ca, bc, *c], [bc, ca, ab]]
 }
 
 fn interpolate(uv: &[DVec2; 3], b: [f64; 3]) -> DVec2 {

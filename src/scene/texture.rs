@@ -13,6 +13,31 @@ use self::mean::Pyramid;
 const LARGEST_SIDE: u32 = 16384;
 const LARGEST_DECODED: u64 = 1 << 30;
 
+/// Decodes a PNG, JPEG, TGA, BMP, WebP or TIFF image, of the format that `named` says where its bytes do not; the error says
+/// why it cannot.
+pub(super) fn decode(bytes: &[u8], named: Option<image::ImageFormat>) -> Result<image::RgbImage, String> {
+    use image::ImageFormat::{Bmp, Jpeg, Png, Tga, Tiff, WebP};
+    let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes));
+    reader = reader.with_guessed_format().map_err(|e| e.to_string())?;
+    // A TGA file has no mark of its own.
+    if let (None, Some(named)) = (reader.format(), named) {
+        reader.set_format(named);
+    }
+    if !matches!(reader.format(), Some(Png | Jpeg | Tga | Bmp | WebP | Tiff)) {
+        return Err("not a PNG, JPEG, TGA, BMP, WebP or TIFF image".into());
+    }
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(LARGEST_SIDE);
+    limits.max_image_height = Some(LARGEST_SIDE);
+    limits.max_alloc = Some(LARGEST_DECODED);
+    reader.limits(limits);
+    let image = reader.decode().map_err(|e| e.to_string())?.into_rgb8();
+    if image.width() == 0 || image.height() == 0 {
+        return Err("the image has no texels".into());
+    }
+    Ok(image)
+}
+
 /// An image, decoded from sRGB when looked up. Its texels are constant squares: the mean over a patch and the value
 /// at a point agree exactly.
 #[derive(Debug, Clone)]
@@ -63,26 +88,13 @@ impl Texture {
         texture
     }
 
-    /// Reads a PNG, JPEG, TGA or BMP file; the error says why it cannot.
+    /// Reads an image file; the error says why it cannot.
     pub(super) fn load(path: &Path) -> Result<Texture, String> {
-        use image::ImageFormat::{Bmp, Jpeg, Png, Tga};
-        let mut reader = image::ImageReader::open(path)
-            .and_then(image::ImageReader::with_guessed_format)
-            .map_err(|e| e.to_string())?;
-        if !matches!(reader.format(), Some(Png | Jpeg | Tga | Bmp)) {
-            return Err("not a PNG, JPEG, TGA or BMP image".into());
-        }
-        let mut limits = image::Limits::default();
-        limits.max_image_width = Some(LARGEST_SIDE);
-        limits.max_image_height = Some(LARGEST_SIDE);
-        limits.max_alloc = Some(LARGEST_DECODED);
-        reader.limits(limits);
-        let image = reader.decode().map_err(|e| e.to_string())?.into_rgb8();
-        let (width, height) = (image.width() as usize, image.height() as usize);
-        if width == 0 || height == 0 {
-            return Err("the image has no texels".into());
-        }
-        Ok(Texture::new(width, height, image.into_raw()))
+        let image = decode(
+            &std::fs::read(path).map_err(|e| e.to_string())?,
+            image::ImageFormat::from_path(path).ok(),
+        )?;
+        Ok(Texture::new(image.width() as usize, image.height() as usize, image.into_raw()))
     }
 
     /// Texels in a row and in a column.

@@ -2,6 +2,7 @@
 
 #![allow(dead_code, reason = "every test file uses a part of it")]
 
+pub mod gltf;
 pub mod program;
 
 use std::{collections::HashMap, f64::consts::PI};

@@ -5,6 +5,8 @@ mod common;
 
 mod corpus;
 mod degenerate;
+mod gltf_hostile;
+mod gltf_reader;
 mod independence;
 mod meshes;
 mod obj_reader;

@@ -99,8 +99,11 @@ fn digest(scene: &Scene) -> u64 {
         let corners = scene.corners(t).map(|p| mix(&p.to_array().map(f64::to_bits)));
         add(&[triangle.material.into(), mix(&corners)]);
     }
-    for uv in scene.texcoords.iter().flatten() {
+    for uv in scene.texcoords.iter().chain(&scene.emission_texcoords).flatten() {
         add(&uv.to_array().map(f64::to_bits));
+    }
+    for colour in scene.colours.iter().flatten() {
+        add(&colour.map(|c| u64::from(c.to_bits())));
     }
     for m in &scene.materials {
         add(&[m.reflectance, m.emission].map(|rgb| mix(&rgb.map(f64::to_bits))));

@@ -1,0 +1,563 @@
+//! Materials of glTF to ours: what reflects diffusely, what emits, and in words what is left out.
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::rc::Rc;
+
+use glam::DVec2;
+use image::RgbImage;
+
+use super::container::Document;
+use super::document::{self, TextureInfo, TextureTransform};
+use crate::Result;
+use crate::scene::texture;
+use crate::scene::{
+    LoadOptions, MOST_RADIANCE, Material, Texture, TextureMap, is_radiance, warnings::Warnings,
+};
+use crate::tone;
+
+/// Texture coordinates that a map is looked up with.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lookup {
+    /// The number of TEXCOORD.
+    pub set: u32,
+    transform: Option<TextureTransform>,
+}
+
+impl Lookup {
+    fn of(info: &TextureInfo) -> Lookup {
+        let transform = info.extensions.transform.clone();
+        let set = transform.as_ref().and_then(|t| t.tex_coord).unwrap_or(info.tex_coord);
+        Lookup { set, transform: transform.map(|t| TextureTransform { tex_coord: None, ..t }) }
+    }
+
+    /// Our texture coordinates, v upwards, of those in the file.
+    ///
+    /// KHR_texture_transform scales, rotates and moves. Its text turns the other way than its example; viewers follow the
+    /// example.
+    pub fn apply(&self, uv: DVec2) -> DVec2 {
+        let uv = match &self.transform {
+            None => uv,
+            Some(transform) => {
+                let scaled = uv * DVec2::from(transform.scale.unwrap_or([1.0; 2]));
+                let (sin, cos) = transform.rotation.unwrap_or(0.0).sin_cos();
+                let turned = DVec2::new(cos * scaled.x + sin * scaled.y, cos * scaled.y - sin * scaled.x);
+                turned + DVec2::from(transform.offset.unwrap_or([0.0; 2]))
+            }
+        };
+        let flipped = DVec2::new(uv.x, 1.0 - uv.y);
+        if flipped.is_finite() { flipped } else { DVec2::ZERO }
+    }
+}
+
+/// A material as a primitive needs it.
+#[derive(Debug, Clone)]
+pub struct Made {
+    /// Index into the scene's materials.
+    pub index: u32,
+    /// How its textures are looked up.
+    pub reflectance: Option<Lookup>,
+    pub emission: Option<Lookup>,
+    /// Whether its backs emit too.
+    pub both_sides_emit: bool,
+}
+
+/// How an image goes on outside 0..1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+enum Wrap {
+    Repeat,
+    Clamp,
+    Mirror,
+}
+
+/// What an image becomes before it is a texture: its mirrored self beside it or below, and of a metal only the share that is none.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+struct Prepared {
+    image: Option<usize>,
+    wrap: [Wrap; 2],
+    /// The image of the metallic channel, and the bits of its factor.
+    metal: Option<(usize, u64)>,
+}
+
+/// Makes the materials that primitives use, each once.
+pub struct Materials<'a> {
+    document: &'a Document,
+    options: &'a LoadOptions,
+    pub materials: Vec<Material>,
+    pub textures: Vec<Texture>,
+    pub warnings: Warnings,
+    /// Images that were read from files of their own.
+    pub files: Vec<PathBuf>,
+    /// Names of images that could not be read.
+    pub missing: Vec<String>,
+    /// By the file's index and the sets of texture coordinates that are not there.
+    made: HashMap<(Option<usize>, Vec<u32>), Made>,
+    images: HashMap<usize, Option<Rc<RgbImage>>>,
+    prepared: HashMap<Prepared, Option<usize>>,
+}
+
+impl<'a> Materials<'a> {
+    pub fn new(document: &'a Document, options: &'a LoadOptions) -> Self {
+        Materials {
+            document,
+            options,
+            materials: Vec::new(),
+            textures: Vec::new(),
+            warnings: Warnings::default(),
+            files: Vec::new(),
+            missing: Vec::new(),
+            made: HashMap::new(),
+            images: HashMap::new(),
+            prepared: HashMap::new(),
+        }
+    }
+
+    /// Material `id` for a primitive that has some sets of texture coordinates.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) when it is missing or demands what no surface can do.
+    pub fn index(&mut self, id: Option<usize>, has: impl Fn(u32) -> bool) -> Result<Made> {
+        let definition = match id {
+            None => None,
+            Some(id) => Some(self.document.root.materials.get(id).ok_or_else(|| {
+                self.document.error(format!("materials[{id}] does not exist, but a primitive names it"))
+            })?),
+        };
+        let mut absent: Vec<u32> = definition
+            .into_iter()
+            .flat_map(textures_of)
+            .map(|info| Lookup::of(info).set)
+            .filter(|&set| !has(set))
+            .collect();
+        absent.sort_unstable();
+        absent.dedup();
+        let key = (id, absent);
+        if let Some(made) = self.made.get(&key) {
+            return Ok(made.clone());
+        }
+        let made = match (id, definition) {
+            (Some(id), Some(definition)) => {
+                let first = !self.made.keys().any(|(known, _)| *known == Some(id));
+                self.convert(id, definition, &key.1, first)?
+            }
+            _ => self.without_material(),
+        };
+        self.made.insert(key, made.clone());
+        Ok(made)
+    }
+
+    fn without_material(&mut self) -> Made {
+        if self.options.reflectance.is_none() {
+            self.warnings.push(format!(
+                "{}: surfaces without a material get {}",
+                self.document.path.display(),
+                self.options.default_in_words()
+            ));
+        }
+        self.push(Material::new("(none)", self.options.default_reflectance(), [0.0; 3]), [None, None], false)
+    }
+
+    fn push(&mut self, material: Material, [reflectance, emission]: [Option<Lookup>; 2], both: bool) -> Made {
+        let index = self.materials.len() as u32;
+        self.materials.push(material);
+        Made { index, reflectance, emission, both_sides_emit: both }
+    }
+
+    fn warn(&mut self, name: &str, after: &str) {
+        self.warnings.repeat(self.document.path.display().to_string(), "material", name, after);
+    }
+
+    fn convert(
+        &mut self,
+        id: usize,
+        definition: &document::Material,
+        absent: &[u32],
+        first: bool,
+    ) -> Result<Made> {
+        let name = definition.name.clone().unwrap_or_else(|| format!("material {id}"));
+        let failed = |what: String| self.document.error(format!("materials[{id}] (`{name}`): {what}"));
+        let surface = Surface::of(definition);
+        if let Some(bad) = surface.colour.iter().flatten().find(|r| !(0.0..=1.0).contains(*r)) {
+            return Err(failed(format!("reflectance {bad} is outside 0..1")).with_hint(
+                "a surface cannot give back more light than it gets: scale its base colour into 0..1",
+            ));
+        }
+        if !(0.0..=1.0).contains(&surface.metallic) {
+            return Err(failed(format!("metallicFactor {} is outside 0..1", surface.metallic)));
+        }
+        let strength = definition.extensions.emissive_strength.as_ref().and_then(|e| e.emissive_strength);
+        let factor = definition.emissive_factor.unwrap_or_default();
+        let mut emission = factor.map(|e| e * strength.unwrap_or(1.0));
+        if let Some(bad) = factor.iter().chain(&strength).chain(&emission).find(|&&l| !is_radiance(l)) {
+            return Err(failed(format!("emission {bad:?} is not a number from 0 to {MOST_RADIANCE:e}")));
+        }
+        if first {
+            self.warn_left_out(&name, definition, &surface);
+        }
+        let usable = |info: &TextureInfo| !absent.contains(&Lookup::of(info).set);
+        if first && !absent.is_empty() {
+            self.warn(
+                &name,
+                " is used where there are no texture coordinates for it; it goes without its texture there",
+            );
+        }
+        let emission_map = definition.emissive_texture.as_ref().filter(|_| emission != [0.0; 3]);
+        let mut emission_map = match emission_map {
+            None => None,
+            Some(info) => {
+                let map = Some(info)
+                    .filter(|info| usable(info))
+                    .map(|info| (info, self.map(info, None, &name, "it does not emit")));
+                match map {
+                    Some((info, Some(map))) => Some((Lookup::of(info), map)),
+                    // What shines in parts is dark rather than bright all over.
+                    _ => {
+                        emission = [0.0; 3];
+                        None
+                    }
+                }
+            }
+        };
+        let (mut reflectance, mut reflectance_map) = self.reflectance(&name, &surface, usable);
+        let unlit = definition.extensions.unlit.is_some();
+        if unlit && self.options.unlit_emits {
+            (emission, emission_map) = (reflectance, reflectance_map);
+            (reflectance, reflectance_map) = ([0.0; 3], None);
+        }
+        let both = definition.double_sided && emission != [0.0; 3];
+        let (reflectance_lookup, reflectance_map) = reflectance_map.unzip();
+        let (emission_lookup, emission_map) = emission_map.unzip();
+        let material =
+            Material { reflectance_map, emission_map, ..Material::new(&name, reflectance, emission) };
+        Ok(self.push(material, [reflectance_lookup, emission_lookup], both))
+    }
+
+    /// The diffuse part: base colour times the share that is no metal.
+    fn reflectance(
+        &mut self,
+        name: &str,
+        surface: &Surface,
+        usable: impl Fn(&TextureInfo) -> bool,
+    ) -> ([f64; 3], Option<(Lookup, TextureMap)>) {
+        let base = surface.texture.filter(|info| usable(info));
+        let metal = surface.metal_texture.filter(|info| usable(info) && surface.metallic > 0.0);
+        let alike = |a: &TextureInfo, b: &TextureInfo| {
+            Lookup::of(a) == Lookup::of(b) && self.wraps(a) == self.wraps(b)
+        };
+        let mut dielectric = 1.0 - surface.metallic;
+        let mut composed = None;
+        if let Some(metal) = metal {
+            if base.is_none_or(|base| alike(base, metal)) {
+                composed = Some(metal);
+                dielectric = 1.0;
+            } else {
+                // Rare: two layouts on one surface. The mean keeps the energy.
+                let image = self.image_of(metal, name, "the metallic factor alone counts");
+                dielectric = 1.0 - surface.metallic * image.map_or(1.0, |image| mean_metal(&image));
+                self.warn(
+                    name,
+                    " has its metallic texture laid out otherwise than its base colour; its mean counts",
+                );
+            }
+        }
+        let mut colour = surface.colour;
+        let mut map = None;
+        if let Some(info) = base.or(composed) {
+            let fallback = match colour {
+                Some(_) => "its plain base colour is used".to_owned(),
+                None => format!("{} is used", self.options.default_in_words()),
+            };
+            let of_metal = composed.map(|info| (info, surface.metallic));
+            map = match (base, of_metal) {
+                (None, Some((metal, factor))) => self.metal_map(None, metal, factor, name, &fallback),
+                (Some(base), Some((metal, factor))) => {
+                    self.metal_map(Some(base), metal, factor, name, &fallback)
+                }
+                (Some(base), None) => self.map(base, None, name, &fallback),
+                (None, None) => None,
+            }
+            .map(|map| (Lookup::of(info), map));
+            if map.is_none() {
+                dielectric = 1.0 - surface.metallic;
+                colour = Some(colour.unwrap_or_else(|| self.options.default_reflectance()));
+            }
+        }
+        (colour.unwrap_or([1.0; 3]).map(|c| c * dielectric), map)
+    }
+
+    fn metal_map(
+        &mut self,
+        base: Option<&TextureInfo>,
+        metal: &TextureInfo,
+        factor: f64,
+        name: &str,
+        fallback: &str,
+    ) -> Option<TextureMap> {
+        let image = self.source(metal)?;
+        match base {
+            Some(base) => self.map(base, Some((image, factor)), name, fallback),
+            None => self.prepare(None, metal, Some((image, factor)), name, fallback),
+        }
+    }
+
+    fn map(
+        &mut self,
+        info: &TextureInfo,
+        metal: Option<(usize, f64)>,
+        name: &str,
+        fallback: &str,
+    ) -> Option<TextureMap> {
+        match self.source(info) {
+            Some(image) => self.prepare(Some(image), info, metal, name, fallback),
+            None => {
+                self.warn(name, &format!(" has a texture without an image that can be read; {fallback}"));
+                None
+            }
+        }
+    }
+
+    /// A texture of an image, prepared for the way in which `info` uses it.
+    fn prepare(
+        &mut self,
+        image: Option<usize>,
+        info: &TextureInfo,
+        metal: Option<(usize, f64)>,
+        name: &str,
+        fallback: &str,
+    ) -> Option<TextureMap> {
+        let wrap = self.wraps(info);
+        let key = Prepared { image, wrap, metal: metal.map(|(image, factor)| (image, factor.to_bits())) };
+        let index = match self.prepared.get(&key) {
+            Some(&known) => known,
+            None => {
+                let texture = self.texture(&key, name, fallback);
+                let index = texture.map(|texture| {
+                    self.textures.push(texture);
+                    self.textures.len() - 1
+                });
+                self.prepared.insert(key, index);
+                index
+            }
+        };
+        // A mirrored image is as long as twice the original.
+        let side = |wrap| if wrap == Wrap::Mirror { 0.5 } else { 1.0 };
+        let scale = DVec2::new(side(wrap[0]), side(wrap[1]));
+        // v is upwards here and the original the upper half: its lower end is halfway up.
+        let offset = DVec2::new(0.0, 1.0 - scale.y);
+        if wrap.contains(&Wrap::Clamp) && wrap[0] != wrap[1] {
+            self.warn(
+                name,
+                " repeats a texture in one direction only; it is taken to end at its rim in both",
+            );
+        }
+        Some(TextureMap { scale, offset, clamp: wrap.contains(&Wrap::Clamp), ..TextureMap::new(index?) })
+    }
+
+    fn texture(&mut self, key: &Prepared, name: &str, fallback: &str) -> Option<Texture> {
+        let base = match key.image {
+            Some(image) => Some(self.image(image, name, fallback)?),
+            None => None,
+        };
+        let metal = match key.metal {
+            Some((image, factor)) => self
+                .image(image, name, "the metallic factor alone counts")
+                .map(|image| (image, f64::from_bits(factor))),
+            None => None,
+        };
+        let composed = match (base, metal) {
+            (base, Some((metal, factor))) => without_metal(base.as_deref(), &metal, factor),
+            (Some(base), None) => (*base).clone(),
+            (None, None) => return None,
+        };
+        let composed = mirrored(composed, key.wrap.map(|wrap| wrap == Wrap::Mirror));
+        Some(Texture::new(composed.width() as usize, composed.height() as usize, composed.into_raw()))
+    }
+
+    fn wraps(&self, info: &TextureInfo) -> [Wrap; 2] {
+        let root = &self.document.root;
+        let sampler = root.textures.get(info.index).and_then(|texture| root.samplers.get(texture.sampler?));
+        let wrap = |code: Option<u64>| match code {
+            Some(33071) => Wrap::Clamp,
+            Some(33648) => Wrap::Mirror,
+            _ => Wrap::Repeat,
+        };
+        sampler.map_or([Wrap::Repeat; 2], |sampler| [wrap(sampler.wrap_s), wrap(sampler.wrap_t)])
+    }
+
+    /// The image that a texture shows: WebP before what stands in for it.
+    fn source(&self, info: &TextureInfo) -> Option<usize> {
+        let texture = self.document.root.textures.get(info.index)?;
+        let webp = texture.extensions.webp.as_ref().and_then(|webp| webp.source);
+        webp.or(texture.source)
+    }
+
+    fn image_of(&mut self, info: &TextureInfo, name: &str, fallback: &str) -> Option<Rc<RgbImage>> {
+        self.source(info).and_then(|image| self.image(image, name, fallback))
+    }
+
+    /// An image, which may have been read before; absent or broken ones are told once.
+    fn image(&mut self, i: usize, name: &str, fallback: &str) -> Option<Rc<RgbImage>> {
+        if let Some(known) = self.images.get(&i) {
+            return known.clone();
+        }
+        let document = self.document;
+        let read = document.image(i).and_then(|(bytes, file)| {
+            self.files.extend(file);
+            texture::decode(&bytes, None)
+        });
+        let image = match read {
+            Ok(image) => Some(Rc::new(image)),
+            Err(why) => {
+                self.warn(name, &format!(": images[{i}] cannot be read: {why}; {fallback}"));
+                let uri = document.root.images.get(i).and_then(|image| image.uri.as_deref());
+                let uri = uri.filter(|uri| !uri.starts_with("data:"));
+                self.missing.push(uri.map_or(format!("images[{i}]"), Into::into));
+                None
+            }
+        };
+        self.images.insert(i, image.clone());
+        image
+    }
+
+    /// Says what a material does beside reflecting diffusely and emitting.
+    fn warn_left_out(&mut self, name: &str, definition: &document::Material, surface: &Surface) {
+        if surface.metallic > 0.0 {
+            let share = if surface.metal_texture.is_some() {
+                "by its texture"
+            } else {
+                &*format!("{}", surface.metallic)
+            };
+            self.warn(
+                name,
+                &format!(
+                    " is metal ({share}), which reflects nothing diffusely; that part is taken as black"
+                ),
+            );
+        }
+        if surface.says_nothing_of_metal && self.options.reflectance.is_none() {
+            self.warn(name, " says neither how metallic nor how rough it is; it is taken as diffuse");
+        }
+        match definition.alpha_mode.as_deref() {
+            Some("MASK") => self.warn(name, " has holes (alphaMode MASK); it is taken as opaque"),
+            Some("BLEND") => self.warn(name, " is transparent (alphaMode BLEND); it is taken as opaque"),
+            _ => {}
+        }
+        if definition.extensions.transmission.as_ref().is_some_and(|t| t.transmission_factor > 0.0) {
+            self.warn(name, " lets light through (KHR_materials_transmission); it is taken as opaque");
+        }
+        if definition.extensions.unlit.is_some() && !self.options.unlit_emits {
+            self.warn(name, " is unlit (KHR_materials_unlit); its colour is taken as reflectance");
+        }
+        if definition.emissive_factor.is_some_and(|factor| factor.iter().any(|&e| e > 1.0)) {
+            self.warn(
+                name,
+                " has an emissiveFactor above 1, against the specification; it is taken as it stands",
+            );
+        }
+        let textures = &self.document.root.textures;
+        let basis =
+            |info: &TextureInfo| textures.get(info.index).is_some_and(|t| t.extensions.basis.is_some());
+        if textures_of(definition).into_iter().any(basis) {
+            self.warn(
+                name,
+                " has a Basis texture (KHR_texture_basisu), which is not read; what stands in for it counts",
+            );
+        }
+    }
+}
+
+/// The diffuse part of a material, whichever way the file describes it.
+struct Surface<'a> {
+    /// Base colour, `None` where the file gives none.
+    colour: Option<[f64; 3]>,
+    texture: Option<&'a TextureInfo>,
+    metallic: f64,
+    metal_texture: Option<&'a TextureInfo>,
+    says_nothing_of_metal: bool,
+}
+
+impl<'a> Surface<'a> {
+    fn of(definition: &'a document::Material) -> Surface<'a> {
+        let rgb = |[r, g, b, _]: [f64; 4]| [r, g, b];
+        if let Some(old) = &definition.extensions.specular_glossiness {
+            return Surface {
+                colour: Some(old.diffuse_factor.map_or([1.0; 3], rgb)),
+                texture: old.diffuse_texture.as_ref(),
+                metallic: 0.0,
+                metal_texture: None,
+                says_nothing_of_metal: false,
+            };
+        }
+        let Some(pbr) = &definition.pbr_metallic_roughness else {
+            return Surface {
+                colour: Some([1.0; 3]),
+                texture: None,
+                metallic: 0.0,
+                metal_texture: None,
+                says_nothing_of_metal: true,
+            };
+        };
+        // By default everything is a metal of full roughness (section 5.22), which is nearer to a diffuse surface than to a
+        // black one; who writes a metal on purpose says how rough it is.
+        let silent = pbr.metallic_factor.is_none()
+            && pbr.roughness_factor.is_none()
+            && pbr.metallic_roughness_texture.is_none();
+        Surface {
+            colour: pbr.base_color_factor.map(rgb).or(Some([1.0; 3])),
+            texture: pbr.base_color_texture.as_ref(),
+            metallic: if silent || definition.extensions.unlit.is_some() {
+                0.0
+            } else {
+                pbr.metallic_factor.unwrap_or(1.0)
+            },
+            metal_texture: pbr.metallic_roughness_texture.as_ref(),
+            says_nothing_of_metal: silent && definition.extensions.unlit.is_none(),
+        }
+    }
+}
+
+/// The textures that decide about reflectance and emission.
+fn textures_of(definition: &document::Material) -> Vec<&TextureInfo> {
+    let surface = Surface::of(definition);
+    let all = [surface.texture, surface.metal_texture, definition.emissive_texture.as_ref()];
+    all.into_iter().flatten().collect()
+}
+
+/// A base colour times what is no metal; blue is how metallic a texel is. As large as the larger image.
+fn without_metal(base: Option<&RgbImage>, metal: &RgbImage, factor: f64) -> RgbImage {
+    let size = |image: &RgbImage| image.dimensions();
+    let (w, h) = base.map_or(size(metal), |base| {
+        let (a, b) = (size(base), size(metal));
+        (a.0.max(b.0), a.1.max(b.1))
+    });
+    let at = |image: &RgbImage, x: u32, y: u32| {
+        let scaled = |k: u32, from: u32, to: u32| (u64::from(k) * u64::from(to) / u64::from(from)) as u32;
+        *image.get_pixel(scaled(x, w, image.width()), scaled(y, h, image.height()))
+    };
+    RgbImage::from_fn(w, h, |x, y| {
+        let left = 1.0 - factor * f64::from(at(metal, x, y).0[2]) / 255.0;
+        let colour = base.map_or([255; 3], |base| at(base, x, y).0);
+        image::Rgb(colour.map(|c| {
+            let linear = left * tone::linear(f64::from(c) / 255.0);
+            (tone::srgb(linear) * 255.0).round() as u8
+        }))
+    })
+}
+
+fn mean_metal(image: &RgbImage) -> f64 {
+    let sum: f64 = image.pixels().map(|p| f64::from(p.0[2])).sum();
+    sum / (255.0 * f64::from(image.width()) * f64::from(image.height()))
+}
+
+/// The image with its mirrored self to the right of it, below it, or both: repeated, that is what mirroring means.
+fn mirrored(image: RgbImage, [right, below]: [bool; 2]) -> RgbImage {
+    if !right && !below {
+        return image;
+    }
+    let (w, h) = image.dimensions();
+    let (width, height) = (w << u32::from(right), h << u32::from(below));
+    RgbImage::from_fn(width, height, |x, y| {
+        let inside = |k: u32, n: u32| if k < n { k } else { 2 * n - 1 - k };
+        *image.get_pixel(inside(x, w), inside(y, h))
+    })
+}

@@ -1,0 +1,245 @@
+//! glTF 2.0, `.gltf` and `.glb`.
+//!
+//! The default scene counts, or all nodes where there is none. Meshes are placed by their nodes, copied by
+//! EXT_mesh_gpu_instancing, posed by skins and morph targets at rest. A material reflects its base colour, times its texture and
+//! COLOR_0, as far as it is no metal; it emits its emissive factor times KHR_materials_emissive_strength and its texture, in
+//! W/(m² sr).
+//!
+//! A surface that is double-sided shines from both sides, as the specification has it: where its mesh is open, its triangles are
+//! in the scene a second time, turned round, behind all others. A closed mesh shines outward only: what its inside sends stays there.
+//!
+//! Nothing here trusts a number of the file: every index, length and offset is checked where it is used, nodes are walked without
+//! recursion, and nothing is allocated that the file has no bytes for.
+
+pub(crate) mod accessor;
+pub(crate) mod container;
+pub(crate) mod document;
+mod lamps;
+mod material;
+pub(crate) mod nodes;
+pub(crate) mod primitive;
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::rc::Rc;
+
+use glam::{DVec2, DVec3};
+
+use self::container::Document;
+use self::material::{Lookup, Made, Materials};
+use self::nodes::{Instance, Nodes};
+use self::primitive::Geometry;
+use super::{LoadOptions, Part, Scene, SceneBuilder};
+use crate::{Error, Result};
+
+/// Larger scenes are refused: a few copies of a few meshes could be any number of triangles.
+const MOST_TRIANGLES: usize = 1 << 27;
+
+/// Reads `path`.
+///
+/// # Errors
+/// [`Error::Io`] when it cannot be read; [`Error::Input`] when what it or its buffers say cannot be used. Missing images are
+/// warnings.
+pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
+    let document = Document::read(path)?;
+    let nodes = document.nodes()?;
+    let mut assembly = Assembly {
+        document: &document,
+        nodes: &nodes,
+        options,
+        materials: Materials::new(&document, options),
+        builder: SceneBuilder::default(),
+        colours: Vec::new(),
+        emission_texcoords: Vec::new(),
+        both_sides: Vec::new(),
+        parts: Vec::new(),
+        known: HashMap::new(),
+        left_out: 0,
+    };
+    for instance in &nodes.instances {
+        assembly.add(instance)?;
+    }
+    assembly.finish()
+}
+
+struct Assembly<'a> {
+    document: &'a Document,
+    nodes: &'a Nodes,
+    options: &'a LoadOptions,
+    materials: Materials<'a>,
+    builder: SceneBuilder,
+    colours: Vec<[[f32; 3]; 3]>,
+    emission_texcoords: Vec<[DVec2; 3]>,
+    /// Triangles whose backs emit.
+    both_sides: Vec<u32>,
+    parts: Vec<Part>,
+    /// Geometry that further instances may need.
+    known: HashMap<(usize, usize), Rc<Option<Geometry>>>,
+    /// Primitives of points and lines.
+    left_out: usize,
+}
+
+impl Assembly<'_> {
+    fn add(&mut self, instance: &Instance) -> Result<()> {
+        let mesh = &self.document.root.meshes[instance.mesh];
+        if self.options.faces {
+            let name = |name: &Option<String>, kind: &str, i: usize| {
+                Some(name.clone().unwrap_or(format!("{kind} {i}")))
+            };
+            let node = &self.document.root.nodes[instance.node];
+            self.parts.push(Part {
+                object: name(&node.name, "node", instance.node),
+                group: name(&mesh.name, "mesh", instance.mesh),
+            });
+        }
+        for i in 0..mesh.primitives.len() {
+            self.primitive(instance, i)?;
+        }
+        Ok(())
+    }
+
+    fn primitive(&mut self, instance: &Instance, i: usize) -> Result<()> {
+        let document = self.document;
+        let primitive = &document.root.meshes[instance.mesh].primitives[i];
+        let Some(geometry) = &*self.geometry(instance, i)? else {
+            self.left_out += 1;
+            return Ok(());
+        };
+        if self.builder.pushed as usize + geometry.triangles.len() > MOST_TRIANGLES {
+            return Err(
+                document.error(format!("more than {MOST_TRIANGLES} triangles, all instances counted"))
+            );
+        }
+        let has = |set: u32| primitive.attributes.contains_key(&format!("TEXCOORD_{set}"));
+        let made = self.materials.index(primitive.material, has)?;
+        let coordinates = |lookup: &Option<Lookup>, or: Option<u32>| -> Result<Option<Vec<DVec2>>> {
+            let Some(set) = lookup.as_ref().map(|l| l.set).or(or) else { return Ok(None) };
+            let uv = document.texture_coordinates(primitive, set, geometry.positions.len())?;
+            // Without a texture these may still lay out a lightmap.
+            let plain = |uv: DVec2| DVec2::new(uv.x, 1.0 - uv.y);
+            Ok(uv.map(|uv| {
+                uv.into_iter().map(|uv| lookup.as_ref().map_or(plain(uv), |l| l.apply(uv))).collect()
+            }))
+        };
+        let uv = coordinates(&made.reflectance, made.emission.is_none().then_some(0))?;
+        let uv_of_emission = match &made.emission {
+            Some(_) if made.emission != made.reflectance => coordinates(&made.emission, None)?,
+            _ => None,
+        };
+        // Of two sets that are the same the second is not kept.
+        let (uv, uv_of_emission) = match (uv, uv_of_emission) {
+            (None, Some(only)) => (Some(only), None),
+            both => both,
+        };
+        self.triangles(instance, geometry, &made, uv.as_deref(), uv_of_emission.as_deref())
+    }
+
+    fn triangles(
+        &mut self,
+        instance: &Instance,
+        geometry: &Geometry,
+        made: &Made,
+        uv: Option<&[DVec2]>,
+        uv_of_emission: Option<&[DVec2]>,
+    ) -> Result<()> {
+        let place = |p: DVec3| if geometry.posed { p } else { instance.matrix.transform_point3(p) };
+        let positions: Vec<DVec3> = geometry.positions.iter().map(|&p| place(p)).collect();
+        if positions.iter().any(|p| !p.is_finite()) {
+            let node = instance.node;
+            return Err(self.document.error(format!("nodes[{node}] puts a vertex where no number reaches")));
+        }
+        // A mirrored placement turns fronts into backs (section 3.7.4 of the specification).
+        let mirrored = !geometry.posed && instance.matrix.determinant() < 0.0;
+        for &[a, b, c] in &geometry.triangles {
+            let corners = if mirrored { [a, c, b] } else { [a, b, c] }.map(|i| i as usize);
+            let kept = self.builder.scene.triangles.len();
+            if self.options.faces {
+                self.builder.face(None, self.parts.len() as u32 - 1);
+            }
+            let of_corners = |uv: &[DVec2]| corners.map(|i| uv[i]);
+            self.builder.push(corners.map(|i| positions[i]), made.index, uv.map(of_corners));
+            if self.builder.scene.triangles.len() == kept {
+                continue;
+            }
+            if let Some(colours) = &geometry.colours {
+                self.colours.resize(kept, [[1.0; 3]; 3]);
+                self.colours.push(corners.map(|i| std::array::from_fn(|c| colours[i][c] as f32)));
+            }
+            if let Some(uv) = uv_of_emission {
+                let texcoords = &self.builder.scene.texcoords;
+                let own = (self.emission_texcoords.len()..kept)
+                    .map(|t| texcoords.get(t).copied().unwrap_or_default());
+                self.emission_texcoords.extend(own.collect::<Vec<_>>());
+                self.emission_texcoords.push(of_corners(uv));
+            }
+            if made.both_sides_emit {
+                self.both_sides.push(kept as u32);
+            }
+        }
+        Ok(())
+    }
+
+    /// The geometry of a primitive, read once for all instances unless it is posed.
+    fn geometry(&mut self, instance: &Instance, i: usize) -> Result<Rc<Option<Geometry>>> {
+        let key = (instance.mesh, i);
+        if let Some(known) = self.known.get(&key) {
+            return Ok(known.clone());
+        }
+        let geometry = Rc::new(self.document.geometry(self.nodes, instance.node, instance.mesh, i)?);
+        let node = &self.document.root.nodes[instance.node];
+        if node.skin.is_none() && node.weights.is_none() {
+            self.known.insert(key, geometry.clone());
+        }
+        Ok(geometry)
+    }
+
+    fn finish(self) -> Result<Scene> {
+        let Assembly { document, materials: mut made, builder, mut colours, mut emission_texcoords, .. } =
+            self;
+        let file = document.path.display();
+        let mut scene = builder.finish();
+        if scene.triangles.is_empty() {
+            let what =
+                if scene.degenerate > 0 { "every face has zero area" } else { "no triangles in the scene" };
+            return Err(Error::input(&document.path, None, what).with_hint(
+                "light needs surfaces: meshes of triangles that nodes of the default scene place",
+            ));
+        }
+        let own = (emission_texcoords.len()..scene.triangles.len()).map(|t| scene.texcoords[t]);
+        if !emission_texcoords.is_empty() {
+            emission_texcoords.extend(own.collect::<Vec<_>>());
+        }
+        if !colours.is_empty() {
+            colours.resize(scene.triangles.len(), [[1.0; 3]; 3]);
+        }
+        (scene.colours, scene.emission_texcoords) = (colours, emission_texcoords);
+        scene.materials = made.materials;
+        scene.textures = made.textures;
+        if !self.options.faces {
+            scene.backs_of_lamps = lamps::double(&mut scene, &self.both_sides);
+            if scene.backs_of_lamps > 0 {
+                let doubled = scene.backs_of_lamps;
+                made.warnings.push(format!(
+                    "{file}: {doubled} triangles emit from both sides, since their materials are double-sided"
+                ));
+            }
+        }
+        scene.parts = self.parts;
+        if self.left_out > 0 {
+            made.warnings.push(format!("{file}: left out {} primitives of points or lines", self.left_out));
+        }
+        let lights = document.root.nodes.iter().filter(|node| node.extensions.light.is_some()).count();
+        if lights > 0 && document.root.extensions.lights.as_ref().is_some_and(|l| !l.lights.is_empty()) {
+            made.warnings
+                .push(format!("{file}: left out {lights} lights without extent (KHR_lights_punctual)"));
+        }
+        if !document.root.animations.is_empty() {
+            made.warnings.push(format!("{file}: animations are left out; the scene is taken at rest"));
+        }
+        scene.warnings = made.warnings.into_sentences();
+        scene.files = document.files.clone();
+        scene.files.append(&mut made.files);
+        scene.missing = made.missing;
+        Ok(scene)
+    }
+}

@@ -1,0 +1,421 @@
+//! What glTF files say arrives in the scene: places, corners, colours, textures, light.
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_3};
+
+use glam::{DMat4, DQuat, DVec3, dvec3};
+use radiosity::{Scene, scene::LoadOptions, tone};
+use serde_json::{Value, json};
+
+use crate::common::gltf::Gltf;
+
+const WHOLE: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+const MIDDLE: [f64; 3] = [1.0 / 3.0; 3];
+
+fn load(file: &Gltf) -> Scene {
+    let folder = tempfile::tempdir().unwrap();
+    Scene::load(file.save(folder.path(), "scene.glb")).unwrap()
+}
+
+/// One grey triangle, as list with indices of a type.
+fn triangle() -> (Gltf, usize) {
+    let mut file = Gltf::new();
+    let grey = file.material("grey", [0.5; 3], [0.0; 3]);
+    let position = file.floats::<3>(&[[0., 0., 0.], [2., 0., 0.], [0., 1., 0.]]);
+    file.primitive(json!({"attributes": {"POSITION": position}, "material": grey}));
+    (file, position)
+}
+
+/// Corners that are the same but for rounding of single precision.
+#[track_caller]
+fn assert_corners(scene: &Scene, t: usize, wanted: [DVec3; 3]) {
+    for (found, wanted) in scene.corners(t).into_iter().zip(wanted) {
+        assert!(found.distance(wanted) < 1e-6, "{:?} instead of {wanted:?}", scene.corners(t));
+    }
+}
+
+fn near(found: [f64; 3], wanted: [f64; 3], tolerance: f64) -> bool {
+    (0..3).all(|c| (found[c] - wanted[c]).abs() <= tolerance)
+}
+
+#[test]
+fn nodes_place_their_meshes_and_mirrors_keep_fronts_in_front() {
+    let (mut file, _) = triangle();
+    let turn = DQuat::from_rotation_z(FRAC_PI_2);
+    file.json["scenes"] = json!([{"nodes": [1]}]);
+    file.push("nodes", json!({"children": [0, 2], "translation": [1, 2, 3], "rotation": turn.to_array(), "scale": [2, 2, 2]}));
+    file.push("nodes", json!({"mesh": 0, "scale": [-1, 1, 1]}));
+    // Not of the default scene.
+    file.push("nodes", json!({"mesh": 0}));
+    let scene = load(&file);
+    assert_eq!(scene.triangles.len(), 2);
+    let place = DMat4::from_scale_rotation_translation(DVec3::splat(2.0), turn, dvec3(1., 2., 3.));
+    let corners = [DVec3::ZERO, dvec3(2., 0., 0.), dvec3(0., 1., 0.)].map(|p| place.transform_point3(p));
+    assert_corners(&scene, 0, corners);
+    assert!((scene.normal(1) - scene.normal(0)).length() < 1e-12, "a mirrored triangle shows its front");
+    // By a matrix instead, and without a default scene: all roots, which are this node and the fourth.
+    file.json["nodes"][1] = json!({"children": [0, 2], "matrix": place.to_cols_array()});
+    file.json.as_object_mut().unwrap().remove("scene");
+    let scene = load(&file);
+    assert_eq!(scene.triangles.len(), 3);
+    assert_corners(&scene, 0, corners);
+}
+
+#[test]
+fn instances_are_placed_by_their_three_attributes() {
+    let (mut file, _) = triangle();
+    let translation = file.floats::<3>(&[[0., 0., 0.], [10., 0., 0.], [0., 10., 0.]]);
+    let scale = file.floats::<3>(&[[1., 1., 1.], [2., 3., 1.], [1., 1., 1.]]);
+    // Rotations are often normalised bytes: a half turn about z, and none.
+    let rotation = file.accessor(&[0, 0, 0, 127, 0, 0, 127, 0, 0, 0, 0, 127], 5120, "VEC4", 3);
+    file.json["accessors"][rotation]["normalized"] = true.into();
+    file.json["nodes"][0]["extensions"] = json!({"EXT_mesh_gpu_instancing": {"attributes":
+        {"TRANSLATION": translation, "SCALE": scale, "ROTATION": rotation}}});
+    file.json["extensionsRequired"] = json!(["EXT_mesh_gpu_instancing"]);
+    let scene = load(&file);
+    assert_eq!(scene.triangles.len(), 3);
+    assert_corners(&scene, 1, [dvec3(10., 0., 0.), dvec3(6., 0., 0.), dvec3(10., -3., 0.)]);
+    assert_corners(&scene, 2, [dvec3(0., 10., 0.), dvec3(2., 10., 0.), dvec3(0., 11., 0.)]);
+}
+
+#[test]
+fn strips_and_fans_turn_the_way_the_specification_says() {
+    let square = [[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [1., 1., 0.], [0., 2., 0.]];
+    for (mode, order) in [(5, None), (5, Some([0u16, 1, 2, 3, 4])), (6, Some([0, 1, 3, 2, 4]))] {
+        let mut file = Gltf::new();
+        let position = file.floats::<3>(&square);
+        let mut primitive = json!({"attributes": {"POSITION": position}, "mode": mode});
+        if let Some(order) = order {
+            primitive["indices"] = file.indices(&order).into();
+        }
+        file.primitive(primitive);
+        // Lines and points have no area.
+        file.primitive(json!({"attributes": {"POSITION": position}, "mode": 1}));
+        let scene = load(&file);
+        let flat = scene.degenerate;
+        assert_eq!(scene.triangles.len() + flat, 3);
+        assert!((0..3 - flat).all(|t| scene.normal(t).z > 0.0), "mode {mode}");
+        assert!(scene.warnings.iter().any(|w| w.contains("1 primitives of points or lines")));
+    }
+}
+
+#[test]
+fn indices_of_every_width_are_read() {
+    for (component, size) in [(5121, 1), (5123, 2), (5125, 4)] {
+        let (mut file, _) = triangle();
+        let bytes: Vec<u8> = [0u32, 2, 1].iter().flat_map(|i| i.to_le_bytes()[..size].to_vec()).collect();
+        file.json["meshes"][0]["primitives"][0]["indices"] =
+            file.accessor(&bytes, component, "SCALAR", 3).into();
+        assert!(load(&file).normal(0).z < 0.0, "{component}");
+    }
+}
+
+#[test]
+fn interleaved_sparse_and_quantised_positions_are_where_they_should_be() {
+    let wanted = [dvec3(0., 0., 0.), dvec3(2., 0., 0.), dvec3(0., 1., 0.)];
+    // Eight bytes of something else behind each position.
+    let (mut file, position) = triangle();
+    let mut bytes = vec![9; 4];
+    for p in &wanted {
+        bytes.extend(p.as_vec3().to_array().iter().flat_map(|x| x.to_le_bytes()));
+        bytes.extend([7; 8]);
+    }
+    let view = file.view(&bytes);
+    file.json["bufferViews"][view]["byteStride"] = 20.into();
+    file.json["accessors"][position] =
+        json!({"bufferView": view, "byteOffset": 4, "componentType": 5126, "count": 3, "type": "VEC3"});
+    assert_corners(&load(&file), 0, wanted);
+
+    // Zeros of which two are replaced.
+    let (mut file, position) = triangle();
+    let indices = file.view(&[1, 2]);
+    let bytes: Vec<u8> = [2f32, 0., 0., 0., 1., 0.].iter().flat_map(|x| x.to_le_bytes()).collect();
+    let values = file.view(&bytes);
+    file.json["accessors"][position] = json!({"componentType": 5126, "count": 3, "type": "VEC3", "sparse": {"count": 2,
+        "indices": {"bufferView": indices, "componentType": 5121}, "values": {"bufferView": values}}});
+    assert_corners(&load(&file), 0, wanted);
+
+    // KHR_mesh_quantization: normalised, and whole numbers.
+    for (normalized, unit) in [(true, 32767.0), (false, 1.0)] {
+        let (mut file, position) = triangle();
+        let whole = |x: f64| ((x * unit / if normalized { 2.0 } else { 1.0 }) as i16).to_le_bytes();
+        let bytes: Vec<u8> =
+            wanted.iter().flat_map(|p| [whole(p.x), whole(p.y), whole(p.z), [0; 2]].concat()).collect();
+        let view = file.view(&bytes);
+        file.json["bufferViews"][view]["byteStride"] = 8.into();
+        file.json["accessors"][position] = json!({"bufferView": view, "componentType": 5122, "normalized": normalized, "count": 3, "type": "VEC3"});
+        if normalized {
+            file.json["nodes"][0]["scale"] = json!([2, 2, 2]);
+        }
+        // Half of 32767 is no whole number.
+        for (found, wanted) in load(&file).corners(0).into_iter().zip(wanted) {
+            assert!(found.distance(wanted) <= 1.0 / 32767.0, "{found} {wanted}");
+        }
+    }
+}
+
+#[test]
+fn skins_and_morph_targets_pose_the_mesh_at_rest() {
+    let (mut file, _) = triangle();
+    let target = file.floats::<3>(&[[0., 0., 1.]; 3]);
+    file.json["meshes"][0]["primitives"][0]["targets"] = json!([{"POSITION": target}]);
+    file.json["meshes"][0]["weights"] = json!([0.5]);
+    assert_corners(&load(&file), 0, [dvec3(0., 0., 0.5), dvec3(2., 0., 0.5), dvec3(0., 1., 0.5)]);
+
+    // Two joints at 10 and 20 along x; the node's own place has no say.
+    let (mut file, _) = triangle();
+    let joints = file.accessor(&[0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0], 5121, "VEC4", 3);
+    let weights = file.floats::<4>(&[[1., 0., 0., 0.], [1., 0., 0., 0.], [0.5, 0.5, 0., 0.]]);
+    let inverse = DMat4::from_translation(DVec3::Y).to_cols_array().map(|x| x as f32);
+    let inverse = file.floats::<16>(&[inverse, inverse]);
+    let attributes = &mut file.json["meshes"][0]["primitives"][0]["attributes"];
+    (attributes["JOINTS_0"], attributes["WEIGHTS_0"]) = (joints.into(), weights.into());
+    file.push("skins", json!({"joints": [1, 2], "inverseBindMatrices": inverse}));
+    file.json["nodes"] = json!([{"mesh": 0, "skin": 0, "translation": [0, 0, 99]}, {"translation": [10, 0, 0]}, {"translation": [20, 0, 0]}]);
+    file.json["scenes"][0]["nodes"] = json!([0, 1, 2]);
+    assert_corners(&load(&file), 0, [dvec3(10., 1., 0.), dvec3(22., 1., 0.), dvec3(15., 2., 0.)]);
+}
+
+/// A texture of two by two texels: red and green above, blue and white below.
+fn four() -> image::RgbaImage {
+    image::RgbaImage::from_fn(2, 2, |x, y| {
+        image::Rgba([[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255], [255; 4]][(2 * y + x) as usize])
+    })
+}
+
+/// A triangle round the point of a texture at (u, v), v downwards, that looks it up as `info` says besides.
+fn at(u: f64, v: f64, info: Value, sampler: Value) -> [f64; 3] {
+    let (mut file, _) = triangle();
+    let texture = file.texture(&four());
+    file.json["textures"][texture]["sampler"] = file.push("samplers", sampler).into();
+    let (u, v) = (u as f32, v as f32);
+    let uv = file.floats::<2>(&[[u - 0.02, v - 0.02], [u + 0.04, v - 0.02], [u - 0.02, v + 0.04]]);
+    let mut info = info;
+    info["index"] = texture.into();
+    let set = info["texCoord"].as_u64().unwrap_or(0);
+    let set = info["extensions"]["KHR_texture_transform"]["texCoord"].as_u64().unwrap_or(set);
+    file.json["meshes"][0]["primitives"][0]["attributes"][format!("TEXCOORD_{set}")] = uv.into();
+    file.json["materials"][0]["pbrMetallicRoughness"] =
+        json!({"metallicFactor": 0, "baseColorTexture": info});
+    load(&file).mean_reflectance(0, &WHOLE)
+}
+
+#[test]
+fn textures_are_looked_up_where_the_file_says() {
+    let (red, green, blue, white) = ([1., 0., 0.], [0., 1., 0.], [0., 0., 1.], [1.; 3]);
+    assert_eq!(at(0.25, 0.25, json!({}), json!({})), red);
+    assert_eq!(at(0.75, 0.25, json!({"texCoord": 1}), json!({})), green);
+    assert_eq!(at(0.25, 0.75, json!({"texCoord": 3}), json!({})), blue);
+    // Outside: repeated, held, mirrored.
+    assert_eq!(at(1.25, 0.25, json!({}), json!({})), red);
+    assert_eq!(at(1.25, 1.75, json!({}), json!({"wrapS": 33071, "wrapT": 33071})), white);
+    assert_eq!(at(1.25, 0.25, json!({}), json!({"wrapS": 33648})), green);
+    assert_eq!(at(1.75, 0.25, json!({}), json!({"wrapS": 33648})), red);
+    assert_eq!(at(2.25, -0.25, json!({}), json!({"wrapS": 33648, "wrapT": 33648})), red);
+    assert_eq!(at(0.25, 1.25, json!({}), json!({"wrapT": 33648})), blue);
+    assert_eq!(at(0.25, 1.75, json!({}), json!({"wrapS": 33648, "wrapT": 33648})), red);
+    // KHR_texture_transform moves, scales, turns as its example does, and may name another set.
+    let with = |transform: Value| json!({"extensions": {"KHR_texture_transform": transform}});
+    assert_eq!(at(0.25, 0.25, with(json!({"offset": [0.5, 0.0], "texCoord": 2})), json!({})), green);
+    assert_eq!(at(1.25, 0.75, with(json!({"scale": [0.5, 0.5]})), json!({})), green);
+    // A quarter turn takes (0.2, 0.7) to (0.7, -0.2).
+    assert_eq!(at(0.2, 0.7, with(json!({"rotation": FRAC_PI_2})), json!({})), white);
+}
+
+#[test]
+fn reflectance_is_factor_times_texture_times_colour_without_what_is_metal() {
+    let (mut file, _) = triangle();
+    let grey = image::RgbaImage::from_pixel(1, 1, image::Rgba([188, 188, 188, 255]));
+    let texture = file.texture(&grey);
+    let uv = file.floats::<2>(&[[0., 0.], [1., 0.], [0., 1.]]);
+    let colours = file.floats::<4>(&[[1., 0.5, 0.25, 1.], [1., 0.5, 0.25, 1.], [0.4, 2.0, 0.25, 1.]]);
+    let attributes = &mut file.json["meshes"][0]["primitives"][0]["attributes"];
+    (attributes["TEXCOORD_0"], attributes["COLOR_0"]) = (uv.into(), colours.into());
+    file.json["materials"][0]["pbrMetallicRoughness"] = json!({"metallicFactor": 0.25, "baseColorFactor": [0.8, 0.8, 0.8, 1], "baseColorTexture": {"index": texture}});
+    let scene = load(&file);
+    assert_eq!(scene.channels(), 3);
+    let texel = tone::linear(188.0 / 255.0);
+    // Colours are linear and clamped, and the mean of what is linear is its value in the middle.
+    let wanted = [0.8, 2.0 / 3.0, 0.25].map(|c| 0.75 * 0.8 * texel * c);
+    assert!(near(scene.mean_reflectance(0, &WHOLE), wanted, 1e-7), "{:?}", scene.mean_reflectance(0, &WHOLE));
+    assert!(near(scene.reflectance_at(0, MIDDLE), wanted, 1e-7));
+    let at_last = [0.4, 1.0, 0.25].map(|c| 0.6 * texel * c);
+    assert!(near(scene.reflectance_at(0, [0.0, 0.0, 1.0]), at_last, 1e-7));
+    assert!(scene.warnings.iter().any(|w| w.contains("`grey` is metal (0.25)")), "{:?}", scene.warnings);
+
+    // A texture that is metal on its left half: there nothing reflects diffusely.
+    let metal =
+        image::RgbaImage::from_fn(2, 1, |x, _| image::Rgba([0, 99, if x == 0 { 255 } else { 0 }, 255]));
+    let metal = file.texture(&metal);
+    file.json["materials"][0]["pbrMetallicRoughness"] =
+        json!({"baseColorTexture": {"index": texture}, "metallicRoughnessTexture": {"index": metal}});
+    file.json["meshes"][0]["primitives"][0]["attributes"].as_object_mut().unwrap().remove("COLOR_0");
+    let scene = load(&file);
+    // The triangle's left half has three quarters of its area.
+    assert!(near(scene.mean_reflectance(0, &WHOLE), [0.25 * texel; 3], 1e-9));
+    assert_eq!(scene.reflectance_at(0, [1.0, 0.0, 0.0]), [0.0; 3]);
+}
+
+#[test]
+fn a_texture_and_colours_that_both_vary_have_the_mean_of_their_product() {
+    let (mut file, _) = triangle();
+    let texture = file.texture(&image::RgbaImage::from_fn(2, 1, |x, _| image::Rgba([(255 * x) as u8; 4])));
+    let uv = file.floats::<2>(&[[0., 0.], [1., 0.], [0., 1.]]);
+    let colours = file.floats::<3>(&[[0., 0., 0.], [1., 1., 1.], [0., 0., 0.]]);
+    let attributes = &mut file.json["meshes"][0]["primitives"][0]["attributes"];
+    (attributes["TEXCOORD_0"], attributes["COLOR_0"]) = (uv.into(), colours.into());
+    file.json["materials"][0]["pbrMetallicRoughness"] =
+        json!({"metallicFactor": 0, "baseColorTexture": {"index": texture}});
+    let scene = load(&file);
+    // The integral of u over u > 1/2 in the triangle u, v >= 0, u + v <= 1, over its area: 2 (1/3 - 1/2 · 1/4 ... ) = 1/6.
+    let exact = 2.0 * ((0.5 - 1.0 / 3.0) - (0.125 - 1.0 / 24.0));
+    let found = scene.mean_reflectance(0, &WHOLE)[0];
+    assert!((found - exact).abs() < 1e-9, "{found} for {exact}");
+}
+
+#[test]
+fn emission_is_factor_times_strength_times_its_own_texture() {
+    let (mut file, _) = triangle();
+    let (base, glow) =
+        (file.texture(&image::RgbaImage::from_pixel(1, 1, image::Rgba([255; 4]))), file.texture(&four()));
+    let first = file.floats::<2>(&[[0.1, 0.1], [0.2, 0.1], [0.1, 0.2]]);
+    let second = file.floats::<2>(&[[0.6, 0.1], [0.7, 0.1], [0.6, 0.2]]);
+    let attributes = &mut file.json["meshes"][0]["primitives"][0]["attributes"];
+    (attributes["TEXCOORD_0"], attributes["TEXCOORD_1"]) = (first.into(), second.into());
+    file.json["materials"][0] = json!({"name": "lamp", "emissiveFactor": [1, 0.5, 1],
+        "emissiveTexture": {"index": glow, "texCoord": 1},
+        "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 8}},
+        "pbrMetallicRoughness": {"metallicFactor": 0, "baseColorTexture": {"index": base}}});
+    // A triangle without emission before it has the one set for both.
+    let plain = file.floats::<3>(&[[5., 0., 0.], [6., 0., 0.], [5., 1., 0.]]);
+    let grey = file.material("grey", [0.5; 3], [0.0; 3]);
+    file.json["meshes"][0]["primitives"]
+        .as_array_mut()
+        .unwrap()
+        .insert(0, json!({"attributes": {"POSITION": plain}, "material": grey}));
+    let scene = load(&file);
+    assert_eq!(scene.mean_emission(0, &WHOLE), [0.0; 3]);
+    assert_eq!(scene.mean_emission(1, &WHOLE), [0.0, 4.0, 0.0]);
+    assert_eq!(scene.emission_at(1, MIDDLE), [0.0, 4.0, 0.0]);
+    assert_eq!(scene.mean_reflectance(1, &WHOLE), [1.0; 3]);
+    assert_eq!(scene.backs_of_lamps, 0);
+
+    // Without its image nothing is known of where it shines.
+    file.json["images"][1] = json!({"uri": "missing.png"});
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Scene::load(file.save(folder.path(), "scene.glb")).unwrap();
+    assert!(!scene.has_emitter());
+    assert_eq!(scene.missing, ["missing.png"]);
+    assert!(
+        scene.warnings.iter().any(|w| w.contains("`missing.png` not found; it does not emit")),
+        "{:?}",
+        scene.warnings
+    );
+}
+
+#[test]
+fn double_sided_lamps_shine_from_both_sides_where_they_are_open() {
+    let (mut file, _) = triangle();
+    file.json["materials"][0]["emissiveFactor"] = json!([1, 1, 1]);
+    assert_eq!((load(&file).triangles.len(), load(&file).backs_of_lamps), (1, 0));
+    file.json["materials"][0]["doubleSided"] = true.into();
+    let scene = load(&file);
+    assert_eq!((scene.triangles.len(), scene.backs_of_lamps), (2, 1));
+    assert!((scene.normal(0) + scene.normal(1)).length() < 1e-12);
+    assert_eq!(scene.triangles[1].source, 0);
+    // A tetrahedron keeps what shines inside.
+    let indices = file.indices(&[0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3]);
+    let position = file.floats::<3>(&[[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]]);
+    file.json["meshes"][0]["primitives"] =
+        json!([{"attributes": {"POSITION": position}, "indices": indices, "material": 0}]);
+    assert_eq!((load(&file).triangles.len(), load(&file).backs_of_lamps), (4, 0));
+}
+
+#[test]
+fn what_has_no_say_in_diffuse_light_is_told_once() {
+    let mut file = Gltf::new();
+    for (k, extra) in [
+        json!({"alphaMode": "BLEND"}),
+        json!({"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1}}}),
+        json!({"extensions": {"KHR_materials_unlit": {}}}),
+        json!({"pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.5, 0.5, 1]}}),
+        json!({"extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [0.25, 0.5, 0.75, 1]}}}),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let material = file.material(&format!("m{k}"), [0.5; 3], [0.0; 3]);
+        for (key, value) in extra.as_object().unwrap() {
+            file.json["materials"][material][key] = value.clone();
+        }
+        let corner = [2.0 * k as f32, 0., 0.];
+        file.rectangle(corner, [1., 0., 0.], [0., 1., 0.], material);
+    }
+    file.json["extensions"] = json!({"KHR_lights_punctual": {"lights": [{"type": "point"}]}});
+    file.push("nodes", json!({"extensions": {"KHR_lights_punctual": {"light": 0}}}));
+    file.push("animations", json!({"channels": [], "samplers": []}));
+    let scene = load(&file);
+    for said in [
+        "`m0` is transparent",
+        "`m1` lets light through",
+        "`m2` is unlit",
+        "`m3` says neither",
+        "1 lights",
+        "at rest",
+    ] {
+        let times = scene.warnings.iter().filter(|w| w.contains(said)).count();
+        assert_eq!(times, 1, "{said}: {:?}", scene.warnings);
+    }
+    assert!((0..8).all(|t| scene.mean_reflectance(t, &WHOLE) == [0.5; 3]));
+    assert_eq!(scene.mean_reflectance(8, &WHOLE), [0.25, 0.5, 0.75]);
+    let folder = tempfile::tempdir().unwrap();
+    let options = LoadOptions { unlit_emits: true, ..LoadOptions::default() };
+    let lit = Scene::load_with(file.save(folder.path(), "scene.glb"), &options).unwrap();
+    assert_eq!((lit.mean_emission(4, &WHOLE), lit.mean_reflectance(4, &WHOLE)), ([0.5; 3], [0.0; 3]));
+}
+
+#[test]
+fn text_files_with_buffers_beside_them_or_in_them_are_the_same_scene() {
+    let (file, _) = triangle();
+    let folder = tempfile::tempdir().unwrap();
+    let binary = Scene::load(file.save(folder.path(), "scene.glb")).unwrap();
+    std::fs::write(folder.path().join("my data.bin"), &file.bytes).unwrap();
+    // The bytes of the three corners.
+    let base64 = "AAAAAAAAAAAAAAAAAAAAQAAAAAAAAAAAAAAAAAAAgD8AAAAA";
+    for uri in ["my%20data.bin".to_owned(), format!("data:application/octet-stream;base64,{base64}")] {
+        let mut json = file.json.clone();
+        json["buffers"] = json!([{"byteLength": file.bytes.len(), "uri": uri}]);
+        let path = folder.path().join("scene.gltf");
+        std::fs::write(&path, format!("\u{feff}{json}")).unwrap();
+        let text = Scene::load(&path).unwrap();
+        assert_eq!((text.vertices, &text.triangles), (binary.vertices.clone(), &binary.triangles));
+        assert_eq!(text.files.len(), if uri.starts_with("data:") { 1 } else { 2 });
+    }
+}
+
+#[test]
+fn webp_images_are_read_by_extension_and_as_they_are() {
+    let (mut file, _) = triangle();
+    let mut webp = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_pixel(2, 2, image::Rgb([0, 255, 0]))
+        .write_to(&mut webp, image::ImageFormat::WebP)
+        .unwrap();
+    let view = file.view(webp.get_ref());
+    let image = file.push("images", json!({"bufferView": view, "mimeType": "image/webp"}));
+    file.push("textures", json!({"extensions": {"EXT_texture_webp": {"source": image}}}));
+    let uv = file.floats::<2>(&[[0., 0.], [1., 0.], [0., 1.]]);
+    file.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = uv.into();
+    file.json["materials"][0]["pbrMetallicRoughness"] =
+        json!({"metallicFactor": 0, "baseColorTexture": {"index": 0}});
+    file.json["extensionsRequired"] = json!(["EXT_texture_webp"]);
+    assert_eq!(load(&file).mean_reflectance(0, &WHOLE), [0.0, 1.0, 0.0]);
+}
+
+/// A turn about an axis that is none of the coordinates', with a scale: as three.js places it.
+#[test]
+fn rotations_are_quaternions_x_y_z_w_and_need_not_have_unit_length() {
+    let (mut file, _) = triangle();
+    let turn = DQuat::from_axis_angle(dvec3(1., 1., 1.).normalize(), 2.0 * FRAC_PI_3);
+    file.json["nodes"][0]["rotation"] = json!((turn * 3.0).to_array());
+    // A third of a turn about the diagonal takes x to y, y to z.
+    assert_corners(&load(&file), 0, [DVec3::ZERO, dvec3(0., 2., 0.), dvec3(0., 0., 1.)]);
+}
