@@ -1,10 +1,13 @@
 //! Feeds the readers and the command line what nobody would write: good files with bytes, numbers, words and lines
 //! changed at random. Everything must load or be refused with one line, within bounds of time and memory.
 //!
-//!     cargo run --example fuzz -- obj|mtl|ply|cli|checkpoint SECONDS [FIRST]
+//!     cargo run --example fuzz -- obj|mtl|ply|gltf|glb|cli|checkpoint SECONDS [FIRST]
 //!
 //! Case `k` depends on `k` alone; a case that fails is kept and named, and `FIRST` begins there again. Built without
 //! optimisation for release, so that overflow is caught. `cli` wants the program built beside it (`cargo build`).
+
+#[path = "../tests/common/gltf.rs"]
+mod gltf;
 
 use std::{
     fmt::Write as _,
@@ -226,6 +229,12 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             .map(|name| mesh(&format!("{name}.mtl")))
             .chain([ODD_MTL.into(), ODD_MTL.replace('\n', "\r\n").into()])
             .collect(),
+        "gltf" => {
+            let mut json = odd_gltf().json;
+            json["buffers"] = serde_json::json!([{"byteLength": odd_gltf().bytes.len(), "uri": "s.bin"}]);
+            vec![json.to_string().into(), format!("{json:#}").into()]
+        }
+        "glb" => vec![odd_gltf().glb()],
         _ => {
             let load = |name: &str| Scene::load(format!("{}/meshes/{name}.obj", env!("CARGO_MANIFEST_DIR")));
             let scenes = MESHES.map(|name| load(name).expect("the repository's meshes load"));
@@ -233,6 +242,43 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             scenes.iter().flat_map(|scene| encodings.map(|e| to_ply(scene, e))).collect()
         }
     }
+}
+
+/// A glTF file with something of everything.
+fn odd_gltf() -> gltf::Gltf {
+    use serde_json::json;
+    let mut file = gltf::Gltf::new();
+    let wall = file.material("wall", [0.5, 0.4, 0.3], [0.0; 3]);
+    let lamp = file.material("lamp", [0.5; 3], [1.0; 3]);
+    let texture = file.texture(&image::RgbaImage::from_pixel(2, 2, image::Rgba([200, 100, 50, 99])));
+    file.json["textures"][texture]["sampler"] =
+        file.push("samplers", json!({"wrapS": 33648, "wrapT": 33071})).into();
+    let turned = json!({"index": texture, "extensions": {"KHR_texture_transform": {"rotation": 0.5, "scale": [2, 3]}}});
+    file.json["materials"][wall]["pbrMetallicRoughness"] = json!({"metallicFactor": 0.5, "baseColorTexture": turned, "metallicRoughnessTexture": {"index": texture}});
+    file.json["materials"][lamp]["doubleSided"] = true.into();
+    file.json["materials"][lamp]["emissiveTexture"] = json!({"index": texture, "texCoord": 0});
+    file.rectangle([0., 0., 0.], [1., 0., 0.], [0., 1., 0.], wall);
+    file.rectangle([0., 0., 1.], [0., 1., 0.], [1., 0., 0.], lamp);
+    let position = file.floats::<3>(&[[0., 0., 0.], [1., 0., 0.], [0., 0., 1.], [1., 0., 1.]]);
+    let (indices, values) = (file.view(&[1, 3]), file.view(&[7; 24]));
+    file.json["accessors"][position]["sparse"] = json!({"count": 2, "indices": {"bufferView": indices, "componentType": 5121},
+        "values": {"bufferView": values}});
+    let colour = file.accessor(&[200; 16], 5121, "VEC4", 4);
+    file.json["accessors"][colour]["normalized"] = true.into();
+    let joints = file.accessor(&[0; 16], 5121, "VEC4", 4);
+    let weights = file.floats::<4>(&[[1., 0., 0., 0.]; 4]);
+    file.primitive(json!({"mode": 5, "material": wall, "targets": [{"POSITION": position}],
+        "attributes": {"POSITION": position, "COLOR_0": colour, "JOINTS_0": joints, "WEIGHTS_0": weights}}));
+    let places = file.floats::<3>(&[[0., 0., 0.], [3., 0., 0.]]);
+    file.push(
+        "nodes",
+        json!({"mesh": 0, "translation": [1, 2, 3], "rotation": [0, 0, 1, 1], "scale": [1, -2, 1],
+        "extensions": {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": places}}}}),
+    );
+    file.push("skins", json!({"joints": [0, 1]}));
+    file.push("nodes", json!({"mesh": 0, "skin": 0, "weights": [0.5]}));
+    file.json["nodes"][0]["children"] = json!([1, 2]);
+    file
 }
 
 /// Files that could be used after all: a fuzzer whose every file is refused on the first line tests little.
@@ -274,7 +320,7 @@ fn look(path: &Path) -> Option<String> {
     }
     let inspection = Inspection::of(&scene);
     let seen = Survey::of(&scene, &Tracer::new(&scene), 256, 0).all;
-    if inspection.triangles != n || seen.fronts + seen.backs + seen.escaped != 256 {
+    if inspection.triangles + scene.backs_of_lamps != n || seen.fronts + seen.backs + seen.escaped != 256 {
         return Some(format!("{inspection:?} {seen:?}"));
     }
     scene.warnings.iter().find_map(|warning| lines(warning))
@@ -592,7 +638,7 @@ fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let number = |i: usize| words.get(i).and_then(|w| w.parse::<u64>().ok());
     let (Some(target), Some(seconds)) = (words.first().map(String::as_str), number(1)) else {
-        eprintln!("usage: fuzz obj|mtl|ply|cli|checkpoint SECONDS [FIRST]");
+        eprintln!("usage: fuzz obj|mtl|ply|gltf|glb|cli|checkpoint SECONDS [FIRST]");
         return ExitCode::from(2);
     };
     let folder = tempfile::tempdir().expect("a temporary folder can be made").keep();
@@ -606,6 +652,7 @@ fn main() -> ExitCode {
         fs::write(folder.join("other.mtl"), ODD_MTL).expect("a temporary folder can be written to");
         fs::write(folder.join("t.png"), mesh("checkerboard.png"))
             .expect("a temporary folder can be written to");
+        fs::write(folder.join("s.bin"), odd_gltf().bytes).expect("a temporary folder can be written to");
         fs::write(folder.join("s.mtl"), ODD_MTL).expect("a temporary folder can be written to");
         fs::write(folder.join("s.obj"), ODD_OBJ).expect("a temporary folder can be written to");
     }
@@ -651,7 +698,7 @@ fn main() -> ExitCode {
             let bytes = [&seed[..kept], &mutate(&seed[kept..], &seeds, &mut random)].concat();
             fs::write(folder.join(format!("s.{target}")), &bytes)
                 .expect("a temporary folder can be written to");
-            let scene = folder.join(if target == "ply" { "s.ply" } else { "s.obj" });
+            let scene = folder.join(if target == "mtl" { "s.obj".into() } else { format!("s.{target}") });
             objection(&scene).inspect(|_| {
                 let _ = fs::write(folder.join(format!("failed-{case}.{target}")), &bytes);
             })

@@ -85,7 +85,7 @@ impl Inspection {
             area: (0..scene.triangles.len()).map(|t| scene.area(t)).sum(),
             bounds,
             edges: edges(&triangles),
-            doubled: doubled(&triangles),
+            doubled: doubled(&triangles[..scene.triangles.len() - scene.backs_of_lamps]),
             materials: materials(scene),
         }
     }

@@ -3,7 +3,7 @@
 use radiosity::{Error, Scene};
 use serde_json::{Value, json};
 
-use crate::common::gltf::{Gltf, glb};
+use crate::common::gltf::Gltf;
 
 fn triangle() -> Gltf {
     let mut file = Gltf::new();
@@ -42,7 +42,7 @@ fn changed(path: &str, value: Value) -> Gltf {
 #[test]
 fn each_is_refused_with_what_is_wrong() {
     for (path, value, said) in [
-        ("buffers", json!(3), "buffers"),
+        ("nodes.0.mesh", json!("cube"), "invalid type: string \"cube\", expected usize, after `"),
         ("accessors.0.bufferView", json!(9), "accessors[0]: bufferViews[9] does not exist"),
         ("accessors.0.count", json!(4), "accessors[0]: it ends beyond bufferViews[0]"),
         ("accessors.0.count", json!(1u64 << 62), "announced, which the buffers cannot hold"),
@@ -59,8 +59,6 @@ fn each_is_refused_with_what_is_wrong() {
         ("nodes.0.children", json!([4]), "nodes[4]: it does not exist"),
         ("nodes.0.mesh", json!(4), "meshes[4] does not exist"),
         ("nodes.0.rotation", json!([0, 0, 0, 0]), "no quaternion"),
-        ("nodes.0.scale", json!([1e300, 1e300, 1e300]), ""),
-        ("nodes.0.skin", json!(3), ""),
         ("nodes.0.matrix", json!([1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "last row"),
         ("scene", json!(5), "scenes[5] does not exist"),
         ("scenes.0.nodes", json!([]), "no triangles"),
@@ -72,17 +70,7 @@ fn each_is_refused_with_what_is_wrong() {
         ("asset.minVersion", json!("2.1"), "demands a reader of glTF 2.1"),
         ("extensionsRequired", json!(["ACME_everything"]), "ACME_everything, which is not supported"),
     ] {
-        if said.is_empty() {
-            continue;
-        }
-        let mut file = changed(path, value);
-        let bytes = if path == "buffers" {
-            glb(file.json.to_string().as_bytes(), &file.bytes)
-        } else {
-            file.json["extras"] = json!(null);
-            file.glb()
-        };
-        let (found, _) = refused(&bytes, "scene.glb");
+        let (found, _) = refused(&changed(path, value).glb(), "scene.glb");
         assert!(found.contains(said), "{path}: {found}");
     }
 }
@@ -162,7 +150,7 @@ fn what_is_no_gltf_or_cut_off_is_refused() {
     assert!(refused(b"{\"asset\":\n{\"version\": 2}}", "scene.gltf").0.contains(":2: "));
     assert!(refused("[".repeat(100_000).as_bytes(), "scene.gltf").0.contains("not a glTF file"));
     let deep = format!("{{\"extras\":{}", "[".repeat(100_000));
-    assert!(refused(deep.as_bytes(), "scene.gltf").0.contains("recursion"));
+    assert!(refused(deep.as_bytes(), "scene.gltf").0.contains("EOF"));
 }
 
 #[test]

@@ -52,11 +52,16 @@ impl Document {
         let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
         let (json, chunk, is_text) = split(path, bytes)?;
         let root: Root = serde_json::from_slice(&json).map_err(|e| {
-            // The position at the end of the message is told as a line, where the file has lines.
+            // The position at the end of the message is told as a line, where the file has lines, and by what stands there.
             let said = e.to_string();
             let said = said.rsplit_once(" at line ").map_or(&*said, |(before, _)| before);
             let line = is_text.then(|| e.line()).filter(|&line| line > 0);
-            Error::input(path, line, format!("the JSON of this glTF file cannot be used: {said}"))
+            let near = before(&json, e.line(), e.column());
+            Error::input(
+                path,
+                line,
+                format!("the JSON of this glTF file cannot be used: {said}, after `{near}`"),
+            )
         })?;
         check_version(path, &root)?;
         check_extensions(path, &root)?;
@@ -187,6 +192,13 @@ fn split(path: &Path, bytes: Vec<u8>) -> Result<(Vec<u8>, Option<Vec<u8>>, bool)
     }
     let json = json.ok_or_else(|| error("the file has no JSON chunk"))?;
     Ok((json, binary, false))
+}
+
+/// The last of the text before a place, lines and columns counted from 1.
+fn before(json: &[u8], line: usize, column: usize) -> String {
+    let line = json.split(|&b| b == b'\n').nth(line.saturating_sub(1)).unwrap_or_default();
+    let end = column.min(line.len());
+    String::from_utf8_lossy(&line[end.saturating_sub(40)..end]).trim().replace(char::is_control, " ")
 }
 
 fn check_version(path: &Path, root: &Root) -> Result<()> {

@@ -425,7 +425,7 @@ impl<'a> Materials<'a> {
             let share = if surface.metal_texture.is_some() {
                 "by its texture"
             } else {
-                &*format!("{}", surface.metallic)
+                &*format!("{}", surface.metallic as f32)
             };
             self.warn(
                 name,

@@ -40,13 +40,15 @@ impl Document {
         let Some(&position) = primitive.attributes.get("POSITION").filter(|_| mode >= 4) else {
             return Ok(None);
         };
-        let mut positions: Vec<DVec3> =
-            self.numbers::<3>(position, "VEC3")?.into_iter().map(DVec3::from).collect();
-        if positions.is_empty() && primitive.extensions.draco.is_some() {
+        let is_there =
+            |accessor: usize| self.root.accessors.get(accessor).is_some_and(|a| a.buffer_view.is_some());
+        if primitive.extensions.draco.is_some() && !is_there(position) {
             return Err(self
                 .error(format!("{place}: it is compressed (KHR_draco_mesh_compression), which is not read"))
                 .with_hint("unpack the file: npx @gltf-transform/cli dedup IN.glb OUT.glb"));
         }
+        let mut positions: Vec<DVec3> =
+            self.numbers::<3>(position, "VEC3")?.into_iter().map(DVec3::from).collect();
         self.morph(primitive, mesh, node, &mut positions)?;
         let posed = self.skin(nodes, node, primitive, &mut positions)?;
         if let Some(bad) = positions.iter().position(|p| !p.is_finite()) {
