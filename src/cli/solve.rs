@@ -46,6 +46,9 @@ pub struct SolveArgs {
     /// Write a coloured mesh, binary PLY
     #[arg(short, long, value_name = "OUT.ply")]
     pub output: Option<PathBuf>,
+    /// Write both sides of each patch that rays met on both, not only the side that has more light
+    #[arg(long, requires = "output")]
+    backs: bool,
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
@@ -217,8 +220,8 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     watch.begin_writing();
     let mut pending = Vec::new();
     let written;
-    (written, times.output) =
-        watch.stage("writing", || mesh.map(|file| write_mesh(file, &computed, exposure)).transpose())?;
+    (written, times.output) = watch
+        .stage("writing", || mesh.map(|file| write_mesh(args, file, &computed, exposure)).transpose())?;
     pending.extend(written);
 
     let mut report = report_of(args, &computed, exposure);
@@ -340,12 +343,18 @@ fn round_report(round: &Round) -> RoundReport {
     RoundReport { rays_per_patch: round.rays, rms_relative: round.error, elapsed: round.elapsed }
 }
 
-fn write_mesh(file: OutputFile, computed: &Computed, exposure: Exposure) -> Result<Pending> {
+fn write_mesh(
+    args: &SolveArgs,
+    file: OutputFile,
+    computed: &Computed,
+    exposure: Exposure,
+) -> Result<Pending> {
     let Computed { scene, answer, .. } = computed;
     let discretisation = answer.errors().and_then(|errors| errors.discretisation.as_ref());
     let options = PlyOptions {
         standard_errors: Some(answer.standard_error()),
         discretisation: discretisation.map(|d| &d.change[..]),
+        backs: args.backs,
         exposure: Some(exposure),
         ..PlyOptions::default()
     };

@@ -7,6 +7,7 @@ pub mod exposure;
 pub mod file;
 pub mod final_gather;
 pub mod inspection_report;
+mod lit_sides;
 mod meeting;
 pub mod picture;
 pub mod ply;

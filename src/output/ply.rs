@@ -2,13 +2,16 @@
 //!
 //! - `vertex`: `x y z` float in the scene's unit; `red green blue` uchar, exposed and sRGB-encoded; `radiosity_r
 //!   radiosity_g radiosity_b` float, linear, W/m².
-//! - `face`, one a patch side: `vertex_indices`; `triangle` int, the triangle of the file; `side` uchar, 0 front and 1
-//!   back; `area` double; `irradiance_*`, `radiosity_*` and `error_*` float, the last the standard error of the
-//!   irradiance, NaN where it is not known; where that was estimated also `discretisation_*` float, by how much irradiance
-//!   would change were patches twice as large.
+//! - `face`, one a patch: `vertex_indices`; `triangle` int, the triangle of the file; `side` uchar, 0 front and 1 back;
+//!   `area` double; `irradiance_*`, `radiosity_*` and `error_*` float, the last the standard error of the irradiance, NaN
+//!   where it is unknown; where it was estimated also `discretisation_*` float, the change of the irradiance if patches
+//!   were twice as large.
 //!
-//! Where patches differ in size ([`Patches::refined`]), some sides are two faces, halves: the second ones come after all others,
-//! and `patch` int says which belong together. Values are those of the whole patch, areas those of the face.
+//! A face shows the side of its patch that has more light, and faces never lie on one another, so that viewers which draw both
+//! sides of a face show no noise. With [`PlyOptions::backs`] both sides of a patch are faces.
+//!
+//! Where patches differ in size ([`Patches::refined`]), some sides are two faces, halves: the second ones come after all
+//! others, and `patch` int says which belong together. Values are those of the whole patch, areas those of the face.
 
 use std::{
     io::{self, Write},
@@ -23,13 +26,14 @@ use ply_rs::{
 use super::{
     exposure,
     file::OutputFile,
+    lit_sides::lit_sides,
     vertex_colors,
     vertices::{CREASE, PatchMesh},
 };
 use crate::{
     Result,
     patch::Patches,
-    scene::Scene,
+    scene::{Scene, ply::BOTH_SIDES},
     solve::Light,
     tone::{Exposure, rgb},
 };
@@ -42,16 +46,24 @@ pub struct PlyOptions<'a> {
     /// By how much each patch's irradiance would change were patches twice as large, `channels` interleaved values; not
     /// written where `None`.
     pub discretisation: Option<&'a [f64]>,
-    /// Surfaces that bend by so many degrees at an edge are not shaded as one.
+    /// Surfaces that bend by this many degrees or more at an edge are not shaded as one.
     pub crease: f64,
+    /// Whether both sides of a patch are written where rays have met both, instead of the one that has more light.
+    pub backs: bool,
     /// How bright the vertex colours are; by [`exposure::of_radiosity`] where `None`.
     pub exposure: Option<Exposure>,
 }
 
 impl Default for PlyOptions<'_> {
-    /// No errors, a crease angle of [`CREASE`] degrees, automatic exposure.
+    /// No errors, a crease angle of [`CREASE`] degrees, one face a patch, automatic exposure.
     fn default() -> Self {
-        PlyOptions { standard_errors: None, discretisation: None, crease: CREASE, exposure: None }
+        PlyOptions {
+            standard_errors: None,
+            discretisation: None,
+            crease: CREASE,
+            backs: false,
+            exposure: None,
+        }
     }
 }
 
@@ -96,17 +108,16 @@ pub fn encode<'a>(
     let mesh = PatchMesh::new(scene, patches, options.crease);
     let exposure = options.exposure.unwrap_or_else(|| exposure::of_radiosity(patches, light.radiosity));
     let radiosity = vertex_colors::at_vertices(scene, patches, &mesh, light.radiosity);
-    let header = header(
-        exposure,
-        mesh.positions().len(),
-        mesh.faces(),
-        options.discretisation.is_some(),
-        patches.is_restricted(),
-    );
+    let shown = match options.backs {
+        true => Shown::all(&mesh),
+        false => Shown::of(&mesh, &lit_sides(scene, patches, light)),
+    };
+    let header = header(exposure, &shown, options, patches.is_restricted());
 
     Writer::<Vertex>::new().write_header(&mut out, &header)?;
     let channels = patches.channels();
-    write_elements(&mut out, &header, "vertex", mesh.positions().len(), |v| {
+    write_elements(&mut out, &header, "vertex", shown.vertices.len(), |v| {
+        let v = shown.vertices[v] as usize;
         let radiosity = rgb(&radiosity[v * channels..][..channels]);
         Vertex {
             position: single(mesh.positions()[v].to_array()),
@@ -114,11 +125,12 @@ pub fn encode<'a>(
             radiosity: single(positive(radiosity)),
         }
     })?;
-    write_elements(&mut out, &header, "face", mesh.faces(), |f| {
-        let (i, share) = mesh.patch(f);
+    write_elements(&mut out, &header, "face", shown.faces.len(), |f| {
+        let face = shown.faces[f] as usize;
+        let (i, share) = mesh.patch(face);
         let of = |values: &[f64]| rgb(&values[i * channels..][..channels]);
         Face {
-            vertices: mesh.face(f).map(|v| v as i32),
+            vertices: mesh.face(face).map(|v| shown.numbers[v as usize] as i32),
             patch: i as i32,
             triangle: scene.triangles[patches.triangle(i)].source as i32,
             back: u8::from(!patches.is_front(i)),
@@ -129,6 +141,32 @@ pub fn encode<'a>(
             discretisation: options.discretisation.map_or([0.0; 3], |e| single(of(e))),
         }
     })
+}
+
+/// The faces and vertices of a mesh that are written.
+struct Shown {
+    faces: Vec<u32>,
+    vertices: Vec<u32>,
+    /// The number of each vertex of the mesh among those written; meaningless for others.
+    numbers: Vec<u32>,
+}
+
+impl Shown {
+    fn all(mesh: &PatchMesh) -> Shown {
+        let vertices: Vec<u32> = (0..mesh.positions().len() as u32).collect();
+        Shown { faces: (0..mesh.faces() as u32).collect(), numbers: vertices.clone(), vertices }
+    }
+
+    /// The faces of some unknowns, and their vertices.
+    fn of(mesh: &PatchMesh, unknowns: &[bool]) -> Shown {
+        let is_shown = |&f: &u32| unknowns[mesh.patch(f as usize).0];
+        let faces: Vec<u32> = (0..mesh.faces() as u32).filter(is_shown).collect();
+        let mut numbers = vec![0; mesh.positions().len()];
+        faces.iter().flat_map(|&f| mesh.face(f as usize)).for_each(|v| numbers[v as usize] = 1);
+        let vertices: Vec<u32> = (0..numbers.len() as u32).filter(|&v| numbers[v as usize] == 1).collect();
+        (0..).zip(&vertices).for_each(|(number, &v)| numbers[v as usize] = number);
+        Shown { faces, vertices, numbers }
+    }
 }
 
 /// Iterative solvers leave a dark patch a little below zero, within their error bound. The exact solution has no
@@ -167,7 +205,7 @@ fn write_elements<E: PropertyAccess + Checked>(
 
 const RGB: [&str; 3] = ["r", "g", "b"];
 
-fn header(exposure: Exposure, vertices: usize, faces: usize, discretisation: bool, patch: bool) -> Header {
+fn header(exposure: Exposure, shown: &Shown, options: &PlyOptions<'_>, patch: bool) -> Header {
     let mut header = Header::new();
     header.encoding = Encoding::BinaryLittleEndian;
     header.comments = vec![
@@ -176,8 +214,11 @@ fn header(exposure: Exposure, vertices: usize, faces: usize, discretisation: boo
             .into(),
         format!("exposure: colours are sRGB, white is a radiosity of {:.6e} W/m2", exposure.white()),
     ];
+    if options.backs {
+        header.comments.push(BOTH_SIDES.into());
+    }
     let named = |quantity: &'static str| RGB.map(|c| (format!("{quantity}_{c}"), ScalarType::Float));
-    let mut vertex = element("vertex", vertices);
+    let mut vertex = element("vertex", shown.vertices.len());
     for name in ["x", "y", "z"] {
         vertex.properties.add(scalar(name, ScalarType::Float));
     }
@@ -189,7 +230,7 @@ fn header(exposure: Exposure, vertices: usize, faces: usize, discretisation: boo
     }
     header.elements.add(vertex);
 
-    let mut face = element("face", faces);
+    let mut face = element("face", shown.faces.len());
     let indices = PropertyType::List(ScalarType::UChar, ScalarType::Int);
     face.properties.add(PropertyDef::new("vertex_indices".into(), indices));
     face.properties.add(scalar("triangle", ScalarType::Int));
@@ -199,7 +240,9 @@ fn header(exposure: Exposure, vertices: usize, faces: usize, discretisation: boo
     face.properties.add(scalar("side", ScalarType::UChar));
     face.properties.add(scalar("area", ScalarType::Double));
     let quantities = ["irradiance", "radiosity", "error"].into_iter();
-    for (name, kind) in quantities.chain(discretisation.then_some("discretisation")).flat_map(named) {
+    for (name, kind) in
+        quantities.chain(options.discretisation.is_some().then_some("discretisation")).flat_map(named)
+    {
         face.properties.add(scalar(&name, kind));
     }
     header.elements.add(face);

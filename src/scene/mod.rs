@@ -6,7 +6,7 @@
 pub(crate) mod gltf;
 pub mod inspection;
 pub mod obj;
-mod ply;
+pub(crate) mod ply;
 mod specular;
 pub mod surfaces;
 mod text;

@@ -9,8 +9,8 @@
 //!
 //! A face has the mean of its vertices' colours as its reflectance, taken of the linear values. Materials are named by
 //! their reflectance as a colour, `#rrggbb`; faces without one have the material `(none)`. The files that this program
-//! writes can be read: their vertex colours are pictures of light and not reflectances, and faces of backs are left
-//! out, because every triangle has its back anyway.
+//! writes can be read: their vertex colours are pictures of light and not reflectances. A face that shows the back of its
+//! patch is turned round, or left out where the file has a face for the front too ([`BOTH_SIDES`]).
 //!
 //! Elements are read one by one and become triangles at once, so that nothing is allocated because a header says so.
 
@@ -30,6 +30,9 @@ use super::{
 };
 use crate::{Error, Result, tone};
 
+/// The comment of a file of this program that has both sides of patches as faces.
+pub(crate) const BOTH_SIDES: &str = "faces: both sides of patches";
+
 /// Reads `path`.
 ///
 /// # Errors
@@ -44,7 +47,8 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
         path,
         options,
         light,
-        backs: ["triangle", "side"].iter().all(|p| header.elements["face"].properties.contains_key(*p)),
+        sides: ["triangle", "side"].iter().all(|p| header.elements["face"].properties.contains_key(*p)),
+        both: header.comments.iter().any(|comment| comment.trim() == BOTH_SIDES),
         vertices: Vec::new(),
         builder: SceneBuilder::default(),
         materials: Vec::new(),
@@ -253,8 +257,10 @@ struct Mesh<'a> {
     options: &'a LoadOptions,
     /// Whether colours show light.
     light: bool,
-    /// Whether faces may be backs.
-    backs: bool,
+    /// Whether the file is one of this program's, whose faces say which side of a patch they show.
+    sides: bool,
+    /// Whether each back is beside its front.
+    both: bool,
     vertices: Vec<(DVec3, Option<[f64; 3]>)>,
     builder: SceneBuilder,
     materials: Vec<Material>,
@@ -278,9 +284,12 @@ impl Mesh<'_> {
         Ok(())
     }
 
-    fn face(&mut self, face: Face, at: &Place) -> Result<()> {
-        if self.backs && face.side != 0.0 {
-            return Ok(());
+    fn face(&mut self, mut face: Face, at: &Place) -> Result<()> {
+        if self.sides && face.side != 0.0 {
+            if self.both {
+                return Ok(());
+            }
+            face.indices.reverse();
         }
         let error = |message: String| at.error(self.path, message);
         let corners = face

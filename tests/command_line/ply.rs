@@ -336,13 +336,17 @@ fn every_command_takes_ply_and_light_by_option() {
     assert!(here.fails("solve cube.Ply --emit 1@#ffffff", 2).contains("its materials are (none)"));
 }
 
-/// Backs that a solution writes are no second surface.
+/// A file of `solve` is read as the surface it was computed on: a face that shows a back is turned, unless its front is there.
 #[test]
-fn backs_in_a_solution_are_left_out() {
+fn a_solution_is_read_as_one_surface() {
     let sides = "vertex_indices\nproperty int triangle\nproperty uchar side";
     let text = square().replace("face 1", "face 2").replace("vertex_indices", sides);
-    let scene = load(text.replace("4 0 1 2 3", "4 0 1 2 3 0 0\n4 3 2 1 0 0 1"));
+    let both = text.replace("4 0 1 2 3", "4 0 1 2 3 0 0\n4 3 2 1 0 0 1");
+    let scene = load(both.replace("element vertex", "comment faces: both sides of patches\nelement vertex"));
     assert_eq!(scene.triangles.len(), 2);
+    // One face a patch, the second of which shows its back.
+    let one = load(text.replace("4 0 1 2 3", "3 0 1 2 0 0\n3 3 2 0 1 1"));
+    assert_eq!((one.triangles.len(), one.normal(0)), (2, one.normal(1)));
     // Without the triangle's number it is some other program's property.
     let other = text.replace("property int triangle\n", "");
     assert_eq!(load(other.replace("4 0 1 2 3", "4 0 1 2 3 0\n4 3 2 1 0 1")).triangles.len(), 4);

@@ -15,8 +15,13 @@ fn load(name: &str) -> Scene {
 
 /// Edges that no other triangle runs through the other way.
 fn open_edges(scene: &Scene) -> usize {
+    open_edges_of(scene, &(0..scene.triangles.len()).collect::<Vec<_>>())
+}
+
+/// Edges of these triangles that only one of them has.
+fn open_edges_of(scene: &Scene, triangles: &[usize]) -> usize {
     let mut halves: HashMap<(u32, u32), i32> = HashMap::new();
-    for [a, b, c] in scene.triangles.iter().map(|t| t.vertices) {
+    for [a, b, c] in triangles.iter().map(|&t| scene.triangles[t].vertices) {
         for (p, q) in [(a, b), (b, c), (c, a)] {
             *halves.entry((p, q)).or_default() += 1;
         }
@@ -41,14 +46,20 @@ fn assert_near(got: f64, wanted: f64) {
 #[test]
 fn cornell_box_is_closed_but_for_its_front() {
     let scene = load("cornell-box");
-    assert_eq!(scene.triangles.len(), 2 * 19);
-    // The front of the room and the bottoms of the two blocks.
-    assert_eq!(open_edges(&scene), 12);
+    // 12 corners and two holes: 14 triangles of floor. Then 20 quads: ceiling, walls, lamp, and six a block.
+    assert_eq!(scene.triangles.len(), 14 + 2 * 20);
+    let is_bottom = |t: usize| scene.corners(t).iter().all(|p| p.y == 0.0) && scene.normal(t).y < 0.0;
+    let (bottoms, rest): (Vec<usize>, Vec<usize>) = (0..scene.triangles.len()).partition(|&t| is_bottom(t));
+    // The front of the room; the blocks are part of its shell.
+    assert_eq!(open_edges_of(&scene, &rest), 4);
+    let floor = rest.iter().filter(|&&t| scene.corners(t).iter().all(|p| p.y == 0.0));
+    let area = |t: &usize| scene.area(*t);
+    assert_near(floor.map(area).sum::<f64>() + bottoms.iter().map(area).sum::<f64>(), 556.0 * 559.2);
     assert_near(area_of(&scene, "light"), 130.0 * 105.0);
     assert_near(area_of(&scene, "red"), 548.8 * 559.2);
     let room = DVec3::new(556.0, 548.8, 559.2);
     let on_wall = |p: DVec3| (0..3).any(|i| p[i] == 0.0 || p[i] == room[i]);
-    for t in 0..scene.triangles.len() {
+    for t in rest {
         let corners = scene.corners(t);
         let to_middle = 0.5 * room - corners[0];
         if corners.iter().all(|&p| on_wall(p)) {

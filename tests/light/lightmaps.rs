@@ -324,21 +324,26 @@ fn charts_neither_overlap_nor_touch() {
 
 #[test]
 fn the_floor_under_a_block_is_hidden_and_not_black() {
-    let s = solved(crate::common::load("cornell-box"), 2000, 64.0);
-    // The floor is the first quad; the short block stands on it round (186, 0, 168), the room is lit at (100, 0, 400).
+    // A block without a bottom stands on the floor.
+    let faces = room_faces(dvec3(-0.3, -0.3, -1.0), dvec3(0.3, 0.3, -0.4));
+    let block = crate::common::flipped([&faces[..4], &faces[5..]].concat().concat());
+    let s = solved(furnished(block), 2000, 64.0);
+    let floor: Vec<usize> =
+        (0..s.scene.triangles.len()).filter(|&t| s.scene.corners(t).iter().all(|c| c.z == -1.0)).collect();
     for final_gather in [0, 16] {
         let map = s.bake(Layout::Resolution(128), &BakeOptions { final_gather, ..BakeOptions::default() });
         let at = |point: DVec3| {
-            let (t, b) = (0..2)
-                .map(|t| (t, barycentric(s.scene.corners(t), point)))
+            let (t, b) = floor
+                .iter()
+                .map(|&t| (t, barycentric(s.scene.corners(t), point)))
                 .find(|(_, b)| b.iter().all(|&x| x >= 0.0))
                 .unwrap();
             let corners = map.atlas().texel_corners(t).unwrap();
             let p: glam::DVec2 = (0..3).map(|k| corners[k] * b[k]).sum();
             (map.texels()[p.y as usize * 128 + p.x as usize], map.at(t, b).unwrap()[0])
         };
-        let (under, value) = at(dvec3(186.0, 0.0, 168.0));
-        let (open, lit) = at(dvec3(100.0, 0.0, 400.0));
+        let (under, value) = at(dvec3(0.0, 0.0, -1.0));
+        let (open, lit) = at(dvec3(0.7, 0.6, -1.0));
         assert_eq!((under, open), (Texel::Hidden, Texel::Valid));
         assert!(value > 0.05 * lit, "{value} under the block, {lit} beside it");
     }

@@ -8,7 +8,8 @@ use ply_rs::{
     ply::{DefaultElement, Encoding, Ply, Property},
 };
 use radiosity::{
-    Scene,
+    Progress, Scene,
+    form_factor::{CastOptions, FormFactors},
     output::{
         ply::{PlyOptions, encode},
         vertex_colors::at_vertices,
@@ -16,9 +17,12 @@ use radiosity::{
     },
     patch::{Patches, Subdivision},
     scene::Material,
-    solve::{Solution, Solver},
+    solve::{Solution, SolveOptions, Solver, solve},
     tone::Exposure,
+    trace::Tracer,
 };
+
+use crate::common::load;
 
 const GREY: [f64; 3] = [0.5; 3];
 const DARK: [f64; 3] = [0.0; 3];
@@ -285,8 +289,12 @@ fn what_is_written_is_what_another_reader_reads() {
     let (scene, patches, solution, errors) = coloured();
     let exposure = Exposure { scale: 0.01 };
     let mut bytes = Vec::new();
-    let options =
-        PlyOptions { standard_errors: Some(&errors), exposure: Some(exposure), ..PlyOptions::default() };
+    let options = PlyOptions {
+        standard_errors: Some(&errors),
+        backs: true,
+        exposure: Some(exposure),
+        ..PlyOptions::default()
+    };
     encode(&mut bytes, &scene, &patches, &solution, &options).unwrap();
 
     let ply = read(&bytes);
@@ -336,7 +344,7 @@ fn patches_of_several_sizes_are_one_face_or_two() {
     let values = |factor: f64| (0..patches.len()).map(|i| factor * (i + 1) as f64).collect::<Vec<f64>>();
     let solution = solution(&patches, values(1.0), values(10.0));
     let discretisation = values(-0.5);
-    let options = PlyOptions { discretisation: Some(&discretisation), ..PlyOptions::default() };
+    let options = PlyOptions { discretisation: Some(&discretisation), backs: true, ..PlyOptions::default() };
     let mut bytes = Vec::new();
     encode(&mut bytes, &scene, &patches, &solution, &options).unwrap();
     let ply = read(&bytes);
@@ -352,6 +360,109 @@ fn patches_of_several_sizes_are_one_face_or_two() {
         assert_eq!(float(face, "discretisation_b"), -0.5 * (i + 1) as f32);
     }
     assert!(areas.iter().enumerate().all(|(i, area)| *area == patches.area(i)));
+}
+
+/// Faces of a PLY: the places of their corners, the triangle, whether it is a back, and the red irradiance.
+fn faces_of(ply: &Ply<DefaultElement>) -> Vec<([[u32; 3]; 3], i32, bool, f32)> {
+    let vertices = &ply.payload["vertex"];
+    let place = |v: &i32| ["x", "y", "z"].map(|axis| (float(&vertices[*v as usize], axis) + 0.0).to_bits());
+    let face = |face: &DefaultElement| {
+        let (Property::ListInt(v), Property::Int(t)) = (&face["vertex_indices"], &face["triangle"]) else {
+            panic!("{face:?}")
+        };
+        let back = face["side"] == Property::UChar(1);
+        ([place(&v[0]), place(&v[1]), place(&v[2])], *t, back, float(face, "irradiance_r"))
+    };
+    ply.payload["face"].iter().map(face).collect()
+}
+
+/// How many faces lie on another: have the same corners in any order.
+fn coinciding(faces: &[([[u32; 3]; 3], i32, bool, f32)]) -> usize {
+    let mut places: Vec<_> = faces
+        .iter()
+        .map(|&(mut corners, ..)| {
+            corners.sort_unstable();
+            corners
+        })
+        .collect();
+    places.sort_unstable();
+    places.windows(2).filter(|pair| pair[0] == pair[1]).count()
+}
+
+/// A lamp below a sheet that is written twice, front down and front up, and a curtain with a lamp on each side: one face a
+/// patch, on the brighter side. With backs every side is there.
+#[test]
+fn one_face_a_patch_shows_the_side_with_more_light() {
+    let (x, z) = (DVec3::X, DVec3::Z);
+    let square = |y: f64, turned: bool, material: u32| {
+        let at = DVec3::Y * y;
+        let corners =
+            if turned { [at, at + x, at + x + z, at + z] } else { [at, at + z, at + x + z, at + x] };
+        quad(corners, material)
+    };
+    let lamp = |name: &str, radiance: f64| Material::new(name, GREY, [radiance; 3]);
+    let materials = vec![lamp("dim", 1.0), lamp("bright", 5.0), Material::new("grey", GREY, DARK)];
+    // From below: a dim lamp that shines up, a sheet, a bright lamp that shines down; and far away a lone sheet above
+    // a lamp, once in each winding.
+    let triangles: Vec<_> = [
+        square(0.0, false, 0),
+        square(1.0, true, 2),
+        square(2.0, true, 1),
+        square(20.0, false, 0),
+        square(21.0, true, 2),
+        square(21.0, false, 2).map(|([a, b, c], m)| ([c, a, b], m)),
+    ]
+    .concat();
+    let scene = Scene::new(&triangles, materials);
+    let mut patches = subdivide(&scene, 0.4);
+    let cast = CastOptions { rays: 64.0, ..CastOptions::default() };
+    let tracer = Tracer::new(&scene);
+    let factors = FormFactors::cast(&scene, &tracer, &mut patches, &cast, &Progress::default()).unwrap();
+    let solution = solve(&factors, &patches, &SolveOptions::default(), &Progress::default()).unwrap();
+    let written = |backs: bool| {
+        let mut bytes = Vec::new();
+        encode(&mut bytes, &scene, &patches, &solution, &PlyOptions { backs, ..PlyOptions::default() })
+            .unwrap();
+        faces_of(&read(&bytes))
+    };
+    let one = written(false);
+    let a_square = patches.fronts() / 6;
+    assert_eq!((one.len(), coinciding(&one)), (5 * a_square, 0));
+    // The sheet between the lamps is lit from above, where its back is; the one written twice has light from below.
+    assert!(one.iter().filter(|f| matches!(f.1, 2 | 3)).all(|f| f.2 && f.3 > 0.0));
+    assert_eq!(one.iter().filter(|f| matches!(f.1, 8..12) && f.3 > 0.0).count(), a_square);
+    let both = written(true);
+    assert_eq!(both.len(), patches.len());
+    assert!(coinciding(&both) > 0);
+    let most = both.iter().filter(|f| matches!(f.1, 2 | 3)).map(|f| f.3).fold(0.0, f32::max);
+    assert_eq!(one.iter().filter(|f| matches!(f.1, 2 | 3)).map(|f| f.3).fold(0.0, f32::max), most);
+}
+
+/// All scenes of this repository: their meshes have no two faces at one place, and all light that arrives.
+#[test]
+fn no_two_faces_of_a_shipped_scene_coincide() {
+    for name in ["cornell-box", "door-ajar", "furnace", "textured"] {
+        let scene = load(name);
+        let mut patches = Patches::subdivide(&scene, &Subdivision::Count(600));
+        let cast = CastOptions { rays: 64.0, ..CastOptions::default() };
+        let tracer = Tracer::new(&scene);
+        let factors = FormFactors::cast(&scene, &tracer, &mut patches, &cast, &Progress::default()).unwrap();
+        let solution = solve(&factors, &patches, &SolveOptions::default(), &Progress::default()).unwrap();
+        let mut bytes = Vec::new();
+        encode(&mut bytes, &scene, &patches, &solution, &PlyOptions::default()).unwrap();
+        let ply = read(&bytes);
+        assert_eq!(coinciding(&faces_of(&ply)), 0, "{name}");
+        let power = |face: &DefaultElement| match face["area"] {
+            Property::Double(area) => area * f64::from(float(face, "irradiance_g")),
+            _ => panic!("area is a double"),
+        };
+        let written: f64 = ply.payload["face"].iter().map(power).sum();
+        let channels = patches.channels();
+        let arriving: f64 = (0..patches.len())
+            .map(|i| patches.area(i) * solution.irradiance[i * channels + channels / 2])
+            .sum();
+        assert!((written / arriving - 1.0).abs() < 1e-6, "{name}: {written} of {arriving}");
+    }
 }
 
 #[test]
