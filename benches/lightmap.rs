@@ -60,7 +60,7 @@ fn run(side: usize) {
     let before = peak_bytes();
     let start = Instant::now();
     let atlas = Atlas::new(&scene, &tracer, Layout::Resolution(side), Coordinates::Auto).unwrap();
-    let options = BakeOptions { final_gather: RAYS, ..BakeOptions::default() };
+    let options = BakeOptions::default().with_final_gather(RAYS);
     let map = bake(&scene, &tracer, (&patches, &solution), atlas, &options, &progress).unwrap();
     let seconds = start.elapsed().as_secs_f64();
     let (covered, peak) = (map.coverage().len(), peak_bytes());

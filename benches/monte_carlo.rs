@@ -28,14 +28,14 @@ fn path_with_next_event(bencher: Bencher, place: Place) {
 
 #[divan::bench(args = PLACES, sample_count = 15, sample_size = 1)]
 fn path_without_next_event(bencher: Bencher, place: Place) {
-    paths(bencher, place, PathOptions { next_event: false, ..PathOptions::default() });
+    paths(bencher, place, PathOptions::default().with_next_event(false));
 }
 
 #[divan::bench(args = PLACES, sample_count = 15, sample_size = 1)]
 fn light(bencher: Bencher, place: Place) {
     let scene = (place.make)();
     let tracer = Tracer::new(&scene);
-    let options = LightOptions { particles: PARTICLES, ..LightOptions::default() };
+    let options = LightOptions::default().with_particles(PARTICLES);
     let light = LightTracer::new(&scene, &tracer, options);
     let bin = |hit: &radiosity::trace::Hit| Some(hit.triangle as usize % 64);
     bencher
@@ -48,7 +48,7 @@ fn paths(bencher: Bencher, place: Place, options: PathOptions) {
     let tracer = Tracer::new(&scene);
     let paths = PathTracer::new(&scene, &tracer, options);
     let places = receivers(&scene, &tracer);
-    let effort = Effort { samples: PATHS_EACH, ..Effort::default() };
+    let effort = Effort::default().with_samples(PATHS_EACH);
     bencher
         .counter(ItemsCount::new(RECEIVERS * u64::from(PATHS_EACH)))
         .bench_local(|| paths.irradiances(&places, &effort, &Progress::new()).unwrap());

@@ -52,7 +52,7 @@ fn run(place: Place, count: usize) {
     for round in 0..ROUNDS {
         let tracer = Tracer::new(&scene);
         let mut patches = Patches::subdivide(&scene, &Subdivision::Count(count));
-        let options = CastOptions { rays: RAYS, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(RAYS);
         let start = Instant::now();
         let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &progress).unwrap();
         casting = casting.min(start.elapsed().as_secs_f64());

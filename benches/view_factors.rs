@@ -63,7 +63,7 @@ fn measure(reference: &Rows, run: impl Fn(u64) -> (Rows, u64)) {
 
 /// From polygons to all rows of their view factors, and rays.
 fn between_polygons(polygons: &[Vec<DVec3>], error: f64, seed: u64) -> (Rows, u64) {
-    let options = ViewFactorOptions { error, seed, enclosed: true };
+    let options = ViewFactorOptions::default().with_error(error).with_seed(seed).with_enclosed(true);
     let found = view_factors(polygons, &options, &Progress::new()).expect("nobody stops it");
     let mut rows = vec![vec![0.0; polygons.len()]; polygons.len()];
     for (i, row) in rows.iter_mut().enumerate() {
@@ -80,7 +80,8 @@ fn hemisphere_rays(polygons: &[Vec<DVec3>], seed: u64) -> (Rows, u64) {
     let tracer = Tracer::new(&scene);
     let mut patches = Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY));
     let rays = RAYS / patches.len() as f64;
-    let options = CastOptions { rays, seed, shadow_share: 0.0, by_variance: false, ..CastOptions::default() };
+    let options =
+        CastOptions::default().with_rays(rays).with_seed(seed).with_shadow_share(0.0).with_by_variance(false);
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new())
         .expect("nobody stops it");
     let mut rows = vec![vec![0.0; polygons.len()]; polygons.len()];

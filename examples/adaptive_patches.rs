@@ -46,10 +46,11 @@ impl Lab {
         let scene = Scene::load(file)?;
         let tracer = Tracer::new(&scene);
         let common = Patches::subdivide(&scene, &Subdivision::Count(COMMON));
-        let region = |i| Region { triangle: common.triangle(i), part: common.corners(i), front: true };
+        let region =
+            |i| Region { triangle: common.triangle(i), part: common.barycentric_corners(i), front: true };
         let regions: Vec<Region> = (0..common.len()).map(region).collect();
         let traced = |seed| -> Result<Vec<f64>> {
-            let effort = Effort { samples: PATHS, seed, ..Effort::default() };
+            let effort = Effort::default().with_samples(PATHS).with_seed(seed);
             let paths = PathTracer::new(&scene, &tracer, PathOptions::default());
             let found = paths.mean_irradiances(&regions, &effort, &Progress::new())?;
             Ok(found.iter().flat_map(|e| e.mean.into_iter().take(common.channels())).collect())
@@ -59,7 +60,7 @@ impl Lab {
     }
 
     fn solved(&self, patches: &Patches, rays: f64, seed: u64) -> Result<Solved> {
-        let cast = CastOptions { rays, seed, ..CastOptions::default() };
+        let cast = CastOptions::default().with_rays(rays).with_seed(seed);
         let (options, progress) = (SolveOptions::default(), Progress::new());
         Solved::of_patches(&self.scene, &self.tracer, patches.clone(), &cast, &options, &progress)
     }

@@ -44,7 +44,7 @@ fn main() -> Result<()> {
     for (name, scene) in scenes {
         let tracer = Tracer::new(&scene);
         let solve = |rays: f64, seed: u64| {
-            let cast = CastOptions { rays, seed, ..CastOptions::default() };
+            let cast = CastOptions::default().with_rays(rays).with_seed(seed);
             let count = Subdivision::Count(PATCHES);
             Solved::new(&scene, &tracer, &count, &cast, &SolveOptions::default(), &Progress::new())
         };
@@ -104,14 +104,14 @@ fn small_lamp() -> Scene {
 /// How honest a wanted error is: twenty seeds.
 fn targets(name: &str, scene: &Scene, tracer: &Tracer, reference: &Solved) -> Result<()> {
     const TARGET: f64 = 0.02;
-    let plan = Plan { error: Some(TARGET), ..Plan::default() };
+    let plan = Plan::default().with_error(Some(TARGET));
     let values = reference.patches.fronts() * reference.solution.channels;
     let areas = &reference.form_factors.areas()[..reference.patches.fronts()];
     let truth = &reference.solution.irradiance[..values];
     let (mut honest, mut worst, mut rays) = (0, 0f64, 0.0);
     for seed in 0..20 {
         let patches = Patches::subdivide(scene, &Subdivision::Count(PATCHES));
-        let cast = CastOptions { seed, ..CastOptions::default() };
+        let cast = CastOptions::default().with_seed(seed);
         let options = SolveOptions::default();
         let progress = Progress::new();
         let first = begin(scene, tracer, patches, &cast, &options, None, &progress)?;

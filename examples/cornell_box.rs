@@ -38,7 +38,7 @@ fn main() -> Result<()> {
     ply::write(&folder.join("cornell_box.ply"), &scene, &patches, &solution, &PlyOptions::default())?;
 
     let camera = Camera::frame(&scene, &tracer, SIZE, SIZE)?;
-    let options = RenderOptions { samples: 16, ..RenderOptions::default() };
+    let options = RenderOptions::default().with_samples(16);
     let film = picture::render(&scene, &tracer, (&patches, &solution), &camera, None, &options, &progress)?;
     OutputFile::new(&folder.join("cornell_box.png"), &[&input])?
         .write(|out| film.encode(out, PictureFormat::Png, film.automatic_exposure()))?

@@ -28,10 +28,10 @@ fn main() -> Result<()> {
     for (name, estimator) in [("one-way", Estimator::OneWay), ("pooled", Estimator::Pooled)] {
         // Casting adds the backs of surfaces that light reaches, so each estimator starts from the fronts.
         let mut patches = Patches::subdivide(&scene, &Subdivision::Count(600));
-        let options = CastOptions { rays: 256.0, estimator, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(256.0).with_estimator(estimator);
         let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &progress)?;
         for solver in SOLVERS {
-            let options = SolveOptions { solver, ..SolveOptions::default() };
+            let options = SolveOptions::default().with_solver(solver);
             match solve(&form_factors, &patches, &options, &progress) {
                 Ok(solution) => ledger(name, &form_factors, &patches, &solution),
                 Err(error) => println!("{name:8}  {:12}  {error}", solver.name()),
@@ -46,7 +46,7 @@ fn main() -> Result<()> {
         ledger("sphere", &sphere, &patches, &wrong);
 
         // Particles that know of no form factor tell the two apart.
-        let particles = LightOptions { particles: 1 << 22, ..LightOptions::default() };
+        let particles = LightOptions::default().with_particles(1 << 22);
         let bin = |hit: &Hit| patches.at(hit.triangle, hit.barycentric, hit.front).map(|i| i as usize);
         let truth = LightTracer::new(&scene, &tracer, particles).trace(patches.len(), bin, &progress)?;
         let error = |solution: &Solution| {

@@ -348,7 +348,7 @@ impl Kept {
 
     fn cast(&self, file: Checkpoint, rays: f64) -> Vec<u32> {
         let mut patches = Patches::subdivide(&self.scene, &Subdivision::Count(40));
-        let options = CastOptions { rays, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(rays);
         let (file, progress) = (Some(Arc::new(file)), Progress::new());
         let cast = FormFactors::cast_checkpointed(
             &self.scene,

@@ -114,7 +114,7 @@ fn run(scene: &Scene, count: usize) -> Result<(), Box<dyn Error>> {
         seconds.push(start.elapsed().as_secs_f64());
         start = Instant::now();
     };
-    let cast = CastOptions { rays: RAYS, ..CastOptions::default() };
+    let cast = CastOptions::default().with_rays(RAYS);
     let form_factors = FormFactors::cast(scene, &tracer, &mut patches, &cast, &progress)?;
     lap(&mut seconds);
     let casting = form_factors.hits().map_or(0.0, |hits| hits.seconds());
@@ -130,7 +130,7 @@ fn run(scene: &Scene, count: usize) -> Result<(), Box<dyn Error>> {
     lap(&mut seconds);
     let ledger = EnergyLedger::of(&form_factors, &patches, &solution);
     assert!(ledger.imbalance().abs() < 1e-9);
-    let options = PlyOptions { standard_errors: Some(&error_bars.standard_error), ..PlyOptions::default() };
+    let options = PlyOptions::default().with_standard_errors(Some(&error_bars.standard_error));
     ply::encode(&mut std::io::sink(), scene, &patches, &solution, &options)?;
     lap(&mut seconds);
     let pair = form_factors.matrix_bytes() as f64 / (0.5 * form_factors.non_zeros() as f64);

@@ -39,7 +39,7 @@ fn main() -> Result<()> {
     let start = Instant::now();
     let tracer = Tracer::new(&scene);
     let mut patches = Patches::subdivide(&scene, &Subdivision::Count(Quality::MEDIUM.patches));
-    let cast = CastOptions { rays: Quality::MEDIUM.rays.into(), ..CastOptions::default() };
+    let cast = CastOptions::default().with_rays(Quality::MEDIUM.rays.into());
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &cast, &progress)?;
     let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress)?;
     println!("solution: {} patches, {:.2} s", patches.len(), start.elapsed().as_secs_f64());
@@ -50,7 +50,7 @@ fn main() -> Result<()> {
     for final_gather in [0, 4, 8, 16, 32, 64] {
         let start = Instant::now();
         let atlas = Atlas::new(&scene, &tracer, Layout::Resolution(TEXELS), Coordinates::Auto)?;
-        let options = BakeOptions { final_gather, ..BakeOptions::default() };
+        let options = BakeOptions::default().with_final_gather(final_gather);
         let map = bake(&scene, &tracer, (&patches, &solution), atlas, &options, &progress)?;
         let seconds = start.elapsed().as_secs_f64();
         let [rms, typical, bias, error] = truth.compare(&map).map(|x| 100.0 * x);
@@ -72,12 +72,12 @@ fn main() -> Result<()> {
         Some(_) => Camera::frame(&scene, &tracer, PIXELS, PIXELS)?,
     };
     let lens = camera.lens(&tracer);
-    let options = RenderOptions { samples: 16, ..RenderOptions::default() };
+    let options = RenderOptions::default().with_samples(16);
     let by_map = Film::sample(&lens, &options, &progress, |direction, _| {
         tracer.closest(lens.eye(), direction).map_or([0.0; 3], |hit| map.radiance(&scene, &hit))
     })?;
     let paths = PathTracer::new(&scene, &tracer, PathOptions::default());
-    let options = RenderOptions { samples: 1024, ..RenderOptions::default() };
+    let options = RenderOptions::default().with_samples(1024);
     let by_paths = Film::render(&paths, &camera, &options, &progress)?;
     let exposure = by_paths.automatic_exposure();
     for (film, name) in [(by_map, "lightmap.png"), (by_paths, "lightmap-paths.png")] {
@@ -113,7 +113,7 @@ impl Truth {
         let receivers: Vec<Receiver> =
             places.iter().map(|&(t, at)| Receiver::on_triangle(tracer, t, at, true)).collect();
         let paths = PathTracer::new(scene, tracer, PathOptions::default());
-        let effort = Effort { samples: PATHS, ..Effort::default() };
+        let effort = Effort::default().with_samples(PATHS);
         let found = paths.irradiances(&receivers, &effort, progress)?;
         let points = places
             .iter()

@@ -31,7 +31,7 @@ fn main() -> Result<()> {
     let quality = Quality::MEDIUM;
     let tracer = Tracer::new(&scene);
     let mut patches = Patches::subdivide(&scene, &Subdivision::Count(quality.patches));
-    let options = CastOptions { rays: quality.rays.into(), ..CastOptions::default() };
+    let options = CastOptions::default().with_rays(quality.rays.into());
     let progress = Progress::new();
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &progress)?;
     let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress)?;
@@ -39,8 +39,7 @@ fn main() -> Result<()> {
     // How far off the rays may be, patch by patch: the file carries it along.
     let errors = ErrorBars::of(&form_factors, &patches, &solution).map(|bars| bars.standard_error);
     let exposure = exposure::of_radiosity(&patches, &solution.radiosity);
-    let options =
-        PlyOptions { standard_errors: errors.as_deref(), exposure: Some(exposure), ..PlyOptions::default() };
+    let options = PlyOptions::default().with_standard_errors(errors.as_deref()).with_exposure(Some(exposure));
     ply::write(&output, &scene, &patches, &solution, &options)?;
 
     println!("{} triangles, {} patches: {}", scene.triangles.len(), patches.len(), output.display());

@@ -184,12 +184,15 @@ impl<'a> Contest<'a> {
     }
 
     fn path_irradiance(&self, next_event: bool, seconds: f64, seed: u64) -> Result<Vec<f64>> {
-        let region =
-            |i| Region { triangle: self.asked.triangle(i), part: self.asked.corners(i), front: true };
+        let region = |i| Region {
+            triangle: self.asked.triangle(i),
+            part: self.asked.barycentric_corners(i),
+            front: true,
+        };
         let regions: Vec<Region> = (0..self.asked.fronts()).map(region).collect();
-        let options = PathOptions { next_event, ..PathOptions::default() };
+        let options = PathOptions::default().with_next_event(next_event);
         let found = self.timed(seconds, |samples| {
-            let effort = Effort { samples: samples as u32, seed, ..Effort::default() };
+            let effort = Effort::default().with_samples(samples as u32).with_seed(seed);
             PathTracer::new(self.scene, &self.tracer, options).mean_irradiances(
                 &regions,
                 &effort,
@@ -201,7 +204,7 @@ impl<'a> Contest<'a> {
 
     fn light_irradiance(&self, seconds: f64, seed: u64) -> Result<Vec<f64>> {
         let found = self.timed(seconds, |particles| {
-            let options = ValidationOptions { particles, seed, ..ValidationOptions::default() };
+            let options = ValidationOptions::default().with_particles(particles).with_seed(seed);
             light_traced(self.scene, &self.tracer, &self.asked, &options, &self.progress)
         })?;
         Ok(found.irradiance)
@@ -212,7 +215,7 @@ impl<'a> Contest<'a> {
         self.timed(seconds, |rays| {
             let subdivision = Subdivision::Count(self.solved_patches.max(ASKED));
             let mut patches = Patches::subdivide(self.scene, &subdivision);
-            let options = CastOptions { rays: rays as f64, ..CastOptions::default() };
+            let options = CastOptions::default().with_rays(rays as f64);
             let matrix = FormFactors::cast(self.scene, &self.tracer, &mut patches, &options, &self.progress)?;
             let solution = solve(&matrix, &patches, &SolveOptions::default(), &self.progress)?;
             Ok((patches, solution))
@@ -221,16 +224,16 @@ impl<'a> Contest<'a> {
 
     fn path_image(&self, next_event: bool, seconds: f64, seed: u64) -> Result<Vec<f64>> {
         let paths =
-            PathTracer::new(self.scene, &self.tracer, PathOptions { next_event, ..PathOptions::default() });
+            PathTracer::new(self.scene, &self.tracer, PathOptions::default().with_next_event(next_event));
         Ok(values(&self.timed(seconds, |samples| {
-            let options = RenderOptions { samples: samples as u32, seed };
+            let options = RenderOptions::default().with_samples(samples as u32).with_seed(seed);
             Film::render(&paths, &self.camera, &options, &self.progress)
         })?))
     }
 
     fn light_image(&self, seconds: f64) -> Result<Vec<f64>> {
         Ok(values(&self.timed(seconds, |particles| {
-            let options = LightOptions { particles, ..LightOptions::default() };
+            let options = LightOptions::default().with_particles(particles);
             let image = LightTracer::new(self.scene, &self.tracer, options);
             Ok(image.image(&self.camera, &self.progress)?.film)
         })?))
@@ -241,7 +244,7 @@ impl<'a> Contest<'a> {
         let share = if gather.is_some() { 0.5 } else { 0.9 };
         let (patches, solution) = self.solved(share * self.budget)?;
         let film = self.timed((1.0 - share) * self.budget, |samples| {
-            let options = RenderOptions { samples: samples as u32, seed: 1 };
+            let options = RenderOptions::default().with_samples(samples as u32).with_seed(1);
             let solved = (&patches, &solution);
             picture::render(self.scene, &self.tracer, solved, &self.camera, gather, &options, &self.progress)
         })?;

@@ -15,6 +15,7 @@ use crate::{
 
 /// Powers in watts (if lengths are metres), a value a channel.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct EnergyLedger {
     /// Σ A Be.
     pub emitted: Vec<f64>,

@@ -29,9 +29,22 @@ pub enum Error {
         /// What to do about it.
         hint: Option<String>,
     },
+    /// Arrays that are no mesh, given to [`Scene::from_indexed`](crate::Scene::from_indexed).
+    #[error(transparent)]
+    Mesh(MeshError),
     /// An option or a combination of options that cannot be honoured.
     #[error("{message}")]
     Usage {
+        /// What is wrong.
+        message: String,
+        /// What to do about it.
+        hint: Option<String>,
+    },
+    /// Settings that cannot be honoured together, or for this scene.
+    #[error("{message}")]
+    Setting {
+        /// The settings to change; each of them helps.
+        settings: &'static [Setting],
         /// What is wrong.
         message: String,
         /// What to do about it.
@@ -67,6 +80,116 @@ pub enum Error {
     Stopped,
 }
 
+/// What a caller may set. A program that asks its user for settings can add its own names of them to a hint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Setting {
+    /// The file that keeps rays, [`Checkpoint`](crate::form_factor::Checkpoint).
+    Checkpoint,
+    /// Length of a texel of a lightmap, [`Layout::Texel`](crate::lightmap::Layout::Texel).
+    TexelLength,
+    /// Texels a side of a lightmap, [`Layout::Resolution`](crate::lightmap::Layout::Resolution).
+    Resolution,
+    /// Which texture coordinates a lightmap has, [`Coordinates`](crate::lightmap::Coordinates).
+    Coordinates,
+    /// The algorithm for the linear system, [`Solver`](crate::solve::Solver).
+    Solver,
+    /// How hits become form factors, [`Estimator`](crate::form_factor::Estimator).
+    Estimator,
+    /// Number or size of patches, [`Subdivision`](crate::patch::Subdivision).
+    Patches,
+    /// Width and height of a picture in pixels.
+    PictureSize,
+    /// Vertical angle of view of a camera.
+    FieldOfView,
+    /// Where a camera stands.
+    Eye,
+    /// What a camera looks at.
+    LookAt,
+    /// The direction that is upwards in a picture.
+    Up,
+}
+
+/// What is wrong with arrays that should be a mesh. Indices count from 0.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum MeshError {
+    /// A coordinate is infinite or not a number.
+    #[error("vertex {vertex} has a coordinate that is not finite")]
+    NotFinite {
+        /// Index of the vertex.
+        vertex: usize,
+    },
+    /// A face has fewer than three corners.
+    #[error("face {face} has {corners} corners; a face needs at least three")]
+    FewCorners {
+        /// Index of the face.
+        face: usize,
+        /// Its corners.
+        corners: usize,
+    },
+    /// A concave face has more corners than can be cut into triangles in reasonable time.
+    #[error("face {face} is concave and has {corners} corners; at most 10000 are possible")]
+    ManyCorners {
+        /// Index of the face.
+        face: usize,
+        /// Its corners.
+        corners: usize,
+    },
+    /// A face refers to a vertex that does not exist.
+    #[error("face {face} refers to vertex {vertex}, but there are {vertices} vertices")]
+    NoSuchVertex {
+        /// Index of the face.
+        face: usize,
+        /// The index that is out of range.
+        vertex: u32,
+        /// Number of vertices.
+        vertices: usize,
+    },
+    /// A face refers to a material that does not exist.
+    #[error("face {face} refers to material {material}, but there are {materials} materials")]
+    NoSuchMaterial {
+        /// Index of the face.
+        face: usize,
+        /// The index that is out of range.
+        material: u32,
+        /// Number of materials.
+        materials: usize,
+    },
+    /// The number of faces and the number of their materials differ.
+    #[error("there are {faces} faces, but material indices for {given}")]
+    MaterialOfFace {
+        /// Number of faces.
+        faces: usize,
+        /// Number of material indices.
+        given: usize,
+    },
+    /// A reflectance is outside 0 to 1.
+    #[error("material `{material}`: reflectance {value} is outside 0..1")]
+    Reflectance {
+        /// Name of the material.
+        material: String,
+        /// The reflectance.
+        value: f64,
+    },
+    /// A radiance is negative, too large or not a number.
+    #[error("material `{material}`: radiance {value:?} is not a number from 0 to {most:e}")]
+    Emission {
+        /// Name of the material.
+        material: String,
+        /// The radiance.
+        value: f64,
+        /// The largest radiance possible.
+        most: f64,
+    },
+    /// A material has a texture, but arrays have no texture coordinates.
+    #[error("material `{material}` has a texture, but the faces have no texture coordinates")]
+    Texture {
+        /// Name of the material.
+        material: String,
+    },
+}
+
 impl Error {
     /// An [`Error::Input`] for `file`, at `line` where one line is to blame.
     pub fn input(file: &Path, line: Option<usize>, message: impl Into<String>) -> Self {
@@ -78,9 +201,25 @@ impl Error {
         Error::Io { path: path.to_owned(), source }
     }
 
+    /// An [`Error::Setting`] with advice for the user.
+    pub(crate) fn setting(
+        settings: &'static [Setting],
+        message: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> Self {
+        Error::Setting { settings, message: message.into(), hint: Some(hint.into()) }
+    }
+
+    /// The settings to change, where settings are to blame.
+    pub fn settings(&self) -> &'static [Setting] {
+        if let Error::Setting { settings, .. } = self { settings } else { &[] }
+    }
+
     /// The same error with advice for the user, where the error can carry one.
+    #[must_use]
     pub fn with_hint(mut self, advice: impl Into<String>) -> Self {
-        if let Error::Input { hint, .. } | Error::Usage { hint, .. } = &mut self {
+        if let Error::Input { hint, .. } | Error::Usage { hint, .. } | Error::Setting { hint, .. } = &mut self
+        {
             *hint = Some(advice.into());
         }
         self
@@ -89,7 +228,9 @@ impl Error {
     /// What to do about it, where something helps.
     pub fn hint(&self) -> Option<&str> {
         match self {
-            Error::Input { hint, .. } | Error::Usage { hint, .. } => hint.as_deref(),
+            Error::Input { hint, .. } | Error::Usage { hint, .. } | Error::Setting { hint, .. } => {
+                hint.as_deref()
+            }
             Error::NotConverged { .. } => Some("raise the tolerance, or choose another solver"),
             Error::NoEquilibrium => Some("give a material a reflectance below 1, or open the scene"),
             _ => None,

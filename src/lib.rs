@@ -9,6 +9,9 @@
 #![deny(missing_docs)]
 #![deny(unsafe_code)]
 
+#[macro_use]
+mod setters;
+
 pub mod accuracy;
 pub mod energy;
 mod error;
@@ -25,7 +28,8 @@ pub mod tone;
 pub mod trace;
 pub mod view_factor;
 
-pub use error::{Error, Result};
+pub use error::{Error, MeshError, Result, Setting};
+pub use glam;
 pub use progress::Progress;
 pub use quality::Quality;
 pub use scene::Scene;

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 /// An estimate of the irradiance of every patch, `channels` interleaved values each.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Estimates {
     /// Irradiance, W/m².
     pub irradiance: Vec<f64>,
@@ -37,6 +38,7 @@ impl Estimates {
 
 /// A patch where two estimates differ most.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Worst {
     /// The patch.
     pub patch: usize,
@@ -52,6 +54,7 @@ pub struct Worst {
 
 /// How two estimates differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Comparison {
     /// Area-weighted root mean square of the difference, relative to the mean irradiance.
     pub rms_relative: f64,

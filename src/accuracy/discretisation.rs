@@ -23,6 +23,7 @@ const MOST_BOUNCES: usize = 200;
 
 /// The discretisation error of a solution.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Discretisation {
     /// Irradiance of the parent, edge 2h, less the mean of its children, W/m²: interleaved channels a patch.
     pub change: Vec<f64>,

@@ -67,6 +67,7 @@ pub const T_QUANTILE: f64 = 2.131;
 
 /// Standard errors of irradiance, W/m², `channels` interleaved values a patch.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct ErrorBars {
     /// 1 or 3.
     pub channels: usize,

@@ -51,6 +51,7 @@ pub struct Round {
 
 /// When to stop. Without any limit, after the first round.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct Plan {
     /// Stop when the error is at most this.
     pub error: Option<f64>,
@@ -61,6 +62,13 @@ pub struct Plan {
     /// Never more rays a patch than this: what memory holds.
     pub most_rays: Option<f64>,
 }
+
+setters!(Plan {
+    with_error(error: Option<f64>),
+    with_seconds(seconds: Option<f64>),
+    with_after(after: f64),
+    with_most_rays(most_rays: Option<f64>),
+});
 
 impl Plan {
     /// How many rays a patch there should be after the next round; `None` to stop.

@@ -42,6 +42,7 @@ impl Seen {
 
 /// What rays from the fronts of a scene meet.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Survey {
     /// From all fronts, as many as an area deserves.
     pub all: Seen,

@@ -22,6 +22,7 @@ use crate::{
 
 /// How hard to look.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct ValidationOptions {
     /// The patches under test.
     pub subdivision: Subdivision,
@@ -36,6 +37,15 @@ pub struct ValidationOptions {
     /// The same seed gives the same verdict.
     pub seed: u64,
 }
+
+setters!(ValidationOptions {
+    with_subdivision(subdivision: Subdivision),
+    with_rays(rays: f64),
+    with_paths(paths: u32),
+    with_particles(particles: u64),
+    with_solve(solve: SolveOptions),
+    with_seed(seed: u64),
+});
 
 impl Default for ValidationOptions {
     /// About 1000 patches, 1024 rays and 1024 paths each, 4 million particles: some seconds, errors near 1 %.
@@ -128,7 +138,7 @@ pub fn path_traced(
     progress: &Progress,
 ) -> Result<Estimates> {
     let regions: Vec<Region> = (0..patches.fronts())
-        .map(|i| Region { triangle: patches.triangle(i), part: patches.corners(i), front: true })
+        .map(|i| Region { triangle: patches.triangle(i), part: patches.barycentric_corners(i), front: true })
         .collect();
     let effort = Effort { samples: options.paths, seed: options.seed, ..Effort::default() };
     let mut found = PathTracer::new(scene, tracer, PathOptions::default())
@@ -202,6 +212,7 @@ fn from_monte_carlo(found: &[Estimate], patches: &Patches, factor: impl Fn(usize
 
 /// Everything that was looked at.
 #[derive(Debug)]
+#[non_exhaustive]
 pub struct Validation {
     /// The solution under test.
     pub solved: Solved,

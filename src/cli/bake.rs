@@ -121,13 +121,12 @@ impl BakeArgs {
     }
 
     fn options(&self) -> BakeOptions {
-        BakeOptions {
-            final_gather: self.final_gather,
-            denoise: !self.no_denoise,
-            dilate: !self.no_dilate,
-            close_seams: !self.no_seams,
-            seed: self.seed,
-        }
+        BakeOptions::default()
+            .with_final_gather(self.final_gather)
+            .with_denoise(!self.no_denoise)
+            .with_dilate(!self.no_dilate)
+            .with_close_seams(!self.no_seams)
+            .with_seed(self.seed)
     }
 
     fn check(&self) -> Result<()> {

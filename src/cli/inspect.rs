@@ -89,7 +89,7 @@ fn bookkeeping(progress: &Progress) -> Result<f64> {
     let tracing = survey.seconds / (survey.all.rays + survey.lamps.rays) as f64;
     let start = Instant::now();
     let mut patches = Patches::subdivide(&room, &Subdivision::Count(2000));
-    let cast = CastOptions { rays: f64::from(Quality::DRAFT.rays), ..CastOptions::default() };
+    let cast = CastOptions::default().with_rays(f64::from(Quality::DRAFT.rays));
     let form_factors = FormFactors::cast(&room, &tracer, &mut patches, &cast, progress)?;
     let solution = solve(&form_factors, &patches, &SolveOptions::default(), progress)?;
     let _ = EnergyLedger::of(&form_factors, &patches, &solution);

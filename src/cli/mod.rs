@@ -31,7 +31,7 @@ use std::{
 };
 
 use clap::{Arg, Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
-use radiosity::{Error, Result};
+use radiosity::{Error, Result, Setting};
 
 /// Computes how light spreads between diffuse surfaces, and how right its answer is.
 #[derive(Parser)]
@@ -139,11 +139,33 @@ pub fn run() -> ExitCode {
         Err(error) => {
             say_error(&error);
             if let Some(hint) = error.hint() {
-                to_stderr(format_args!("hint: {hint}"));
+                let options: Vec<&str> = error.settings().iter().filter_map(|&s| option(s)).collect();
+                let named =
+                    if options.is_empty() { String::new() } else { format!(" ({})", options.join(", ")) };
+                to_stderr(format_args!("hint: {hint}{named}"));
             }
             ExitCode::from(if matches!(error, Error::NotConverged { .. }) { CHECK_FAILED } else { BAD_INPUT })
         }
     }
+}
+
+/// The option of a setting that the library has named in an error.
+fn option(setting: Setting) -> Option<&'static str> {
+    Some(match setting {
+        Setting::Checkpoint => "--checkpoint",
+        Setting::TexelLength => "--texel",
+        Setting::Resolution => "--resolution",
+        Setting::Coordinates => "without --keep-uv",
+        Setting::Solver => "--solver",
+        Setting::Estimator => "--estimator",
+        Setting::Patches => "--patches",
+        Setting::PictureSize => "--width, --height",
+        Setting::FieldOfView => "--fov",
+        Setting::Eye => "--eye",
+        Setting::LookAt => "--look-at",
+        Setting::Up => "--up",
+        _ => return None,
+    })
 }
 
 /// The commands as clap knows them. What looks like a negative number is taken for the value of an option: its own words say

@@ -40,11 +40,7 @@ impl SceneArgs {
     pub fn load(&self) -> RadiosityResult<Scene> {
         let mut scene = Scene::load_with(
             &self.path,
-            &LoadOptions {
-                reflectance: self.reflectance,
-                unlit_emits: self.unlit_emits,
-                ..LoadOptions::default()
-            },
+            &LoadOptions::default().with_reflectance(self.reflectance).with_unlit_emits(self.unlit_emits),
         )?;
         for Emission { radiance, material } in &self.emit {
             if scene.emit(material.as_deref(), *radiance) == 0 {

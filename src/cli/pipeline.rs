@@ -57,6 +57,7 @@ pub struct Job<'a> {
 }
 
 /// A solved scene.
+#[non_exhaustive]
 pub struct Solved {
     pub patches: Patches,
     pub form_factors: FormFactors,
@@ -94,7 +95,7 @@ impl Job<'_> {
         (patches, times.subdivide) =
             watch.stage("patches", || Ok(Patches::subdivide(scene, &subdivision)))?;
         let rays = f64::from(self.cast.rays());
-        let cast = CastOptions { rays, seed: self.seed, ..CastOptions::default() };
+        let cast = CastOptions::default().with_rays(rays).with_seed(self.seed);
         (form_factors, times.form_factors) = watch
             .stage("rays", || FormFactors::cast(scene, tracer, &mut patches, &cast, watch.progress()))?;
         (solution, times.solve) = watch.stage("solving", || {

@@ -159,11 +159,11 @@ fn estimate(
     times: &mut SamplingSeconds,
 ) -> Result<(Vec<Estimate>, Option<usize>)> {
     let places: Vec<Receiver> = probes.iter().map(|p| Receiver::free(tracer, p.point, p.normal)).collect();
-    let effort = Effort { samples: args.spp, seed: args.seed, ..Effort::default() };
+    let effort = Effort::default().with_samples(args.spp).with_seed(args.seed);
     let (estimates, patches);
     match args.method {
         Method::Path => {
-            let options = PathOptions { next_event: !args.no_next_event, ..PathOptions::default() };
+            let options = PathOptions::default().with_next_event(!args.no_next_event);
             let paths = PathTracer::new(scene, tracer, options);
             (estimates, times.sampling) =
                 watch.stage("paths", || paths.irradiances(&places, &effort, watch.progress()))?;

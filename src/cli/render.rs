@@ -210,12 +210,12 @@ fn picture(
     watch: &Watch,
     times: &mut SamplingSeconds,
 ) -> Result<(Film, Option<usize>)> {
-    let options = RenderOptions { samples: args.spp, seed: args.seed };
+    let options = RenderOptions::default().with_samples(args.spp).with_seed(args.seed);
     let (film, patches);
     match args.method {
         Method::Path => {
             let next_event = !args.no_next_event;
-            let paths = PathTracer::new(scene, tracer, PathOptions { next_event, ..PathOptions::default() });
+            let paths = PathTracer::new(scene, tracer, PathOptions::default().with_next_event(next_event));
             (film, times.sampling) =
                 watch.stage("paths", || Film::render(&paths, camera, &options, watch.progress()))?;
             patches = None;
@@ -223,7 +223,7 @@ fn picture(
         Method::Light => {
             let pixels = (camera.width() * camera.height()) as u64;
             let particles = pixels * u64::from(args.spp);
-            let options = LightOptions { particles, seed: args.seed, ..LightOptions::default() };
+            let options = LightOptions::default().with_particles(particles).with_seed(args.seed);
             let light = LightTracer::new(scene, tracer, options);
             let made = watch.stage("particles", || {
                 light.image(camera, watch.progress()).map_err(|e| pipeline::blame(&args.scene.path, e))

@@ -145,19 +145,17 @@ impl Sampling<'_> {
         let cut = || adapted.unwrap_or_else(|| Patches::subdivide(self.scene, &subdivision));
         let (patches, subdivide) = self.watch.stage("patches", || Ok(cut()))?;
         let cast =
-            CastOptions { rays, estimator: args.estimator(), seed: args.seed, ..CastOptions::default() };
+            CastOptions::default().with_rays(rays).with_estimator(args.estimator()).with_seed(args.seed);
         let usable = with_matrix && cast.estimator == Estimator::Pooled;
         let first = first.filter(|_| usable);
         // A round that is gone on from counts as one.
         let kept = first.as_ref().map_or(0.0, |(_, round)| round.elapsed);
         times.subdivide = searching - kept + subdivide;
         let before = start.elapsed().as_secs_f64() - kept;
-        let plan = Plan {
-            error: target,
-            seconds: args.time.map(|seconds| seconds - before),
-            most_rays: (in_rounds && with_matrix).then(|| args.common.limit().most_rays(count, &bytes)),
-            ..Plan::default()
-        };
+        let plan = Plan::default()
+            .with_error(target)
+            .with_seconds(args.time.map(|seconds| seconds - before))
+            .with_most_rays((in_rounds && with_matrix).then(|| args.common.limit().most_rays(count, &bytes)));
         let (answer, rounds) = match with_matrix {
             // Where the patches were chosen by the light, it was said what they leave.
             true => self.by_matrix(patches, first, &cast, plan, wanted.filter(|_| floor.is_none()), times)?,
@@ -208,7 +206,7 @@ impl Sampling<'_> {
         }
         // What was cast cannot be used: sweeps meet other light.
         let Solved { patches, .. } = solved;
-        let plan = Plan { most_rays: None, seconds: plan.seconds.map(|seconds| seconds - all), ..plan };
+        let plan = plan.with_most_rays(None).with_seconds(plan.seconds.map(|seconds| seconds - all));
         let swept = self.sweep(patches, FIRST_RAYS, &plan, times)?;
         times.form_factors += all;
         Ok(swept)
@@ -245,10 +243,7 @@ impl Sampling<'_> {
         self.errors(solved)?;
         if let Some(path) = &self.args.output {
             let (patches, light) = (&solved.patches, &solved.solution);
-            let options = PlyOptions {
-                standard_errors: Some(&solved.error_bars.standard_error),
-                ..PlyOptions::default()
-            };
+            let options = PlyOptions::default().with_standard_errors(Some(&solved.error_bars.standard_error));
             ply::encode(&mut io::sink(), self.scene, patches, light, &options)
                 .map_err(|error| Error::io(path, error))?;
         }
@@ -257,7 +252,7 @@ impl Sampling<'_> {
 
     /// Patches small enough for a wanted error, or for the time there is, smaller where light varies.
     fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<SmallPatches> {
-        let cast = CastOptions { rays: FIRST_RAYS, seed: self.args.seed, ..CastOptions::default() };
+        let cast = CastOptions::default().with_rays(FIRST_RAYS).with_seed(self.args.seed);
         let progress = self.watch.progress();
         let (limit, bytes) = (self.args.common.limit(), self.bytes(Estimator::Pooled));
         let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));

@@ -121,7 +121,7 @@ impl SolveArgs {
             SolverName::Direct => Solver::Direct,
         };
         let default = SolveOptions::default();
-        SolveOptions { solver, tolerance: self.tolerance.unwrap_or(default.tolerance), ..default }
+        default.with_solver(solver).with_tolerance(self.tolerance.unwrap_or(default.tolerance))
     }
 
     /// Whether no matrix is wanted.
@@ -351,13 +351,11 @@ fn write_mesh(
 ) -> Result<Pending> {
     let Computed { scene, answer, .. } = computed;
     let discretisation = answer.errors().and_then(|errors| errors.discretisation.as_ref());
-    let options = PlyOptions {
-        standard_errors: Some(answer.standard_error()),
-        discretisation: discretisation.map(|d| &d.change[..]),
-        backs: args.backs,
-        exposure: Some(exposure),
-        ..PlyOptions::default()
-    };
+    let options = PlyOptions::default()
+        .with_standard_errors(Some(answer.standard_error()))
+        .with_discretisation(discretisation.map(|d| &d.change[..]))
+        .with_backs(args.backs)
+        .with_exposure(Some(exposure));
     file.write(|out| ply::encode(out, scene, answer.patches(), answer.light(), &options))
 }
 

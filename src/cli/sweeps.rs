@@ -98,7 +98,7 @@ impl Sampling<'_> {
             let looking = Instant::now();
             let sweeper = Sweeper::new(self.scene, self.tracer, &mut patches, args.seed, progress)?;
             times.form_factors = looking.elapsed().as_secs_f64();
-            let options = StochasticOptions { rays };
+            let options = StochasticOptions::default().with_rays(rays);
             stochastic_jacobi::solve_while(&sweeper, sweeper.patches(), &options, more, progress)
                 .map_err(|error| blame(&args.scene.path, error))
         };

@@ -78,8 +78,10 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     let all: Vec<&OutputFile> = [&csv, &json, &svg].into_iter().chain(&report_file).collect();
     outputs::check_distinct(&all)?;
     let (scene, tracer) = pipeline::load(&args.scene, &all, &watch, &mut Seconds::default())?;
-    let options =
-        TradeoffOptions { patches: args.patches as usize, rays: args.most_rays as f64, seed: args.seed };
+    let options = TradeoffOptions::default()
+        .with_patches(args.patches as usize)
+        .with_rays(args.most_rays as f64)
+        .with_seed(args.seed);
     // What could not be cut is told before it is.
     let bytes = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let work = |patches: f64, rays: f64| Work {

@@ -64,14 +64,12 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         &mut Seconds::default(),
     )?;
     let defaults = ValidationOptions::default();
-    let options = ValidationOptions {
-        subdivision: args.cast.given_subdivision().unwrap_or(defaults.subdivision),
-        rays: args.cast.given_rays().map_or(defaults.rays, f64::from),
-        paths: args.paths,
-        particles: args.particles,
-        seed: args.seed,
-        ..defaults
-    };
+    let options = defaults
+        .with_subdivision(args.cast.given_subdivision().unwrap_or(defaults.subdivision))
+        .with_rays(args.cast.given_rays().map_or(defaults.rays, f64::from))
+        .with_paths(args.paths)
+        .with_particles(args.particles)
+        .with_seed(args.seed);
     // It solves with edges half as long, too, and compares.
     let one = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let bytes = |patches: f64, rays: f64| one(patches, rays) + one(4.0 * patches, rays);

@@ -258,7 +258,8 @@ fn read(args: &ViewFactorsArgs, outputs: &[&OutputFile], told: &mut Told) -> Res
     let path = &args.scene;
     // Nothing here depends on it: given, it needs no warning where the file has none.
     let reflectance = Some([DEFAULT_REFLECTANCE; 3]);
-    let scene = Scene::load_with(path, &LoadOptions { reflectance, faces: true, ..LoadOptions::default() })?;
+    let scene =
+        Scene::load_with(path, &LoadOptions::default().with_reflectance(reflectance).with_faces(true))?;
     outputs.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
     scene.warnings.iter().for_each(|warning| told.warn(warning.clone()));
     if scene.degenerate > 0 {
@@ -310,7 +311,8 @@ fn compute(
 ) -> Result<(ViewFactors, bool)> {
     let watch = told.watch;
     let run = |enclosed: bool| {
-        let options = ViewFactorOptions { error: args.error, enclosed, seed: args.seed };
+        let options =
+            ViewFactorOptions::default().with_error(args.error).with_enclosed(enclosed).with_seed(args.seed);
         view_factors_of_surfaces(&surfaces.list, &options, watch.progress())
     };
     let lost = seen.backs + seen.escaped;

@@ -3,7 +3,7 @@
 use std::{
     io::{self, IsTerminal},
     sync::{
-        Arc, Mutex,
+        Arc,
         atomic::{AtomicBool, Ordering},
     },
     thread::JoinHandle,
@@ -24,7 +24,6 @@ pub struct Watch {
 #[derive(Default)]
 struct Shared {
     progress: Progress,
-    stage: Mutex<&'static str>,
     finished: AtomicBool,
     writing: AtomicBool,
 }
@@ -62,8 +61,7 @@ impl Watch {
     /// Does a stage of the work and tells how many seconds it took.
     pub fn stage<T>(&self, name: &'static str, work: impl FnOnce() -> Result<T>) -> Result<(T, f64)> {
         self.progress().check()?;
-        self.progress().begin(0);
-        *self.shared.stage.lock().expect("no thread panics holding it") = name;
+        self.progress().begin(name, 0);
         let start = Instant::now();
         let result = work()?;
         self.progress().check()?;
@@ -103,7 +101,7 @@ impl Drop for Watch {
 fn draw(bar: &ProgressBar, shared: &Shared) {
     let mut shown = ("", u64::MAX);
     while !shared.finished.load(Ordering::Relaxed) {
-        let stage = *shared.stage.lock().expect("no thread panics holding it");
+        let stage = shared.progress.stage();
         let total = shared.progress.total();
         if (stage, total) != shown {
             // Rate and time left are of one stage; backs that rays find make it longer as it goes.
@@ -124,8 +122,8 @@ fn draw(bar: &ProgressBar, shared: &Shared) {
 
 fn style(counted: bool) -> ProgressStyle {
     let template = match counted {
-        true => "{msg:14} [{bar:30}] {percent:>3} % {rate}, {eta} left",
-        false => "{msg:14} {spinner} {elapsed}",
+        true => "{msg:17} [{bar:30}] {percent:>3} % {rate}, {eta} left",
+        false => "{msg:17} {spinner} {elapsed}",
     };
     ProgressStyle::with_template(template).expect("the template is valid").progress_chars("=> ").with_key(
         "rate",

@@ -93,7 +93,9 @@ pub(super) fn few(tracer: &Tracer, patches: &Patches, sources: &Sources) -> Opti
         if even {
             add([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], density(part[0]));
         } else {
-            part.iter().take(MOST_LAMPS + 1).for_each(|&i| add(patches.corners(i as usize), density(i)));
+            part.iter()
+                .take(MOST_LAMPS + 1)
+                .for_each(|&i| add(patches.barycentric_corners(i as usize), density(i)));
         }
         if lamps.triangles.len() > MOST_LAMPS {
             return None;

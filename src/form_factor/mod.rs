@@ -61,6 +61,7 @@ pub enum Estimator {
 
 /// What to cast.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct CastOptions {
     /// Mean number of rays a patch.
     pub rays: f64,
@@ -74,6 +75,14 @@ pub struct CastOptions {
     /// irradiance most; else all evenly. Only for the pooled estimator.
     pub by_variance: bool,
 }
+
+setters!(CastOptions {
+    with_rays(rays: f64),
+    with_estimator(estimator: Estimator),
+    with_seed(seed: u64),
+    with_shadow_share(shadow_share: f64),
+    with_by_variance(by_variance: bool),
+});
 
 impl Default for CastOptions {
     /// 64 rays a patch, a quarter of them shadow rays, pooled, seed 0.
@@ -97,6 +106,7 @@ impl CastOptions {
 
 /// A figure before and after a repair.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct BeforeAfter {
     /// Before.
     pub before: f64,

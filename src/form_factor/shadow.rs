@@ -275,7 +275,7 @@ impl Footprint {
     pub(super) fn new(tracer: &Tracer, patches: &Patches, i: usize) -> Footprint {
         let triangle = &tracer.triangles()[patches.triangle(i)];
         Footprint {
-            corners: patches.corners(i).map(|b| triangle.point(b.map(|x| x as f32))),
+            corners: patches.barycentric_corners(i).map(|b| triangle.point(b.map(|x| x as f32))),
             normal: triangle.side_normal(patches.is_front(i)),
         }
     }

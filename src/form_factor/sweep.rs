@@ -53,6 +53,7 @@ impl<const C: usize> Arrived<C> {
 
 /// How many rays were cast, and what became of them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Tally {
     /// Hemisphere rays.
     pub hemisphere: u64,

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use glam::DVec2;
 
 use super::{overlap, raster, unwrap::unwrap};
-use crate::{Error, Result, output::surfaces::DisjointSets, scene::Scene, trace::Tracer};
+use crate::{Error, Result, Setting, output::surfaces::DisjointSets, scene::Scene, trace::Tracer};
 
 /// No chart.
 pub const NONE: u32 = u32::MAX;
@@ -83,10 +83,11 @@ impl Atlas {
                     format!("{shared} texels of this size would belong to two charts")
                 }
                 Err(why) if coordinates == Coordinates::File => {
-                    return Err(Error::Usage {
-                        message: format!("the file's texture coordinates do not suit a lightmap: {why}"),
-                        hint: Some("leave --keep-uv out to have new ones made".into()),
-                    });
+                    return Err(Error::setting(
+                        &[Setting::Coordinates],
+                        format!("the file's texture coordinates do not suit a lightmap: {why}"),
+                        "let new ones be made",
+                    ));
                 }
                 Err(why) => why,
             },

@@ -64,7 +64,7 @@ pub fn gather(
     progress: &Progress,
 ) -> Result<Vec<Texel>> {
     let each = rays.div_ceil(REPLICATES).max(1);
-    progress.begin(coverage.len() as u64 * u64::from(each * REPLICATES));
+    progress.begin("final gather", coverage.len() as u64 * u64::from(each * REPLICATES));
     (0..coverage.len())
         .into_par_iter()
         .with_min_len(super::texels::STRETCH)

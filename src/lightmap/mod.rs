@@ -44,6 +44,7 @@ use crate::{
 
 /// How a map is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct BakeOptions {
     /// Hemisphere rays of the final gather a texel, and as many to lamps; 0 takes the patches as they are.
     pub final_gather: u32,
@@ -56,6 +57,14 @@ pub struct BakeOptions {
     /// Everything is a function of it.
     pub seed: u64,
 }
+
+setters!(BakeOptions {
+    with_final_gather(final_gather: u32),
+    with_denoise(denoise: bool),
+    with_dilate(dilate: bool),
+    with_close_seams(close_seams: bool),
+    with_seed(seed: u64),
+});
 
 impl Default for BakeOptions {
     /// 32 rays a texel and all steps, seed 0.
@@ -79,6 +88,7 @@ pub enum Texel {
 
 /// What a step did to the map.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Step {
     /// `hide`, `denoise`, `dilate` or `seams`.
     pub name: &'static str,
@@ -90,6 +100,7 @@ pub struct Step {
 
 /// Flux on the surface, Σ area · E, in W.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct Flux {
     /// By the solver, on the sides of triangles that the map is of.
     pub solver: [f64; 3],

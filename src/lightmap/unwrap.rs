@@ -6,7 +6,7 @@ use uvunwrap::{Density, MeshInput, Options};
 
 use super::atlas::{Atlas, CREASE, LARGEST, Layout, NONE};
 use crate::{
-    Error, Result,
+    Error, Result, Setting,
     output::surfaces::{DisjointSets, smooth_edges},
     scene::Scene,
     trace::Tracer,
@@ -87,24 +87,29 @@ impl<'a> Unwrapper<'a> {
             (low, high) = (high, 2 * high);
         }
         if high > LARGEST {
-            let hint = "give --texel, which takes as many pages as it needs".to_owned();
-            return Error::Usage { message, hint: Some(hint) };
+            let hint = "choose a length of texels instead: it takes as many pages as needed";
+            return Error::setting(&[Setting::TexelLength], message, hint);
         }
         while high - low > 1 {
             let middle = low.midpoint(high);
             if self.page(middle).is_some() { high = middle } else { low = middle }
         }
-        Error::Usage { message, hint: Some(format!("the smallest that works is --resolution {high}")) }
+        Error::setting(
+            &[Setting::Resolution],
+            message,
+            format!("the smallest resolution that works is {high}"),
+        )
     }
 
     /// Texels of a length on one page if it is not too large, else on several.
     fn pages(&self, length: f64, page: usize) -> Result<Atlas> {
         let texels_per_unit = (self.scale / length) as f32;
-        let too_many = |side: f64| Error::Usage {
-            message: format!(
-                "texels of length {length} are too small: a chart would be {side:.0} of them long"
-            ),
-            hint: Some(format!("a map has at most {LARGEST} texels a side: give a longer --texel")),
+        let too_many = |side: f64| {
+            Error::setting(
+                &[Setting::TexelLength],
+                format!("texels of length {length} are too small: a chart would be {side:.0} of them long"),
+                format!("a map has at most {LARGEST} texels a side: choose longer texels"),
+            )
         };
         let longest = 2.0 * self.scale / length;
         if !(longest < 4.0 * LARGEST as f64) {
@@ -127,17 +132,17 @@ impl<'a> Unwrapper<'a> {
                 if side > LARGEST {
                     return Err(too_many(side as f64));
                 }
-                Err(Error::Usage {
-                    message: format!(
-                        "a chart of {width} x {height} texels does not fit a page of {page} x {page}"
-                    ),
-                    hint: Some(format!("the smallest page that works is --resolution {side}")),
-                })
+                Err(Error::setting(
+                    &[Setting::Resolution],
+                    format!("a chart of {width} x {height} texels does not fit a page of {page} x {page}"),
+                    format!("the smallest page that works has a resolution of {side}"),
+                ))
             }
-            Err(other) => Err(Error::Usage {
-                message: format!("the surface cannot be unfolded with texels of length {length}: {other}"),
-                hint: Some("give a longer --texel".into()),
-            }),
+            Err(other) => Err(Error::setting(
+                &[Setting::TexelLength],
+                format!("the surface cannot be unfolded with texels of length {length}: {other}"),
+                "choose longer texels",
+            )),
         }
     }
 

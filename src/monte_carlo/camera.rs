@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3A};
 
 use super::{PathTracer, Samples};
-use crate::{Error, Result, scene::direction, trace::Tracer};
+use crate::{Error, Result, Setting, scene::direction, trace::Tracer};
 
 /// A pinhole camera in the file's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,15 +33,14 @@ pub struct Lens {
 /// Pixels of a picture.
 const MOST_PIXELS: usize = 1 << 28;
 
-fn usage(message: impl Into<String>, hint: &str) -> Error {
-    Error::Usage { message: message.into(), hint: Some(hint.into()) }
-}
+/// Settings of a place or direction.
+const PLACES: &[Setting] = &[Setting::Eye, Setting::LookAt, Setting::Up];
 
 impl Camera {
     /// A camera at `eye` that looks at `look_at`; `fov` is the vertical angle of view in degrees.
     ///
     /// # Errors
-    /// [`Error::Usage`] for values from which no picture can be made.
+    /// [`Error::Setting`] for values from which no picture can be made.
     pub fn new(
         eye: DVec3,
         look_at: DVec3,
@@ -51,34 +50,46 @@ impl Camera {
         height: usize,
     ) -> Result<Camera> {
         if width == 0 || height == 0 {
-            return Err(usage(
+            return Err(Error::setting(
+                &[Setting::PictureSize],
                 format!("a picture of {width} x {height} pixels is empty"),
-                "give --width and --height of at least 1",
+                "width and height are at least 1",
             ));
         }
         if width.checked_mul(height).is_none_or(|n| n > MOST_PIXELS) {
-            return Err(usage(
+            return Err(Error::setting(
+                &[Setting::PictureSize],
                 format!("a picture of {width} x {height} pixels is too large"),
-                &format!("give at most {MOST_PIXELS} pixels by --width and --height"),
+                format!("a picture has at most {MOST_PIXELS} pixels"),
             ));
         }
         if ![eye, look_at, up].iter().all(|v| v.is_finite()) {
-            return Err(usage("the camera has coordinates that are not finite", "give plain numbers"));
+            return Err(Error::setting(
+                PLACES,
+                "the camera has coordinates that are not finite",
+                "give plain numbers",
+            ));
         }
         if !(fov > 0.0 && fov < 180.0) {
-            return Err(usage(
+            return Err(Error::setting(
+                &[Setting::FieldOfView],
                 format!("an angle of view of {fov} degrees is impossible"),
-                "give --fov between 0 and 180",
+                "an angle of view lies between 0 and 180 degrees",
             ));
         }
         let Some(forward) = direction(look_at - eye) else {
-            return Err(usage("the camera looks at its own place", "move --eye or --look-at"));
+            return Err(Error::setting(
+                &[Setting::Eye, Setting::LookAt],
+                "the camera looks at its own place",
+                "move the camera, or look at another point",
+            ));
         };
         // An angle below 10⁻⁶ leaves the picture's rotation to rounding.
         if direction(up).is_none_or(|up| up.cross(forward).length() < 1e-6) {
-            return Err(usage(
+            return Err(Error::setting(
+                &[Setting::Up],
                 "the camera's up direction is parallel to its view",
-                "give another --up, for instance 0,1,0 or 0,0,1",
+                "choose another one, for instance 0,1,0 or 0,0,1",
             ));
         }
         Ok(Camera { eye, look_at, up, fov, width, height })
@@ -143,7 +154,7 @@ impl Camera {
     /// Whether a picture from here can show anything; the sentence is a warning for the user.
     ///
     /// # Errors
-    /// [`Error::Usage`] when no ray of a grid over the picture meets the scene.
+    /// [`Error::Setting`] when no ray of a grid over the picture meets the scene.
     pub fn check(&self, tracer: &Tracer) -> Result<Option<String>> {
         let lens = self.lens(tracer);
         let (mut met, mut backs, mut near) = (0, 0, 0);
@@ -156,7 +167,11 @@ impl Camera {
             }
         }
         if met == 0 {
-            return Err(usage("the camera sees nothing of the scene", "give another --eye and --look-at"));
+            return Err(Error::setting(
+                &[Setting::Eye, Setting::LookAt],
+                "the camera sees nothing of the scene",
+                "move the camera, or look at another point",
+            ));
         }
         let warning = if 10 * near > 9 * met {
             Some("the camera touches a surface")
@@ -309,7 +324,7 @@ mod tests {
         ];
         for (camera, word) in bad {
             let error = make(camera).unwrap_err();
-            assert!(matches!(error, Error::Usage { .. }) && error.hint().is_some());
+            assert!(matches!(error, Error::Setting { .. }) && error.hint().is_some());
             assert!(error.to_string().contains(word), "{error} lacks {word}");
         }
     }
@@ -323,6 +338,6 @@ mod tests {
         assert!(at(dvec3(0., 0., 3.), DVec3::ZERO).unwrap().is_none());
         assert!(at(dvec3(0., 0., -3.), DVec3::ZERO).unwrap().unwrap().contains("backs"));
         assert!(at(dvec3(0., 0., 1e-6), DVec3::ZERO).unwrap().unwrap().contains("touches"));
-        assert!(matches!(at(dvec3(0., 0., 3.), dvec3(0., 0., 9.)), Err(Error::Usage { .. })));
+        assert!(matches!(at(dvec3(0., 0., 3.), dvec3(0., 0., 9.)), Err(Error::Setting { .. })));
     }
 }

@@ -8,6 +8,7 @@ use crate::{Progress, Result, trace::sampling::mix};
 
 /// A Monte Carlo estimate, R G B.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct Estimate {
     /// The mean.
     pub mean: [f64; 3],
@@ -66,6 +67,7 @@ impl Running {
 
 /// How many samples to spend on each estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Effort {
     /// Samples for each estimate, rounded up to a multiple of `replicates`. Default 4096. Powers of two suit the
     /// sequences best.
@@ -76,6 +78,12 @@ pub struct Effort {
     /// Everything is a function of it. Default 1.
     pub seed: u64,
 }
+
+setters!(Effort {
+    with_samples(samples: u32),
+    with_replicates(replicates: u32),
+    with_seed(seed: u64),
+});
 
 impl Default for Effort {
     fn default() -> Self {
@@ -103,7 +111,7 @@ impl Effort {
         assert!(self.replicates >= 2, "a standard error needs two replicates");
         let replicates = self.replicates as usize;
         let each = self.samples.div_ceil(self.replicates).max(1);
-        progress.begin(count as u64 * replicates as u64 * each as u64);
+        progress.begin("sampling", count as u64 * replicates as u64 * each as u64);
         let one = |task: usize| {
             let (i, replicate) = (task / replicates, task % replicates);
             let seed = mix(&[self.seed, i as u64, replicate as u64]);

@@ -23,12 +23,18 @@ pub struct Film {
 
 /// How a picture is sampled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct RenderOptions {
     /// Paths a pixel, spread over its square. Default 64; powers of two suit the sequences best.
     pub samples: u32,
     /// Everything is a function of it. Default 1.
     pub seed: u64,
 }
+
+setters!(RenderOptions {
+    with_samples(samples: u32),
+    with_seed(seed: u64),
+});
 
 impl Default for RenderOptions {
     fn default() -> Self {
@@ -122,7 +128,7 @@ impl Film {
         let (width, height) = (lens.width(), lens.height());
         let samples = options.samples.max(1);
         let mut pixels = vec![[0.0; 3]; width * height];
-        progress.begin(pixels.len() as u64 * samples as u64);
+        progress.begin("rendering", pixels.len() as u64 * samples as u64);
         // Short stretches keep all threads busy to the end, whatever the picture's shape.
         const STRETCH: usize = 32;
         pixels.par_chunks_mut(STRETCH).enumerate().try_for_each(|(chunk, stretch)| {

@@ -26,6 +26,7 @@ const ENDLESS: u32 = 1_000_000;
 
 /// How particles are followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct LightOptions {
     /// Particles, rounded up to a multiple of `batches`. Default 2²⁰.
     pub particles: u64,
@@ -37,6 +38,13 @@ pub struct LightOptions {
     pub seed: u64,
 }
 
+setters!(LightOptions {
+    with_particles(particles: u64),
+    with_batches(batches: u32),
+    with_continuous(continuous: u32),
+    with_seed(seed: u64),
+});
+
 impl Default for LightOptions {
     fn default() -> Self {
         LightOptions { particles: 1 << 20, batches: 32, continuous: 3, seed: 1 }
@@ -45,6 +53,7 @@ impl Default for LightOptions {
 
 /// The books of one particle, W: `emitted` = `absorbed` + `escaped` to rounding.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct Particle {
     /// Flux it set out with.
     pub emitted: [f64; 3],
@@ -56,6 +65,7 @@ pub struct Particle {
 
 /// What light tracing found, W.
 #[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
 pub struct LightTransport {
     /// Flux that arrived in each bin; over the bin's area it is the irradiance.
     pub bins: Vec<Estimate>,
@@ -69,6 +79,7 @@ pub struct LightTransport {
 
 /// A picture made by light tracing, with the totals of the particles that made it.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct LightImage {
     /// Radiance.
     pub film: Film,
@@ -167,7 +178,7 @@ impl<'a> LightTracer<'a> {
         let LightOptions { particles, batches, .. } = self.options;
         assert!(batches >= 2, "a standard error needs two batches");
         let each = u32::try_from(particles.div_ceil(batches as u64).max(1)).expect("fewer particles a batch");
-        progress.begin(each as u64 * batches as u64);
+        progress.begin("tracing light", each as u64 * batches as u64);
         if self.emitters.is_empty() {
             return Ok(LightTransport { bins: vec![Estimate::default(); counters], ..Default::default() });
         }

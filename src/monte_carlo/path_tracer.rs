@@ -28,6 +28,7 @@ const NEAR: f32 = 4e-6;
 
 /// How paths are built. None of it changes the expectation but `max_bounces`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct PathOptions {
     /// Whether each vertex also looks at a point chosen on an emitter. Default true. Without it a path counts only
     /// when it runs into an emitter: slow with small lamps, but with nothing to get wrong.
@@ -38,6 +39,12 @@ pub struct PathOptions {
     /// must be given.
     pub roulette_after: u32,
 }
+
+setters!(PathOptions {
+    with_next_event(next_event: bool),
+    with_max_bounces(max_bounces: Option<u32>),
+    with_roulette_after(roulette_after: u32),
+});
 
 impl Default for PathOptions {
     fn default() -> Self {

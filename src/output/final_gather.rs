@@ -23,6 +23,7 @@ use crate::{
 
 /// One sample of irradiance, W/m², in its two parts.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct Gathered {
     /// Straight from emitters.
     pub direct: [f64; 3],

@@ -195,7 +195,7 @@ fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<Stri
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let (all, lamps, edges) = (&survey.all, &survey.lamps, &inspection.edges);
     add(!scene.has_emitter(), &|| {
-        "nothing emits light: solving needs a lamp, `Ke` in the .mtl or --emit".into()
+        "nothing emits light: solving needs an emitter, for instance a material with `Ke`".into()
     });
     add(lamps.rays > 0 && lamps.escaped == lamps.rays, &|| {
         "all light of the lamps leaves the scene: lamps emit from their front only; are they turned round?"

@@ -40,6 +40,7 @@ use crate::{
 
 /// What may be chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct PlyOptions<'a> {
     /// Standard error of each patch's irradiance, `channels` interleaved values; written as NaN where `None`.
     pub standard_errors: Option<&'a [f64]>,
@@ -53,6 +54,14 @@ pub struct PlyOptions<'a> {
     /// How bright the vertex colours are; by [`exposure::of_radiosity`] where `None`.
     pub exposure: Option<Exposure>,
 }
+
+setters!(PlyOptions<'a> {
+    with_standard_errors(standard_errors: Option<&'a [f64]>),
+    with_discretisation(discretisation: Option<&'a [f64]>),
+    with_crease(crease: f64),
+    with_backs(backs: bool),
+    with_exposure(exposure: Option<Exposure>),
+});
 
 impl Default for PlyOptions<'_> {
     /// No errors, a crease angle of [`CREASE`] degrees, one face a patch, automatic exposure.

@@ -92,6 +92,7 @@ pub struct FormFactorsReport {
 
 /// A figure of the rays as cast, and of the form factors in use; `null` without form factors.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct BeforeAfter {
     /// As cast.
     pub before: Option<f64>,

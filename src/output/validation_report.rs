@@ -114,15 +114,11 @@ impl ComparisonReport {
 
 impl WorstReport {
     fn new(worst: &Worst, scene: &Scene, patches: &Patches) -> Self {
-        let t = patches.triangle(worst.patch);
-        let centre: [f64; 3] =
-            std::array::from_fn(|k| patches.corners(worst.patch).iter().map(|c| c[k]).sum::<f64>() / 3.0);
-        let [a, b, c] = scene.corners(t);
         WorstReport {
             patch: worst.patch,
             channel: worst.channel,
-            position: (a * centre[0] + b * centre[1] + c * centre[2]).to_array(),
-            material: scene.material(t).name.clone(),
+            position: patches.centroid(scene, worst.patch).to_array(),
+            material: scene.material(patches.triangle(worst.patch)).name.clone(),
             z: worst.z,
             first: worst.first,
             second: worst.second,

@@ -14,6 +14,8 @@ pub(crate) mod restricted;
 
 use std::ops::Range;
 
+use glam::DVec3;
+
 use crate::scene::Scene;
 use forest::Forest;
 
@@ -118,6 +120,34 @@ impl Patches {
         let cells = restricted::split(cells, &vec![true; self.fronts]);
         // Where all are cut alike neighbours differ as they did.
         Patches { restricted: self.restricted, ..Self::of_cells(scene, &cells, 0.5 * self.edge) }
+    }
+
+    /// Takes reflectance and emission of every patch anew from the scene's materials.
+    ///
+    /// Form factors do not depend on them. So a scene with other lamps or other paint is solved without new rays: change
+    /// [`Scene::materials`] or call [`Scene::set_material`], then this, then [`solve`](crate::solve::solve).
+    ///
+    /// # Panics
+    /// When the scene has another number of triangles.
+    pub fn update_materials(&mut self, scene: &Scene) {
+        assert_eq!(scene.triangles.len(), self.trees.trees(), "the patches are of another scene");
+        self.channels = scene.channels();
+        let sides: Vec<(u32, bool)> =
+            self.sides().map(|side| (self.triangle[side.start], self.is_front(side.start))).collect();
+        self.triangle.clear();
+        self.reflectance.clear();
+        self.emission.clear();
+        sides.into_iter().for_each(|(t, front)| self.append(scene, t, front));
+    }
+
+    /// The patches of each side of a triangle, in their order.
+    fn sides(&self) -> impl Iterator<Item = Range<usize>> + '_ {
+        let mut start = 0;
+        std::iter::from_fn(move || {
+            let side = start..start + self.leaves(*self.triangle.get(start)? as usize);
+            start = side.end;
+            Some(side)
+        })
     }
 
     /// How many patches a subdivision gives, without making them.
@@ -270,15 +300,35 @@ impl Patches {
         self.triangle_areas[self.triangle(i)] / f64::from(quadtree::children(self.cell(i).level))
     }
 
-    /// Barycentric coordinates, in its triangle, of the corners of patch `i`.
-    pub fn corners(&self, i: usize) -> [[f64; 3]; 3] {
+    /// Barycentric coordinates, in its triangle, of the corners of patch `i`. A patch of the back has those of the patch
+    /// on the front.
+    pub fn barycentric_corners(&self, i: usize) -> [[f64; 3]; 3] {
         let Cell { child, level, .. } = self.cell(i);
         quadtree::corners(child, level)
     }
 
+    /// Corners of patch `i` in the file's unit, counter-clockwise as seen from the patch's side.
+    pub fn corners(&self, scene: &Scene, i: usize) -> [DVec3; 3] {
+        let [a, b, c] = scene.corners(self.triangle(i));
+        let [p, q, r] = self.barycentric_corners(i).map(|[u, v, w]| a * u + b * v + c * w);
+        if self.is_front(i) { [p, q, r] } else { [p, r, q] }
+    }
+
+    /// Centroid of patch `i` in the file's unit.
+    pub fn centroid(&self, scene: &Scene, i: usize) -> DVec3 {
+        // Divided first: the sum of three large coordinates may overflow.
+        self.corners(scene, i).into_iter().map(|corner| corner / 3.0).sum()
+    }
+
+    /// Unit normal of patch `i`, on the patch's side.
+    pub fn normal(&self, scene: &Scene, i: usize) -> DVec3 {
+        let normal = scene.normal(self.triangle(i));
+        if self.is_front(i) { normal } else { -normal }
+    }
+
     /// Barycentric coordinates in patch `i` of a point of its triangle; a point outside by a rounding is moved in.
     pub fn local(&self, i: usize, barycentric: [f32; 3]) -> [f64; 3] {
-        let corners = self.corners(i);
+        let corners = self.barycentric_corners(i);
         // Signed areas of the triangles that the point makes with each side, in the plane of two coordinates.
         let from = |k: usize| [0, 1].map(|axis| corners[k][axis] - f64::from(barycentric[axis]));
         let across = |[ux, uy]: [f64; 2], [vx, vy]: [f64; 2]| (ux * vy - vx * uy).max(0.0);
@@ -355,7 +405,51 @@ fn edge_for_count(longest: &[f64], wanted: usize) -> f64 {
 mod tests {
     use super::*;
     use crate::{scene::Material, trace::sampling::square_to_triangle};
-    use glam::DVec3;
+    use glam::dvec3;
+
+    /// Two triangles 1000 away from the origin: the first of a plain material, the second with another.
+    fn two() -> Scene {
+        let at = |x: f64, y: f64| dvec3(1000.0 + x, y, -3.0);
+        let triangles =
+            [([at(0., 0.), at(4., 0.), at(0., 4.)], 0), ([at(0., 9.), at(4., 9.), at(0., 13.)], 1)];
+        let material = |name, reflectance| Material::new(name, [reflectance; 3], [0.0; 3]);
+        Scene::new(&triangles, vec![material("floor", 0.5), material("wall", 0.25)])
+    }
+
+    #[test]
+    fn patches_have_corners_centroid_and_normal_in_scene_units() {
+        let scene = two();
+        let mut patches = Patches::subdivide(&scene, &Subdivision::Edge(3.0));
+        patches.add_backs(&scene, &[0]);
+        assert_eq!((patches.fronts(), patches.len()), (8, 12));
+        for i in 0..patches.len() {
+            let [a, b, c] = patches.corners(&scene, i);
+            let cross = (b - a).cross(c - a);
+            // Binary fractions: no rounding but that of the centroid's thirds.
+            assert_eq!(0.5 * cross.length(), patches.area(i));
+            assert_eq!(cross.normalize(), patches.normal(&scene, i));
+            assert_eq!(patches.normal(&scene, i), if patches.is_front(i) { DVec3::Z } else { -DVec3::Z });
+            assert!(patches.centroid(&scene, i).distance((a + b + c) / 3.0) < 1e-12);
+        }
+        let back = patches.back_of(2).unwrap() as usize;
+        assert!(patches.centroid(&scene, back).distance(patches.centroid(&scene, 2)) < 1e-12);
+    }
+
+    #[test]
+    fn materials_change_without_new_patches() {
+        let mut scene = two();
+        let mut patches = Patches::subdivide(&scene, &Subdivision::Edge(3.0));
+        patches.add_backs(&scene, &[1, 0]);
+        assert_eq!(scene.set_material("wall", [0.1, 0.2, 0.3], [1.0, 0.0, 2.0]), 1);
+        assert_eq!(scene.set_material("roof", [0.0; 3], [0.0; 3]), 0);
+        patches.update_materials(&scene);
+        let mut anew = Patches::subdivide(&scene, &Subdivision::Edge(3.0));
+        anew.add_backs(&scene, &[1, 0]);
+        assert_eq!((patches.channels(), patches.len()), (3, 16));
+        assert_eq!(patches.reflectance(), anew.reflectance());
+        assert_eq!(patches.emission(), anew.emission());
+        assert_eq!(patches.emission()[3 * 4 + 2], 2.0 * std::f64::consts::PI);
+    }
 
     #[test]
     fn a_point_is_a_mix_of_the_corners_of_its_patch() {
@@ -367,7 +461,7 @@ mod tests {
             let [x, y] = [0.618, 0.755].map(|step| (f64::from(k) * step).fract() as f32);
             let barycentric = square_to_triangle(x, y);
             let i = patches.at(0, barycentric, true).unwrap() as usize;
-            let (weights, corners) = (patches.local(i, barycentric), patches.corners(i));
+            let (weights, corners) = (patches.local(i, barycentric), patches.barycentric_corners(i));
             assert!(weights.iter().all(|w| (0.0..=1.0).contains(w)));
             for axis in 0..3 {
                 let mixed: f64 = (0..3).map(|c| weights[c] * corners[c][axis]).sum();

@@ -14,6 +14,7 @@ pub const WELD: f64 = 1e-6;
 
 /// What a look at the mesh tells.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Inspection {
     /// Triangles that have an area.
     pub triangles: usize,
@@ -37,6 +38,7 @@ pub struct Inspection {
 
 /// Edges by the triangles that run through them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct Edges {
     /// All.
     pub total: usize,

@@ -4,6 +4,7 @@
 //! `Kd` as reflectance. Whoever casts rays recentres and rescales ([`crate::trace`]).
 
 pub(crate) mod gltf;
+mod indexed;
 pub mod inspection;
 pub mod obj;
 pub(crate) mod ply;
@@ -35,6 +36,7 @@ pub struct Triangle {
 
 /// A material: a Lambertian surface that may emit, and may have a specular part.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Material {
     /// Its name in the file.
     pub name: String,
@@ -92,8 +94,9 @@ pub struct Part {
     pub group: Option<String>,
 }
 
-/// Triangles with materials. Build one with [`Scene::load`] or [`Scene::new`].
+/// Triangles with materials. Make one with [`Scene::load`], [`Scene::from_indexed`] or [`Scene::new`].
 #[derive(Debug, Clone, Default)]
+#[non_exhaustive]
 pub struct Scene {
     /// Positions in the file's unit; vertices at the same position are one vertex.
     pub vertices: Vec<DVec3>,
@@ -127,6 +130,7 @@ pub struct Scene {
 
 /// What to take where a file says nothing.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[non_exhaustive]
 pub struct LoadOptions {
     /// Reflectance of surfaces that the file gives none, R G B in \[0, 1\]; [`DEFAULT_REFLECTANCE`] where `None`, and
     /// then a warning says so.
@@ -136,6 +140,12 @@ pub struct LoadOptions {
     /// Whether surfaces that a glTF file calls unlit emit their colour, instead of reflecting by it.
     pub unlit_emits: bool,
 }
+
+setters!(LoadOptions {
+    with_reflectance(reflectance: Option<[f64; 3]>),
+    with_faces(faces: bool),
+    with_unlit_emits(unlit_emits: bool),
+});
 
 /// Reflectance of whatever neither the file nor [`LoadOptions`] give one: grey plaster.
 pub const DEFAULT_REFLECTANCE: f64 = 0.5;
@@ -257,6 +267,25 @@ impl Scene {
         for m in self.materials.iter_mut().filter(|m| material.is_none_or(|name| m.name == name)) {
             m.emission = radiance;
             m.emission_map = None;
+            found += 1;
+        }
+        found
+    }
+
+    /// Gives all materials of this name a reflectance, R G B in \[0, 1\], and an emitted radiance, W/(m² sr). Their textures
+    /// no longer count; a specular part stays. Returns how many materials have the name.
+    ///
+    /// Patches made before take the change by [`Patches::update_materials`](crate::patch::Patches::update_materials).
+    ///
+    /// # Panics
+    /// When a reflectance is outside 0 to 1, or the emission [is no radiance](is_radiance).
+    pub fn set_material(&mut self, name: &str, reflectance: [f64; 3], emission: [f64; 3]) -> usize {
+        assert!(reflectance.iter().all(|r| (0.0..=1.0).contains(r)), "a reflectance is outside 0 to 1");
+        assert!(emission.into_iter().all(is_radiance), "not a radiance");
+        let mut found = 0;
+        for material in self.materials.iter_mut().filter(|material| material.name == name) {
+            let specular = material.specular.take();
+            *material = Material { specular, ..Material::new(name, reflectance, emission) };
             found += 1;
         }
         found

@@ -35,6 +35,7 @@ pub enum Side {
 
 /// A surface.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Surface {
     /// Its name.
     pub name: String,
@@ -54,6 +55,7 @@ impl AsRef<[Vec<DVec3>]> for Surface {
 
 /// The surfaces of a scene.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Surfaces {
     /// In the order in which they begin in the file.
     pub list: Vec<Surface>,

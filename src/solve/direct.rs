@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::{Iterate, System};
-use crate::{Error, Result, form_factor::row};
+use crate::{Error, Result, Setting, form_factor::row};
 
 /// Time grows with the cube: 0.15 s for 1000 patches, about 8 s for 3000.
 const MOST_PATCHES: usize = 4096;
@@ -12,10 +12,11 @@ const MOST_PATCHES: usize = 4096;
 pub(super) fn solve<const C: usize>(system: &System<C>) -> Result<Iterate<C>> {
     let n = system.form_factors.len();
     if n > MOST_PATCHES {
-        return Err(Error::Usage {
-            message: format!("the direct solver takes at most {MOST_PATCHES} patches, the scene has {n}"),
-            hint: Some("use --solver cg, or larger patches".into()),
-        });
+        return Err(Error::setting(
+            &[Setting::Solver, Setting::Patches],
+            format!("the direct solver takes at most {MOST_PATCHES} patches, the scene has {n}"),
+            "use conjugate gradients, or fewer patches",
+        ));
     }
     let (rows, (left, right)) = (system.form_factors.rows(), system.form_factors.scaling());
     let mut radiosity = vec![[0.0; C]; n];

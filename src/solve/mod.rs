@@ -14,7 +14,7 @@ pub mod southwell;
 pub mod stochastic_jacobi;
 
 use crate::{
-    Error, Progress, Result,
+    Error, Progress, Result, Setting,
     form_factor::{Estimator, FormFactors, together},
     patch::Patches,
 };
@@ -54,6 +54,7 @@ impl Solver {
 
 /// How to solve.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct SolveOptions {
     /// Which algorithm.
     pub solver: Solver,
@@ -63,6 +64,12 @@ pub struct SolveOptions {
     /// Give up after this many iterations (for Southwell: as many times the number of patches shoot).
     pub max_iterations: usize,
 }
+
+setters!(SolveOptions {
+    with_solver(solver: Solver),
+    with_tolerance(tolerance: f64),
+    with_max_iterations(max_iterations: usize),
+});
 
 impl Default for SolveOptions {
     /// Solver chosen by the system, tolerance 1e-10, at most 10,000 iterations.
@@ -101,6 +108,7 @@ impl<'a> From<&'a Patches> for Radiometry<'a> {
 
 /// The light on every patch, `channels` interleaved values each.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Solution {
     /// 1 or 3.
     pub channels: usize,
@@ -119,6 +127,22 @@ pub struct Solution {
     pub error_bound: f64,
 }
 
+impl Solution {
+    /// Radiosity of patch `i` as R G B, W/m²; three equal values in a grey scene.
+    pub fn rgb(&self, i: usize) -> [f64; 3] {
+        rgb(&self.radiosity, self.channels, i)
+    }
+
+    /// Irradiance of patch `i` as R G B, W/m²; three equal values in a grey scene.
+    pub fn irradiance_rgb(&self, i: usize) -> [f64; 3] {
+        rgb(&self.irradiance, self.channels, i)
+    }
+}
+
+fn rgb(values: &[f64], channels: usize, i: usize) -> [f64; 3] {
+    std::array::from_fn(|c| values[i * channels + if channels == 1 { 0 } else { c }])
+}
+
 /// The light on every patch, however it was found: what files show.
 #[derive(Debug, Clone, Copy)]
 pub struct Light<'a> {
@@ -134,6 +158,18 @@ impl<'a> From<&'a Solution> for Light<'a> {
     }
 }
 
+impl StochasticSolution {
+    /// Radiosity of patch `i` as R G B, W/m²; three equal values in a grey scene.
+    pub fn rgb(&self, i: usize) -> [f64; 3] {
+        rgb(&self.radiosity, self.channels, i)
+    }
+
+    /// Irradiance of patch `i` as R G B, W/m²; three equal values in a grey scene.
+    pub fn irradiance_rgb(&self, i: usize) -> [f64; 3] {
+        rgb(&self.irradiance, self.channels, i)
+    }
+}
+
 impl<'a> From<&'a StochasticSolution> for Light<'a> {
     fn from(solution: &'a StochasticSolution) -> Self {
         Light { radiosity: &solution.radiosity, irradiance: &solution.irradiance }
@@ -144,7 +180,7 @@ impl<'a> From<&'a StochasticSolution> for Light<'a> {
 ///
 /// # Errors
 /// [`Error::NoEquilibrium`] when light enters a part of the scene that nothing leaves and nothing absorbs in;
-/// [`Error::NotConverged`] when the iterations run out; [`Error::Usage`] when the solver does not suit the system;
+/// [`Error::NotConverged`] when the iterations run out; [`Error::Setting`] when the solver does not suit the system;
 /// [`Error::Stopped`].
 ///
 /// # Panics
@@ -169,6 +205,7 @@ pub(crate) fn solve_from<'a>(
     let radiometry = radiometry.into();
     let n = form_factors.len() * radiometry.channels;
     assert_eq!((radiometry.emission.len(), radiometry.reflectance.len()), (n, n), "sizes disagree");
+    progress.begin("solving", 0);
     together(|| match radiometry.channels {
         1 => System::<1>::new(form_factors, radiometry).solve(start, options, progress),
         3 => System::<3>::new(form_factors, radiometry).solve(start, options, progress),
@@ -202,10 +239,11 @@ impl<'a, const C: usize> System<'a, C> {
             Solver::Auto if symmetric => Solver::ConjugateGradient,
             Solver::Auto => Solver::GaussSeidel,
             Solver::ConjugateGradient if !symmetric => {
-                return Err(Error::Usage {
-                    message: "conjugate gradients need reciprocal form factors".into(),
-                    hint: Some("use the pooled estimator, or gauss-seidel".into()),
-                });
+                return Err(Error::setting(
+                    &[Setting::Estimator, Setting::Solver],
+                    "conjugate gradients need reciprocal form factors",
+                    "use the pooled estimator, or the Gauss-Seidel method",
+                ));
             }
             named => named,
         };

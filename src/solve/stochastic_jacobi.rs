@@ -48,13 +48,26 @@ pub const NAME: &str = "stochastic-jacobi";
 
 /// How to sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct StochasticOptions {
     /// Mean number of rays a patch, those before the first sweep not counted.
     pub rays: f64,
 }
 
+impl Default for StochasticOptions {
+    /// 256 rays a patch, as many as [`Quality::MEDIUM`](crate::Quality::MEDIUM) has.
+    fn default() -> Self {
+        StochasticOptions { rays: 256.0 }
+    }
+}
+
+setters!(StochasticOptions {
+    with_rays(rays: f64),
+});
+
 /// How far the sweeps have come.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Reached {
     /// Rays a patch, those before the first sweep not counted.
     pub rays: f64,
@@ -66,6 +79,7 @@ pub struct Reached {
 
 /// The light on every patch, with its statistical errors; `channels` interleaved values each.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct StochasticSolution {
     /// 1 or 3.
     pub channels: usize,
@@ -205,7 +219,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
         let rays = [each(hemisphere), if lamps { each(of_batch * SHADOW) } else { 0 }];
         let mut sweeps = sweeps as u64;
         let steps = |sweeps: u64| sweeps * self.emission.len() as u64;
-        progress.begin(steps(u64::from(RAYS) + BATCHES as u64 * sweeps));
+        progress.begin("stochastic Jacobi", steps(u64::from(RAYS) + BATCHES as u64 * sweeps));
 
         self.start(progress)?;
         // Shadow rays know nothing of other patches' light: all of them count.
@@ -227,7 +241,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
             if self.batches.are_full() {
                 self.batches.pair();
                 sweeps *= 2;
-                progress.begin(steps(BATCHES as u64 / 2 * sweeps));
+                progress.begin("stochastic Jacobi", steps(BATCHES as u64 / 2 * sweeps));
             }
         }
     }

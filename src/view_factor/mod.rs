@@ -32,6 +32,7 @@ use crate::{
 
 /// How accurate view factors are wanted.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct ViewFactorOptions {
     /// RMS error over all pairs that independent samples would have. These are stratified, and had 0.35 to 0.65 of it in rooms of
     /// 500 and 2000 polygons. Not in it is what is unoccluded, which is known to about 10⁻³ of itself, or to a tenth of this
@@ -43,6 +44,12 @@ pub struct ViewFactorOptions {
     /// The same seed gives the same bytes, whatever the number of threads.
     pub seed: u64,
 }
+
+setters!(ViewFactorOptions {
+    with_error(error: f64),
+    with_enclosed(enclosed: bool),
+    with_seed(seed: u64),
+});
 
 impl Default for ViewFactorOptions {
     /// 10⁻⁴, enclosed, seed 0.

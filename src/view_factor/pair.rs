@@ -87,7 +87,7 @@ pub(super) fn pairs(polygons: &[Polygon], sum: f64, progress: &Progress) -> Resu
             squares: 0.0,
         })
     };
-    progress.begin(polygons.len() as u64);
+    progress.begin("pairing polygons", polygons.len() as u64);
     let row = |i: usize| {
         progress.advance(1);
         let others = if progress.is_stopped() { 0..0 } else { i + 1..polygons.len() };

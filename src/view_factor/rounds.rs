@@ -59,7 +59,7 @@ pub(super) fn sample(
             return Ok((rays, error));
         }
         rays += more;
-        progress.begin(more);
+        progress.begin("casting rays", more);
         let cast_some = |pairs: &mut [Pair]| {
             let rays = |pairs: &[Pair]| pairs.iter().map(|p| u64::from(p.rays)).sum::<u64>();
             let before = rays(pairs);

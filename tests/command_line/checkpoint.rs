@@ -215,7 +215,7 @@ fn a_checkpoint_takes_the_place_of_nothing() {
     };
     assert_eq!(run("").status.code(), Some(0));
     let bytes = here.read("rays");
-    assert!(here.fails("solve scene.obj --checkpoint rays --seed 3", 2).contains("\nhint: give --seed 0"));
+    assert!(here.fails("solve scene.obj --checkpoint rays --seed 3", 2).contains("\nhint: use seed 0"));
     fs::write(here.path("scene.mtl"), "newmtl wall\nKd 0.5\nnewmtl lamp\nKe 5\n").unwrap();
     assert!(here.fails("solve scene.obj --checkpoint rays", 2).contains("of another scene\nhint: "));
     assert!(here.read("rays") == bytes);

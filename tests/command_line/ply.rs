@@ -194,11 +194,8 @@ fn what_is_not_said_gets_a_default_and_is_told_once() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.ply");
     std::fs::write(&path, square()).unwrap();
-    let given = Scene::load_with(
-        &path,
-        &LoadOptions { reflectance: Some([0.1, 0.2, 0.3]), ..LoadOptions::default() },
-    )
-    .unwrap();
+    let given =
+        Scene::load_with(&path, &LoadOptions::default().with_reflectance(Some([0.1, 0.2, 0.3]))).unwrap();
     assert_eq!((given.materials[0].reflectance, given.warnings.len()), ([0.1, 0.2, 0.3], 0));
 }
 

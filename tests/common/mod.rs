@@ -3,6 +3,7 @@
 #![allow(dead_code, reason = "every test file uses a part of it")]
 
 pub mod gltf;
+#[cfg(feature = "cli")]
 pub mod program;
 
 use std::{collections::HashMap, f64::consts::PI};
@@ -211,7 +212,7 @@ pub fn cast(scene: Scene, subdivision: Subdivision, options: CastOptions) -> Cas
 
 /// Casts from whole triangles.
 pub fn cast_whole(parts: &[Part], rays: f64, estimator: Estimator, seed: u64) -> Cast {
-    let options = CastOptions { rays, estimator, seed, ..CastOptions::default() };
+    let options = CastOptions::default().with_rays(rays).with_estimator(estimator).with_seed(seed);
     cast(scene(parts), Subdivision::Edge(f64::INFINITY), options)
 }
 

@@ -117,7 +117,7 @@ fn form_factors_of_knots_are_shares() {
         let scene: Scene = scene(&[part(knot(&mut random), 0.5, 0.0), part(knot(&mut random), 0.5, 1.0)]);
         let inspection = Inspection::of(&scene);
         assert_eq!(inspection.triangles + inspection.degenerate, scene.triangles.len() + scene.degenerate);
-        let options = CastOptions { seed, ..CastOptions::default() };
+        let options = CastOptions::default().with_seed(seed);
         let f = cast(scene, Subdivision::Count(40), options).form_factors;
         let (closure, reciprocity) = deviations(&f);
         assert!(closure <= 1e-12 && reciprocity <= 1e-12, "{seed}: {closure:e} {reciprocity:e}");
@@ -141,7 +141,7 @@ fn of_doubled_faces_the_first_takes_part() {
     for (lamps, edge) in [(level_square(0.5, -0.1, false), 0.1), (sphere, f64::INFINITY)] {
         let irradiance = |floor: Vec<Corners>| {
             let parts = [part(lamps.clone(), 0.0, 1.0), black(floor), black(level_square(0.4, 0.4, false))];
-            let options = CastOptions { rays: 256.0, ..CastOptions::default() };
+            let options = CastOptions::default().with_rays(256.0);
             let cast = cast(scene(&parts), Subdivision::Edge(edge), options);
             let exitance: Vec<f64> = (0..cast.patches.len()).map(|i| cast.patches.emission()[i]).collect();
             let irradiance = cast.form_factors.irradiance(&exitance, 1);

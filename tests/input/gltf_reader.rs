@@ -368,7 +368,7 @@ fn what_has_no_say_in_diffuse_light_is_told_once() {
     assert!((0..8).all(|t| scene.mean_reflectance(t, &WHOLE) == [0.5; 3]));
     assert_eq!(scene.mean_reflectance(8, &WHOLE), [0.25, 0.5, 0.75]);
     let folder = tempfile::tempdir().unwrap();
-    let options = LoadOptions { unlit_emits: true, ..LoadOptions::default() };
+    let options = LoadOptions::default().with_unlit_emits(true);
     let lit = Scene::load_with(file.save(folder.path(), "scene.glb"), &options).unwrap();
     assert_eq!((lit.mean_emission(4, &WHOLE), lit.mean_reflectance(4, &WHOLE)), ([0.5; 3], [0.0; 3]));
 }

@@ -374,7 +374,7 @@ fn faces_and_what_they_belong_to_are_kept_for_who_asks() {
     let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\no a\ng b c\nf 1 2 2\nf 1 2 3\ng\nf 1 3 4\ng b c\nf 2 3 4\n";
     std::fs::write(&path, text).unwrap();
     assert!(Scene::load(&path).unwrap().faces.is_empty());
-    let scene = Scene::load_with(&path, &LoadOptions { faces: true, ..LoadOptions::default() }).unwrap();
+    let scene = Scene::load_with(&path, &LoadOptions::default().with_faces(true)).unwrap();
     let faces: Vec<_> = scene.faces.iter().map(|f| (f.first, f.line.unwrap(), f.part)).collect();
     assert_eq!(faces, [(0, 5, 0), (2, 8, 1), (3, 9, 1), (4, 11, 2), (5, 13, 1)]);
     let parts: Vec<_> = scene.parts.iter().map(|p| (p.object.as_deref(), p.group.as_deref())).collect();

@@ -17,7 +17,7 @@ const WHOLE: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 fn by_radiosity(scene: &Scene, tracer: &Tracer, edge: f64) -> Vec<([f64; 3], [f64; 3])> {
     let progress = Progress::new();
     let mut patches = Patches::subdivide(scene, &Subdivision::Edge(edge));
-    let cast = CastOptions { rays: 128.0, ..CastOptions::default() };
+    let cast = CastOptions::default().with_rays(128.0);
     let factors = FormFactors::cast(scene, tracer, &mut patches, &cast, &progress).unwrap();
     let solution = solve(&factors, &patches, &SolveOptions::default(), &progress).unwrap();
     let bars = ErrorBars::of(&factors, &patches, &solution).unwrap();
@@ -41,12 +41,12 @@ fn all_ways_agree_on_a_room_with_a_checkerboard_and_a_fading_lamp() {
     let regions: Vec<Region> =
         (0..scene.triangles.len()).map(|triangle| Region { triangle, part: WHOLE, front: true }).collect();
     let by = |next_event, samples| {
-        let effort = Effort { samples, ..Effort::default() };
-        let paths = PathTracer::new(&scene, &tracer, PathOptions { next_event, ..PathOptions::default() });
+        let effort = Effort::default().with_samples(samples);
+        let paths = PathTracer::new(&scene, &tracer, PathOptions::default().with_next_event(next_event));
         paths.mean_irradiances(&regions, &effort, &progress).unwrap()
     };
     let (paths, plain) = (by(true, 1 << 14), by(false, 1 << 16));
-    let options = LightOptions { particles: 1 << 19, ..LightOptions::default() };
+    let options = LightOptions::default().with_particles(1 << 19);
     let light = LightTracer::new(&scene, &tracer, options)
         .trace(regions.len(), |hit| hit.front.then_some(hit.triangle as usize), &progress)
         .unwrap();

@@ -58,7 +58,7 @@ impl Case {
 }
 
 fn solve_with(scene: &Scene, tracer: &Tracer, subdivision: Subdivision, rays: f64, seed: u64) -> Solved {
-    let cast = CastOptions { rays, seed, ..CastOptions::default() };
+    let cast = CastOptions::default().with_rays(rays).with_seed(seed);
     Solved::new(scene, tracer, &subdivision, &cast, &SolveOptions::default(), &Progress::new()).unwrap()
 }
 
@@ -117,10 +117,10 @@ fn parts_are_equal_and_rays_as_many_as_asked_for() {
 fn a_wanted_error_is_reached() {
     let case = Case::new("cornell-box.obj");
     let target = 0.02;
-    let plan = Plan { error: Some(target), ..Plan::default() };
+    let plan = Plan::default().with_error(Some(target));
     for seed in 0..4 {
         let patches = Patches::subdivide(&case.scene, &case.subdivision);
-        let cast = CastOptions { seed, ..CastOptions::default() };
+        let cast = CastOptions::default().with_seed(seed);
         let mut told: Vec<Round> = Vec::new();
         let (options, progress) = (SolveOptions::default(), Progress::new());
         let first = begin(&case.scene, &case.tracer, patches, &cast, &options, None, &progress).unwrap();
@@ -147,7 +147,7 @@ fn a_wanted_error_is_reached() {
 fn more_rays_keep_those_that_were_cast() {
     let case = Case::new("cornell-box.obj");
     let mut patches = Patches::subdivide(&case.scene, &case.subdivision);
-    let cast = CastOptions { seed: 5, ..CastOptions::default() };
+    let cast = CastOptions::default().with_seed(5);
     let progress = Progress::new();
     let first = FormFactors::cast(&case.scene, &case.tracer, &mut patches, &cast, &progress).unwrap();
     let before: Vec<Vec<u32>> = (0..first.len()).map(|i| first.hits().unwrap().of(i).to_vec()).collect();
@@ -165,8 +165,11 @@ fn even_rounds_are_one_cast() {
     for estimator in BOTH {
         let cast_at_once = |rays: f64| {
             let mut patches = Patches::subdivide(&case.scene, &case.subdivision);
-            let options =
-                CastOptions { rays, estimator, by_variance: false, seed: 5, ..CastOptions::default() };
+            let options = CastOptions::default()
+                .with_rays(rays)
+                .with_estimator(estimator)
+                .with_by_variance(false)
+                .with_seed(5);
             let f = FormFactors::cast(&case.scene, &case.tracer, &mut patches, &options, &Progress::new());
             (f.unwrap(), patches)
         };

@@ -36,7 +36,7 @@ fn long_box() -> Scene {
 
 fn corners_of(scene: &Scene, patches: &Patches, i: usize) -> Corners {
     let t = scene.corners(patches.triangle(i));
-    patches.corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2])
+    patches.barycentric_corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2])
 }
 
 fn place(p: DVec3) -> [u64; 3] {
@@ -70,12 +70,12 @@ proptest! {
             let turn = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
             prop_assert!(turn.dot(scene.normal(patches.triangle(i))) > 0.0);
             let (t, front) = (patches.triangle(i) as u32, patches.is_front(i));
-            prop_assert_eq!(patches.at(t, centre(patches.corners(i)), front), Some(i as u32));
+            prop_assert_eq!(patches.at(t, centre(patches.barycentric_corners(i)), front), Some(i as u32));
             if front {
                 areas[t as usize] += patches.area(i);
                 let back = patches.back_of(i);
                 prop_assert_eq!(back.is_some(), t == 7 || t == 2);
-                prop_assert!(back.is_none_or(|b| patches.corners(b as usize) == patches.corners(i)));
+                prop_assert!(back.is_none_or(|b| patches.barycentric_corners(b as usize) == patches.barycentric_corners(i)));
             }
         }
         prop_assert!(areas.iter().enumerate().all(|(t, a)| (a / scene.area(t) - 1.0).abs() < 1e-14));
@@ -83,7 +83,7 @@ proptest! {
         let found = patches.at(3, point, true).unwrap() as usize;
         prop_assert!(found < fronts && patches.triangle(found) == 3);
         // Within but for the rounding of coordinates that sum to 1 only so far, and are doubled at each level.
-        let corners = patches.corners(found);
+        let corners = patches.barycentric_corners(found);
         for (a, b) in [(0, 1), (1, 2), (2, 0)] {
             let from = |k: usize| [0, 1].map(|axis| corners[k][axis] - f64::from(point[axis]));
             let ([ux, uy], [vx, vy]) = (from(a), from(b));
@@ -187,7 +187,7 @@ proptest! {
 
 fn cast_on(scene: Scene, mut patches: Patches, rays: f64, estimator: Estimator) -> Cast {
     let tracer = Tracer::new(&scene);
-    let options = CastOptions { rays, estimator, ..CastOptions::default() };
+    let options = CastOptions::default().with_rays(rays).with_estimator(estimator);
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
     Cast { scene, tracer, patches, form_factors }
 }
@@ -203,7 +203,7 @@ fn furnace_on_patches_of_all_sizes() {
     let scene = scene(&faces.into_iter().enumerate().map(of_face).collect::<Vec<_>>());
     let patches = refined_by_chance(&scene, 3.0, 4, 5);
     let cast = cast_on(scene, patches, 64.0, Estimator::Pooled);
-    let options = SolveOptions { tolerance: 1e-12, ..SolveOptions::default() };
+    let options = SolveOptions::default().with_tolerance(1e-12);
     let solution = solve(&cast.form_factors, &cast.patches, &options, &Progress::new()).unwrap();
     let worst = solution.radiosity.iter().map(|b| (b - 1.0).abs()).fold(0.0, f64::max);
     // The largest reflectance is 0.9, so that what the solver leaves is at most ten times its tolerance.
@@ -232,7 +232,7 @@ fn form_factors_between_patches_of_all_sizes() {
 }
 
 fn solved(scene: &Scene, tracer: &Tracer, patches: Patches, rays: f64) -> Solved {
-    let (cast, options) = (CastOptions { rays, ..CastOptions::default() }, SolveOptions::default());
+    let (cast, options) = (CastOptions::default().with_rays(rays), SolveOptions::default());
     Solved::of_patches(scene, tracer, patches, &cast, &options, &Progress::new()).unwrap()
 }
 

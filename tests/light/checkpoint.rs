@@ -21,7 +21,7 @@ fn furnished() -> Scene {
 }
 
 fn options(rays: f64) -> CastOptions {
-    CastOptions { rays, seed: 5, ..CastOptions::default() }
+    CastOptions::default().with_rays(rays).with_seed(5)
 }
 
 /// All that rays told, bit by bit.
@@ -80,7 +80,7 @@ fn the_result_is_the_same_wherever_rays_come_from() {
     let scene = furnished();
     let dir = tempfile::tempdir().unwrap();
     for (k, estimator) in BOTH.into_iter().enumerate() {
-        let options = CastOptions { estimator, ..options(64.0) };
+        let options = options(64.0).with_estimator(estimator);
         let path = dir.path().join(format!("{k}.checkpoint"));
         let truth = bits(&cast_with(&scene, 300, &options, None, 1));
         let fresh = open(&path, &scene);
@@ -348,7 +348,7 @@ fn estimators_do_not_take_each_others_rays() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("rays.checkpoint");
     for estimator in [Estimator::Pooled, Estimator::OneWay, Estimator::Pooled] {
-        let options = CastOptions { estimator, ..options(32.0) };
+        let options = options(32.0).with_estimator(estimator);
         let with = cast_with(&scene, 64, &options, Some(&open(&path, &scene)), 2);
         assert!(bits(&with) == bits(&cast_with(&scene, 64, &options, None, 2)));
     }

@@ -26,7 +26,7 @@ fn bits(values: &[f64]) -> Vec<u64> {
 fn run(scene: &Scene, estimator: Estimator, seed: u64, threads: usize) -> Bytes {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| {
-        let options = CastOptions { estimator, seed, ..CastOptions::default() };
+        let options = CastOptions::default().with_estimator(estimator).with_seed(seed);
         let room = cast(scene.clone(), Subdivision::Count(700), options);
         let (f, n) = (&room.form_factors, room.patches.len());
         let rows: Vec<(usize, f64)> = (0..n).flat_map(|i| f.row(i)).collect();
@@ -39,7 +39,7 @@ fn run(scene: &Scene, estimator: Estimator, seed: u64, threads: usize) -> Bytes 
         let solutions: Vec<_> = solvers
             .iter()
             .map(|&solver| {
-                let options = SolveOptions { solver, tolerance: 1e-8, ..SolveOptions::default() };
+                let options = SolveOptions::default().with_solver(solver).with_tolerance(1e-8);
                 solve(f, &room.patches, &options, &Progress::new()).unwrap()
             })
             .collect();

@@ -30,7 +30,7 @@ fn calibrate(name: &str, scene: &radiosity::Scene, edge: f64, radiosity: &[f64],
         let mut squares = 0.0;
         for seed in 0..SEEDS {
             let mut patches = Patches::subdivide(scene, &Subdivision::Edge(edge));
-            let options = CastOptions { rays: 256.0, estimator, seed, ..CastOptions::default() };
+            let options = CastOptions::default().with_rays(256.0).with_estimator(estimator).with_seed(seed);
             let f = FormFactors::cast(scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
             let irradiance = f.irradiance(radiosity, 1);
             let errors = standard_errors(&f, radiosity);
@@ -58,12 +58,7 @@ fn bars_in_a_room() {
     let room = scene(&[part([x0, x1, y0, y1, floor].concat(), 0.5, 0.0), part(ceiling, 0.5, 1.0)]);
     let patches = Patches::subdivide(&room, &Subdivision::Edge(0.4));
     let n = patches.len();
-    let corners: Vec<Corners> = (0..n)
-        .map(|i| {
-            let t = room.corners(patches.triangle(i));
-            patches.corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2])
-        })
-        .collect();
+    let corners: Vec<Corners> = (0..n).map(|i| patches.corners(&room, i)).collect();
     let shares: Vec<Vec<f64>> = (0..n)
         .map(|i| (0..n).map(|j| polygon_exchange_area(&corners[i], &corners[j]) / patches.area(i)).collect())
         .collect();
@@ -86,7 +81,7 @@ fn bars_with_an_occluder() {
         black(level_square(0.5, 0.5, true)),
     ];
     let open = scene(&parts);
-    let options = CastOptions { rays: 16384.0, seed: 1000, ..CastOptions::default() };
+    let options = CastOptions::default().with_rays(16384.0).with_seed(1000);
     let reference = cast(open, Subdivision::Edge(0.2), options);
     let mut random = Random::new(2);
     let radiosity: Vec<f64> = (0..reference.patches.len()).map(|_| random.next()).collect();
@@ -106,14 +101,13 @@ fn unblocked_light_of_lamps_is_known_to_its_bar() {
     for subdivision in [Subdivision::Edge(f64::INFINITY), Subdivision::Count(300)] {
         let (mut off, mut of_bar) = (0f64, 0f64);
         for seed in 0..4 {
-            let lit = cast(scene(&parts), subdivision, CastOptions { seed, ..CastOptions::default() });
+            let lit = cast(scene(&parts), subdivision, CastOptions::default().with_seed(seed));
             let radiosity = lit.patches.emission();
             let irradiance = lit.form_factors.irradiance(radiosity, 1);
             let errors = standard_errors(&lit.form_factors, radiosity);
             // The tile holds back a hundred millionth of what lights the floor; its back sees no lamp.
             for i in (0..lit.patches.fronts()).filter(|&i| radiosity[i] == 0.0) {
-                let t = lit.scene.corners(lit.patches.triangle(i));
-                let corners = lit.patches.corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2]);
+                let corners = lit.patches.corners(&lit.scene, i);
                 let truth = polygon_form_factor(&corners, &above);
                 off = off.max((irradiance[i] / truth - 1.0).abs());
                 of_bar = of_bar.max((irradiance[i] - truth).abs() / errors[i]);
@@ -136,8 +130,7 @@ where
     let errors = standard_errors(&lit.form_factors, radiosity);
     let (mut within, mut many, mut off, mut told, mut light, mut area) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     for i in (0..lit.patches.fronts()).filter(|&i| radiosity[i] == 0.0) {
-        let t = lit.scene.corners(lit.patches.triangle(i));
-        let corners = lit.patches.corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2]);
+        let corners = lit.patches.corners(&lit.scene, i);
         let mut lamps = lamps((corners[0] + corners[1] + corners[2]) / 3.0).into_iter().peekable();
         if lamps.peek().is_none() {
             continue;
@@ -162,7 +155,7 @@ where
 fn light_of_a_lamp_close_to_the_floor_is_known_to_its_bar() {
     let corners = [(0.3, 0.3), (0.3, 0.7), (0.7, 0.7), (0.7, 0.3)].map(|(x, y)| DVec3::new(x, y, 0.03));
     for rays in [64.0, 256.0] {
-        let options = CastOptions { rays, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(rays);
         let lit = cast(low_lamp(), Subdivision::Count(1000), options);
         let [within, off, told] = against_lambert(&lit, |at| (at.z < 1e-9).then_some((&corners[..], 1.0)));
         println!("{rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
@@ -189,7 +182,7 @@ fn light_of_lamps_that_hardly_rise_above_a_patch_is_known_to_its_bar() {
     let on_wall = |at: DVec3| at.min_element() < 1e-9 || at.max_element() > 1.0 - 1e-9;
     let seen = |at: DVec3| lamps.iter().filter(move |_| on_wall(at)).map(|lamp| (&lamp[..], 1.0));
     for rays in [64.0, 256.0] {
-        let options = CastOptions { rays, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(rays);
         let lit = cast(scene(&parts), Subdivision::Count(300), options);
         let [within, off, told] = against_lambert(&lit, seen);
         println!("{rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
@@ -205,7 +198,7 @@ fn light_of_a_lamp_in_the_open_is_known_to_its_bar() {
     let floor = black(rectangle(DVec3::ZERO, DVec3::X, DVec3::Y));
     let parts = [floor, part(rectangle(lamp[0], DVec3::Y, DVec3::X), 0.0, 1.0)];
     for (patches, rays) in [(256, 64.0), (4096, 64.0), (4096, 256.0)] {
-        let options = CastOptions { rays, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(rays);
         let lit = cast(scene(&parts), Subdivision::Count(patches), options);
         let [within, off, told] = against_lambert(&lit, |_| Some((&lamp[..], 1.0)));
         println!("{patches} patches, {rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
@@ -227,7 +220,7 @@ fn light_of_a_dim_lamp_is_known_to_its_bar() {
         |x: f64| [(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)].map(|(u, v)| DVec3::new(x + u, v, 1.0));
     let (dim, bright) = (above(0.0), above(1.5));
     for rays in [64.0, 256.0] {
-        let options = CastOptions { rays, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(rays);
         let lit = cast(scene(&parts), Subdivision::Count(600), options);
         for (name, first, lamp, brightness) in [("dim", 0.0, &dim, 1.0), ("bright", 1.5, &bright, 1e4)] {
             let is_there = |at: DVec3| (first - 0.1..first + 1.1).contains(&at.x);

@@ -129,7 +129,7 @@ fn reflectance_zero() {
     let truth = 0.199_824_895_698_387_46;
     let floor = lit.cast.of_part(0);
     for rays in [16.0, 64.0, 256.0] {
-        let options = CastOptions { rays, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(rays);
         let lit = light(cast(scene(&parts), Subdivision::Count(300), options), None);
         let mean = lit.cast.mean(&floor, &lit.solution.irradiance, &lit.errors).value;
         let off = (mean / truth - 1.0).abs();
@@ -234,7 +234,7 @@ fn white_and_closed_is_refused() {
     for parts in [&sealed[..1], &[red], &sealed] {
         let room = cast(scene(parts), Subdivision::Count(100), CastOptions::default());
         for solver in [Solver::Auto, Solver::Jacobi, Solver::GaussSeidel, Solver::Southwell, Solver::Direct] {
-            let options = SolveOptions { solver, ..SolveOptions::default() };
+            let options = SolveOptions::default().with_solver(solver);
             let solution = solve(&room.form_factors, &room.patches, &options, &Progress::new());
             assert!(matches!(solution, Err(Error::NoEquilibrium)), "{solver:?}: {solution:?}");
         }
@@ -322,7 +322,7 @@ fn moved(scene: &Scene, factor: f64, offset: DVec3) -> Scene {
 fn scale_and_offset() {
     let original = load("cornell-box");
     let run = |scene: Scene| {
-        let options = CastOptions { by_variance: false, ..CastOptions::default() };
+        let options = CastOptions::default().with_by_variance(false);
         light(cast(scene, Subdivision::Count(300), options), None)
     };
     let size = 2f64.powi(9);
@@ -470,7 +470,7 @@ fn doubled_lamps_shine_once() {
             let [x0, x1, y0, y1, z0, _] = room_faces(DVec3::ZERO, DVec3::ONE);
             let mut parts = vec![part([x0, x1, y0, y1, z0].concat(), 0.5, 0.0)];
             parts.extend((0..lamps).map(|_| part(ceiling.clone(), 0.5, 1.0)));
-            let options = CastOptions { by_variance: false, ..CastOptions::default() };
+            let options = CastOptions::default().with_by_variance(false);
             light(cast(scene(&parts), Subdivision::Edge(0.15), options), None)
         };
         let (once, twice) = (lit(1), lit(2));

@@ -15,7 +15,7 @@ fn check(parts: &[(Vec<Corners>, f64)], rays: f64, edge: f64, truth: f64, slack:
         [(Estimator::OneWay, 0.0), (Estimator::Pooled, 0.0), (Estimator::Pooled, 1.0)]
     {
         let parts: Vec<Part> = parts.iter().map(|(t, lamp)| part(t.clone(), 0.0, lamp * exitance)).collect();
-        let options = CastOptions { rays, estimator, seed: 7, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(rays).with_estimator(estimator).with_seed(7);
         let measured = cast(scene(&parts), Subdivision::Edge(edge), options).form_factor(0, 1);
         println!("{estimator:?} {exitance}: {measured:?} for {truth}");
         // What lamps send unoccluded has no error bar. Points keep ten roundings away from the edges of their triangle: of
@@ -94,7 +94,7 @@ fn squares_with_a_blocker_between() {
 #[test]
 fn a_blocker_takes_hits_and_gives_none() {
     let [without, with] = [0.0, 0.5].map(|side| {
-        let options = CastOptions { rays: 4096.0, estimator: Estimator::OneWay, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(4096.0).with_estimator(Estimator::OneWay);
         cast(scene(&squares_with_blocker(side)), Subdivision::Edge(0.5), options)
     });
     let mut fewer = 0;

@@ -23,7 +23,7 @@ struct Solved {
 fn solved(scene: Scene, patches: usize, rays: f64) -> Solved {
     let tracer = Tracer::new(&scene);
     let mut patches = Patches::subdivide(&scene, &Subdivision::Count(patches));
-    let options = CastOptions { rays, ..CastOptions::default() };
+    let options = CastOptions::default().with_rays(rays);
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
     let solution = solve(&form_factors, &patches, &SolveOptions::default(), &Progress::new()).unwrap();
     Solved { scene, tracer, patches, solution }
@@ -66,7 +66,7 @@ impl Solved {
             .map(|&(t, at)| Receiver::on_triangle(&self.tracer, t, at, map.is_of_front(t)))
             .collect();
         let tracer = PathTracer::new(&self.scene, &self.tracer, PathOptions::default());
-        let effort = Effort { samples: paths, ..Effort::default() };
+        let effort = Effort::default().with_samples(paths);
         let truth = tracer.irradiances(&receivers, &effort, &Progress::new()).unwrap();
         let mut sums = Comparison::default();
         for (&(t, at), truth) in places.iter().zip(&truth) {
@@ -211,7 +211,7 @@ fn more_texels_show_the_light_better() {
 
 #[test]
 fn the_map_holds_the_flux_of_the_solver() {
-    let plain = BakeOptions { final_gather: 0, dilate: false, close_seams: false, ..BakeOptions::default() };
+    let plain = BakeOptions::default().with_final_gather(0).with_dilate(false).with_close_seams(false);
     for (scene, side) in [
         (crate::common::load("cornell-box"), 100),
         (crate::common::load("textured"), 64),
@@ -236,7 +236,7 @@ fn a_gathered_map_holds_the_flux_of_the_solver_within_its_error() {
     // In the empty room no surface is hidden, and nothing but noise and the size of patches sets the two apart. The
     // patches' own standard error of 256 rays on the mean is below 0.1 % there.
     let s = solved(furnished(vec![]), 4000, 256.0);
-    let map = s.bake(Layout::Resolution(64), &BakeOptions { final_gather: 64, ..BakeOptions::default() });
+    let map = s.bake(Layout::Resolution(64), &BakeOptions::default().with_final_gather(64));
     let flux = map.flux();
     for c in 0..3 {
         let off = (flux.map[c] - flux.solver[c]).abs();
@@ -256,11 +256,11 @@ fn squares(a: &Lightmap, b: &Lightmap) -> f64 {
 
 #[test]
 fn error_bars_of_texels_cover_what_many_rays_find() {
-    let raw = BakeOptions { denoise: false, dilate: false, close_seams: false, ..BakeOptions::default() };
+    let raw = BakeOptions::default().with_denoise(false).with_dilate(false).with_close_seams(false);
     let s = solved(furnished(vec![]), 2000, 128.0);
     let bake = |options: BakeOptions| s.bake(Layout::Resolution(64), &options);
-    let few = bake(BakeOptions { final_gather: 16, seed: 1, ..raw });
-    let many = bake(BakeOptions { final_gather: 1024, seed: 2, ..raw });
+    let few = bake(raw.with_final_gather(16).with_seed(1));
+    let many = bake(raw.with_final_gather(1024).with_seed(2));
     let expected: f64 = [&few, &many]
         .iter()
         .flat_map(|map| map.standard_error().iter().map(|error| f64::from(error[1]).powi(2)))
@@ -272,7 +272,7 @@ fn error_bars_of_texels_cover_what_many_rays_find() {
     assert!(few.coverage().len() > 1000 && (0.7..1.4).contains(&ratio), "{ratio}");
     // Planes through 200 texels would leave a hundredth of it where light is straight; within a third of a wall's
     // length, as these are, it is not everywhere. A quarter was found; the error bars need to be used for any of it.
-    let smooth = bake(BakeOptions { denoise: true, final_gather: 16, seed: 1, ..raw });
+    let smooth = bake(raw.with_denoise(true).with_final_gather(16).with_seed(1));
     let left = squares(&smooth, &many);
     assert!(left < 0.4 * found, "{left} of {found}");
 }
@@ -331,7 +331,7 @@ fn the_floor_under_a_block_is_hidden_and_not_black() {
     let floor: Vec<usize> =
         (0..s.scene.triangles.len()).filter(|&t| s.scene.corners(t).iter().all(|c| c.z == -1.0)).collect();
     for final_gather in [0, 16] {
-        let map = s.bake(Layout::Resolution(128), &BakeOptions { final_gather, ..BakeOptions::default() });
+        let map = s.bake(Layout::Resolution(128), &BakeOptions::default().with_final_gather(final_gather));
         let at = |point: DVec3| {
             let (t, b) = floor
                 .iter()
@@ -355,7 +355,7 @@ fn the_floor_under_a_shell_with_a_gap_is_lit_as_paths_light_it() {
     let faces = room_faces(dvec3(-0.5, -0.5, -0.9), dvec3(0.5, 0.5, 0.1));
     let shell = crate::common::flipped([&faces[..4], &faces[5..]].concat().concat());
     let s = solved(furnished(shell), 2000, 64.0);
-    let map = s.bake(Layout::Resolution(128), &BakeOptions { final_gather: 64, ..BakeOptions::default() });
+    let map = s.bake(Layout::Resolution(128), &BakeOptions::default().with_final_gather(64));
     let floor: Vec<usize> =
         (0..s.scene.triangles.len()).filter(|&t| s.scene.corners(t).iter().all(|c| c.z == -1.0)).collect();
     let places: Vec<(usize, [f64; 3])> = (0..1600)
@@ -455,7 +455,7 @@ fn own_coordinates_are_kept_where_they_suit() {
 #[test]
 fn every_step_can_be_left_out() {
     let s = solved(furnished(icosphere(0.5, 1)), 500, 32.0);
-    let all = BakeOptions { final_gather: 4, ..BakeOptions::default() };
+    let all = BakeOptions::default().with_final_gather(4);
     let names = |options: BakeOptions| -> Vec<&str> {
         let map = s.bake(Layout::Resolution(64), &options);
         let empty = map.texels().iter().filter(|&&t| t == Texel::Empty).count();
@@ -468,13 +468,13 @@ fn every_step_can_be_left_out() {
         map.steps().iter().map(|step| step.name).collect()
     };
     assert_eq!(names(all), ["denoise", "dilate", "seams"]);
-    assert_eq!(names(BakeOptions { denoise: false, ..all }), ["dilate", "seams"]);
-    assert_eq!(names(BakeOptions { dilate: false, ..all }), ["denoise", "seams"]);
-    assert_eq!(names(BakeOptions { close_seams: false, ..all }), ["denoise", "dilate"]);
-    assert_eq!(names(BakeOptions { final_gather: 0, ..all }), ["hide", "dilate", "seams"]);
+    assert_eq!(names(all.with_denoise(false)), ["dilate", "seams"]);
+    assert_eq!(names(all.with_dilate(false)), ["denoise", "seams"]);
+    assert_eq!(names(all.with_close_seams(false)), ["denoise", "dilate"]);
+    assert_eq!(names(all.with_final_gather(0)), ["hide", "dilate", "seams"]);
     // Dilation changes no texel that holds surface.
     let [with, without] = [true, false]
-        .map(|dilate| s.bake(Layout::Resolution(64), &BakeOptions { dilate, close_seams: false, ..all }));
+        .map(|dilate| s.bake(Layout::Resolution(64), &all.with_dilate(dilate).with_close_seams(false)));
     for (k, &texel) in without.texels().iter().enumerate() {
         assert!(texel != Texel::Valid || with.irradiance()[k] == without.irradiance()[k]);
     }

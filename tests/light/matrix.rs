@@ -66,7 +66,7 @@ fn pooled_matrices_are_closed_reciprocal_and_bounded() {
 #[test]
 fn one_way_counts_keep_the_bounds() {
     for (name, lit) in scenes() {
-        let options = CastOptions { estimator: Estimator::OneWay, ..CastOptions::default() };
+        let options = CastOptions::default().with_estimator(Estimator::OneWay);
         let cast = cast(lit.scene, Subdivision::Edge(lit.patches.edge()), options);
         let f = &cast.form_factors;
         let l = (f.non_zeros() as f64 / 1e-4).ln();
@@ -88,11 +88,10 @@ fn one_way_counts_keep_the_bounds() {
 #[test]
 fn deviations_before_are_those_of_the_rays() {
     let options =
-        CastOptions { rays: 48.0, shadow_share: 0.0, by_variance: false, seed: 2, ..CastOptions::default() };
+        CastOptions::default().with_rays(48.0).with_shadow_share(0.0).with_by_variance(false).with_seed(2);
     let cut = Subdivision::Edge(30.0);
     let pooled = cast(uneven(0.0), cut, options).form_factors;
-    let one_way =
-        cast(uneven(0.0), cut, CastOptions { estimator: Estimator::OneWay, ..options }).form_factors;
+    let one_way = cast(uneven(0.0), cut, options.with_estimator(Estimator::OneWay)).form_factors;
     let n = pooled.len();
     assert_eq!(one_way.len(), n);
 
@@ -138,7 +137,7 @@ fn backs_that_are_seen() {
     let corner = dvec3(0.3, 0.3, 0.5);
     let plate = black(rectangle(corner, DVec3::X * 0.4, DVec3::Y * 0.4));
     for rays in [64.0, 1024.0] {
-        let options = CastOptions { rays, ..CastOptions::default() };
+        let options = CastOptions::default().with_rays(rays);
         let parts = [&x0, &x1, &plate, &y0, &y1, &floor, &ceiling];
         let parts = parts.map(|p| black(p.triangles.clone()));
         let room = cast(scene(&parts), Subdivision::Edge(0.3), options);
@@ -151,7 +150,7 @@ fn backs_that_are_seen() {
             assert_eq!(back.is_some(), plate.contains(&i));
             if let Some(back) = back.map(|b| b as usize) {
                 assert!(!room.patches.is_front(back));
-                assert_eq!(room.patches.corners(back), room.patches.corners(i));
+                assert_eq!(room.patches.barycentric_corners(back), room.patches.barycentric_corners(i));
                 assert_eq!(room.patches.area(back), room.patches.area(i));
                 // Two sides of a plane see nothing of each other or themselves.
                 for (p, q) in [(i, back), (back, i), (i, i), (back, back)] {

@@ -17,7 +17,7 @@ use radiosity::{
     },
     patch::{Patches, Subdivision},
     scene::Material,
-    solve::{Solution, SolveOptions, Solver, solve},
+    solve::{Light, SolveOptions, solve},
     tone::Exposure,
     trace::Tracer,
 };
@@ -48,18 +48,21 @@ fn subdivide(scene: &Scene, edge: f64) -> Patches {
     Patches::subdivide(scene, &Subdivision::Edge(edge))
 }
 
+/// Light as a solver could have found it.
+struct Lit {
+    radiosity: Vec<f64>,
+    irradiance: Vec<f64>,
+}
+
+impl<'a> From<&'a Lit> for Light<'a> {
+    fn from(Lit { radiosity, irradiance }: &'a Lit) -> Self {
+        Light { radiosity, irradiance }
+    }
+}
+
 /// Triangle `t`'s front patches have value `f` of their centroid.
 fn field(scene: &Scene, patches: &Patches, f: impl Fn(DVec3) -> f64) -> Vec<f64> {
-    (0..patches.len())
-        .map(|i| {
-            let p = scene.corners(patches.triangle(i));
-            let middle = patches
-                .corners(i)
-                .iter()
-                .fold(DVec3::ZERO, |sum, b| sum + (p[0] * b[0] + p[1] * b[1] + p[2] * b[2]) / 3.0);
-            f(middle)
-        })
-        .collect()
+    (0..patches.len()).map(|i| f(patches.centroid(scene, i))).collect()
 }
 
 fn place(p: DVec3) -> [u64; 3] {
@@ -80,18 +83,6 @@ fn edge_uses<K: std::hash::Hash + Eq + Copy>(
         }
     }
     uses
-}
-
-fn solution(patches: &Patches, radiosity: Vec<f64>, irradiance: Vec<f64>) -> Solution {
-    Solution {
-        channels: patches.channels(),
-        radiosity,
-        irradiance,
-        solver: Solver::Direct,
-        iterations: 1,
-        residual: 0.0,
-        error_bound: 0.0,
-    }
 }
 
 #[test]
@@ -270,7 +261,7 @@ fn float(element: &DefaultElement, name: &str) -> f32 {
 }
 
 /// A coloured room corner with a back, its solution and standard errors.
-fn coloured() -> (Scene, Patches, Solution, Vec<f64>) {
+fn coloured() -> (Scene, Patches, Lit, Vec<f64>) {
     let materials =
         vec![Material::new("a", [0.5, 0.4, 0.3], DARK), Material::new("b", [0.1, 0.2, 0.3], DARK)];
     let (o, x, y, z) = (DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z);
@@ -279,7 +270,7 @@ fn coloured() -> (Scene, Patches, Solution, Vec<f64>) {
     let mut patches = subdivide(&scene, 0.8);
     patches.add_backs(&scene, &[1]);
     let values = |scale: f64| (0..3 * patches.len()).map(|k| scale * (k + 1) as f64).collect();
-    let solution = solution(&patches, values(1.0), values(10.0));
+    let solution = Lit { radiosity: values(1.0), irradiance: values(10.0) };
     let errors = values(0.1);
     (scene, patches, solution, errors)
 }
@@ -289,12 +280,10 @@ fn what_is_written_is_what_another_reader_reads() {
     let (scene, patches, solution, errors) = coloured();
     let exposure = Exposure { scale: 0.01 };
     let mut bytes = Vec::new();
-    let options = PlyOptions {
-        standard_errors: Some(&errors),
-        backs: true,
-        exposure: Some(exposure),
-        ..PlyOptions::default()
-    };
+    let options = PlyOptions::default()
+        .with_standard_errors(Some(&errors))
+        .with_backs(true)
+        .with_exposure(Some(exposure));
     encode(&mut bytes, &scene, &patches, &solution, &options).unwrap();
 
     let ply = read(&bytes);
@@ -342,9 +331,9 @@ fn patches_of_several_sizes_are_one_face_or_two() {
     let mut patches = coarse.refined(&scene, &(0..coarse.len()).map(|i| i == 5).collect::<Vec<_>>());
     patches.add_backs(&scene, &[patches.triangle(5) as u32]);
     let values = |factor: f64| (0..patches.len()).map(|i| factor * (i + 1) as f64).collect::<Vec<f64>>();
-    let solution = solution(&patches, values(1.0), values(10.0));
+    let solution = Lit { radiosity: values(1.0), irradiance: values(10.0) };
     let discretisation = values(-0.5);
-    let options = PlyOptions { discretisation: Some(&discretisation), backs: true, ..PlyOptions::default() };
+    let options = PlyOptions::default().with_discretisation(Some(&discretisation)).with_backs(true);
     let mut bytes = Vec::new();
     encode(&mut bytes, &scene, &patches, &solution, &options).unwrap();
     let ply = read(&bytes);
@@ -415,14 +404,13 @@ fn one_face_a_patch_shows_the_side_with_more_light() {
     .concat();
     let scene = Scene::new(&triangles, materials);
     let mut patches = subdivide(&scene, 0.4);
-    let cast = CastOptions { rays: 64.0, ..CastOptions::default() };
+    let cast = CastOptions::default().with_rays(64.0);
     let tracer = Tracer::new(&scene);
     let factors = FormFactors::cast(&scene, &tracer, &mut patches, &cast, &Progress::default()).unwrap();
     let solution = solve(&factors, &patches, &SolveOptions::default(), &Progress::default()).unwrap();
     let written = |backs: bool| {
         let mut bytes = Vec::new();
-        encode(&mut bytes, &scene, &patches, &solution, &PlyOptions { backs, ..PlyOptions::default() })
-            .unwrap();
+        encode(&mut bytes, &scene, &patches, &solution, &PlyOptions::default().with_backs(backs)).unwrap();
         faces_of(&read(&bytes))
     };
     let one = written(false);
@@ -444,7 +432,7 @@ fn no_two_faces_of_a_shipped_scene_coincide() {
     for name in ["cornell-box", "door-ajar", "furnace", "textured"] {
         let scene = load(name);
         let mut patches = Patches::subdivide(&scene, &Subdivision::Count(600));
-        let cast = CastOptions { rays: 64.0, ..CastOptions::default() };
+        let cast = CastOptions::default().with_rays(64.0);
         let tracer = Tracer::new(&scene);
         let factors = FormFactors::cast(&scene, &tracer, &mut patches, &cast, &Progress::default()).unwrap();
         let solution = solve(&factors, &patches, &SolveOptions::default(), &Progress::default()).unwrap();
@@ -472,7 +460,7 @@ fn grey_is_written_as_three_equal_channels_and_unknown_errors_as_nan() {
     // A little below zero, as iterative solvers leave dark patches.
     let mut radiosity = vec![2.0; patches.len()];
     radiosity[5] = -1e-20;
-    let solution = solution(&patches, radiosity, vec![3.0; patches.len()]);
+    let solution = Lit { radiosity, irradiance: vec![3.0; patches.len()] };
     let mut bytes = Vec::new();
     encode(&mut bytes, &scene, &patches, &solution, &PlyOptions::default()).unwrap();
     let ply = read(&bytes);
@@ -493,7 +481,7 @@ fn what_single_precision_cannot_hold_is_an_error() {
     let patches = subdivide(&scene, 0.6);
     for (radiosity, irradiance) in [(1e39, 1.0), (1.0, f64::NAN)] {
         let n = patches.len();
-        let solution = solution(&patches, vec![radiosity; n], vec![irradiance; n]);
+        let solution = Lit { radiosity: vec![radiosity; n], irradiance: vec![irradiance; n] };
         let error = encode(&mut Vec::new(), &scene, &patches, &solution, &PlyOptions::default()).unwrap_err();
         assert_eq!(error.kind(), std::io::ErrorKind::InvalidData);
     }
@@ -504,7 +492,7 @@ fn a_million_vertices_are_written_in_seconds() {
     let scene = cube();
     let patches = subdivide(&scene, 2f64.sqrt() / 512.0);
     assert_eq!(patches.len(), 12 << 18);
-    let solution = solution(&patches, vec![1.0; patches.len()], vec![2.0; patches.len()]);
+    let solution = Lit { radiosity: vec![1.0; patches.len()], irradiance: vec![2.0; patches.len()] };
     let start = Instant::now();
     let mut bytes = Vec::new();
     encode(&mut bytes, &scene, &patches, &solution, &PlyOptions::default()).unwrap();

@@ -11,7 +11,7 @@ use radiosity::{
 
 /// The means of the irradiance over these patches.
 fn means(scene: &Scene, common: &Patches, quality: Quality, seed: u64) -> Vec<f64> {
-    let cast = CastOptions { rays: f64::from(quality.rays), seed, ..CastOptions::default() };
+    let cast = CastOptions::default().with_rays(f64::from(quality.rays)).with_seed(seed);
     let (options, progress) = (SolveOptions::default(), Progress::new());
     let cut = Subdivision::Count(quality.patches);
     let Solved { patches, solution, .. } =

@@ -38,7 +38,7 @@ fn longest_edge([a, b, c]: Corners) -> f64 {
 
 fn patch_corners(scene: &Scene, patches: &Patches, i: usize) -> Corners {
     let t = scene.corners(patches.triangle(i));
-    patches.corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2])
+    patches.barycentric_corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2])
 }
 
 /// Number of patches at one edge length, by the definition: each triangle halved until no edge is longer.
@@ -104,7 +104,7 @@ proptest! {
         let b = b.map(|w| 0.999 * w + 0.001 / 3.0);
         let fronts = patches.fronts();
         for i in 0..fronts {
-            let corners = patches.corners(i);
+            let corners = patches.barycentric_corners(i);
             let at: [f32; 3] =
                 std::array::from_fn(|k| (0..3).map(|c| b[c] * corners[c][k]).sum::<f64>() as f32);
             let t = patches.triangle(i) as u32;
@@ -115,7 +115,7 @@ proptest! {
         patches.add_backs(&scene, &all);
         prop_assert_eq!(patches.len(), 2 * fronts);
         for i in fronts..2 * fronts {
-            let corners = patches.corners(i);
+            let corners = patches.barycentric_corners(i);
             let middle = std::array::from_fn(|k| (corners.iter().map(|c| c[k]).sum::<f64>() / 3.0) as f32);
             prop_assert_eq!(patches.at(patches.triangle(i) as u32, middle, false), Some(i as u32));
             prop_assert_eq!(patches.emission()[i], 0.0);
@@ -125,7 +125,7 @@ proptest! {
     /// Whatever intersects whatever: no form factor is negative, pairs are reciprocal, rows close.
     #[test]
     fn matrices_of_soups(scene in soup(12), seed in any::<u64>()) {
-        let options = CastOptions { seed, ..CastOptions::default() };
+        let options = CastOptions::default().with_seed(seed);
         let cast = cast(scene, Subdivision::Count(60), options);
         let f = &cast.form_factors;
         let (closure, reciprocity) = deviations(f);

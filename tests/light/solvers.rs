@@ -57,7 +57,7 @@ impl Light {
     }
 
     fn solve(&self, f: &FormFactors, solver: Solver, tolerance: f64) -> Result<Solution> {
-        self.solve_with(f, SolveOptions { solver, tolerance, ..SolveOptions::default() })
+        self.solve_with(f, SolveOptions::default().with_solver(solver).with_tolerance(tolerance))
     }
 
     fn solve_with(&self, f: &FormFactors, options: SolveOptions) -> Result<Solution> {
@@ -333,7 +333,7 @@ fn running_out_of_iterations_is_an_error() {
     let (_, f) = cube(4);
     let light = Light::uniform(f.len(), 16, 0.95);
     for solver in ITERATIVE {
-        let options = SolveOptions { solver, max_iterations: 1, ..SolveOptions::default() };
+        let options = SolveOptions::default().with_solver(solver).with_max_iterations(1);
         match light.solve_with(&f, options) {
             Err(Error::NotConverged { solver: name, iterations, residual, tolerance }) => {
                 assert_eq!((name, tolerance), (solver.name(), 1e-10));
@@ -376,10 +376,10 @@ fn channels_do_not_mix() {
 #[test]
 fn conjugate_gradients_want_reciprocity() {
     for estimator in BOTH {
-        let options = CastOptions { estimator, ..CastOptions::default() };
+        let options = CastOptions::default().with_estimator(estimator);
         let room = cast(load("furnace"), Subdivision::Edge(1.0), options);
         let solve = |solver| {
-            let options = SolveOptions { solver, ..SolveOptions::default() };
+            let options = SolveOptions::default().with_solver(solver);
             solve(&room.form_factors, &room.patches, &options, &Progress::new())
         };
         let (cg, auto) = (solve(Solver::ConjugateGradient), solve(Solver::Auto).unwrap().solver);

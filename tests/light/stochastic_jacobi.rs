@@ -17,9 +17,13 @@ fn by_sweeps(scene: &Scene, patches: usize, rays: f64, seed: u64) -> (Patches, S
     let (tracer, progress) = (Tracer::new(scene), Progress::new());
     let mut patches = Patches::subdivide(scene, &Subdivision::Count(patches));
     let sweeper = Sweeper::new(scene, &tracer, &mut patches, seed, &progress).unwrap();
-    let solution =
-        stochastic_jacobi::solve(&sweeper, sweeper.patches(), &StochasticOptions { rays }, &progress)
-            .unwrap();
+    let solution = stochastic_jacobi::solve(
+        &sweeper,
+        sweeper.patches(),
+        &StochasticOptions::default().with_rays(rays),
+        &progress,
+    )
+    .unwrap();
     (patches, solution)
 }
 
@@ -27,7 +31,7 @@ fn by_sweeps(scene: &Scene, patches: usize, rays: f64, seed: u64) -> (Patches, S
 fn by_matrix(scene: &Scene, patches: usize) -> (Patches, Vec<f64>) {
     let (tracer, progress) = (Tracer::new(scene), Progress::new());
     let mut patches = Patches::subdivide(scene, &Subdivision::Count(patches));
-    let cast = CastOptions { rays: 8192.0, ..CastOptions::default() };
+    let cast = CastOptions::default().with_rays(8192.0);
     let form_factors = FormFactors::cast(scene, &tracer, &mut patches, &cast, &progress).unwrap();
     let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress).unwrap();
     (patches, solution.irradiance)
@@ -102,7 +106,7 @@ fn sweeps_while(count: usize, more: impl FnMut(&Reached) -> bool) -> (Patches, S
     let (tracer, progress) = (Tracer::new(&scene), Progress::new());
     let mut patches = Patches::subdivide(&scene, &Subdivision::Count(count));
     let sweeper = Sweeper::new(&scene, &tracer, &mut patches, 1, &progress).unwrap();
-    let options = StochasticOptions { rays: 64.0 };
+    let options = StochasticOptions::default().with_rays(64.0);
     let found = stochastic_jacobi::solve_while(&sweeper, sweeper.patches(), &options, more, &progress);
     (sweeper.patches().clone(), found.unwrap())
 }

@@ -15,13 +15,11 @@ use radiosity::{
 };
 
 fn options(seed: u64) -> ValidationOptions {
-    ValidationOptions {
-        subdivision: Subdivision::Count(400),
-        paths: 512,
-        particles: 1 << 20,
-        seed,
-        ..ValidationOptions::default()
-    }
+    ValidationOptions::default()
+        .with_subdivision(Subdivision::Count(400))
+        .with_paths(512)
+        .with_particles(1 << 20)
+        .with_seed(seed)
 }
 
 fn cornell_box() -> Scene {
@@ -40,12 +38,12 @@ fn altered(scene: &Scene, kept: usize, change: impl Fn(&mut Material)) -> Scene 
 
 fn solved_twice(scene: &Scene, options: &ValidationOptions) -> (Solved, Solved) {
     let tracer = Tracer::new(scene);
-    let cast = CastOptions { rays: options.rays, seed: options.seed, ..CastOptions::default() };
+    let cast = CastOptions::default().with_rays(options.rays).with_seed(options.seed);
     let at = |subdivision: &Subdivision, cast: &CastOptions| {
         Solved::new(scene, &tracer, subdivision, cast, &options.solve, &Progress::new()).unwrap()
     };
     let coarse = at(&options.subdivision, &cast);
-    let finer = CastOptions { rays: 0.25 * options.rays, seed: options.seed + 1, ..cast };
+    let finer = cast.with_rays(0.25 * options.rays).with_seed(options.seed + 1);
     let quarters = coarse.patches.quartered(scene);
     let fine =
         Solved::of_patches(scene, &tracer, quarters, &finer, &options.solve, &Progress::new()).unwrap();
@@ -174,7 +172,7 @@ fn what_whole_triangles_cost_is_measured() {
     let scene = cornell_box();
     let tracer = Tracer::new(&scene);
     let left = |subdivision: Subdivision| {
-        let options = ValidationOptions { subdivision, paths: 16, particles: 1024, ..options(0) };
+        let options = options(0).with_subdivision(subdivision).with_paths(16).with_particles(1024);
         Validation::of(&scene, &tracer, &options, &Progress::new()).unwrap().discretisation_relative
     };
     let (whole, whole_by_length) = (left(Subdivision::Edge(f64::INFINITY)), left(Subdivision::Edge(1e6)));

@@ -49,7 +49,7 @@ fn room_with_block() -> Vec<Vec<DVec3>> {
 }
 
 fn compute(polygons: &[Vec<DVec3>], error: f64, enclosed: bool) -> ViewFactors {
-    let options = ViewFactorOptions { error, enclosed, seed: 3 };
+    let options = ViewFactorOptions::default().with_error(error).with_enclosed(enclosed).with_seed(3);
     view_factors(polygons, &options, &Progress::new()).unwrap()
 }
 
@@ -100,7 +100,7 @@ fn hemisphere_rays_find_the_same_in_any_unit_and_place() {
     let scene = Scene::new(&triangles, vec![Material::new("grey", [0.5; 3], [0.0; 3])]);
     let tracer = Tracer::new(&scene);
     let mut patches = Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY));
-    let options = CastOptions { rays, shadow_share: 0.0, by_variance: false, ..CastOptions::default() };
+    let options = CastOptions::default().with_rays(rays).with_shadow_share(0.0).with_by_variance(false);
     let cast = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
     let of_quad = |p: usize, q: usize| {
         let share = |i: usize| cast.areas()[i] / (cast.areas()[2 * p] + cast.areas()[2 * p + 1]);
@@ -160,7 +160,7 @@ fn errors_between_neighbours_are_no_larger_than_told() {
     polygons.extend(sides(dvec3(0.45, 0.52, 0.45), dvec3(0.15, 0.17, 0.2), 0.0, 1.0, 1));
     let (mut sum, seeds) = (0.0, 6);
     for seed in 0..seeds {
-        let options = ViewFactorOptions { error: 1e-4, enclosed: true, seed };
+        let options = ViewFactorOptions::default().with_error(1e-4).with_enclosed(true).with_seed(seed);
         let found = view_factors(&polygons, &options, &Progress::new()).unwrap();
         assert!(found.error <= options.error, "{} is more than {}", found.error, options.error);
         for i in 0..6 {
@@ -212,7 +212,7 @@ fn surfaces_of_several_polygons_see_each_other_and_themselves() {
     // The six sides of the room, of four each, and the block.
     let mut surfaces: Vec<&[Vec<DVec3>]> = polygons[..24].chunks(4).collect();
     surfaces.push(&polygons[24..]);
-    let options = ViewFactorOptions { error, enclosed: true, seed: 5 };
+    let options = ViewFactorOptions::default().with_error(error).with_enclosed(true).with_seed(5);
     let found = view_factors_of_surfaces(&surfaces, &options, &Progress::new()).unwrap();
     let of = |i: usize| if i == 6 { 24..30 } else { 4 * i..4 * i + 4 };
     let mut squares = 0.0;

@@ -54,7 +54,7 @@ fn the_furnace_is_evenly_bright() {
 fn what_emits_as_it_absorbs_is_white() {
     for name in ["furnace", "door-ajar", "textured"] {
         for estimator in BOTH {
-            let options = CastOptions { estimator, ..CastOptions::default() };
+            let options = CastOptions::default().with_estimator(estimator);
             let room = cast(load(name), Subdivision::Count(500), options);
             let (n, mut random) = (room.patches.len(), Random::new(12));
             let patterns = [
@@ -287,8 +287,8 @@ fn the_ledger_splits_exactly() {
         .flat_map(|(name, e)| [1e-10, 1e-1].map(|t| (name, e, t)))
     {
         let room =
-            cast(load(name), Subdivision::Count(500), CastOptions { estimator, ..CastOptions::default() });
-        let options = SolveOptions { solver: Solver::GaussSeidel, tolerance, ..SolveOptions::default() };
+            cast(load(name), Subdivision::Count(500), CastOptions::default().with_estimator(estimator));
+        let options = SolveOptions::default().with_solver(Solver::GaussSeidel).with_tolerance(tolerance);
         let solution = solve(&room.form_factors, &room.patches, &options, &Progress::new()).unwrap();
         let ledger = EnergyLedger::of(&room.form_factors, &room.patches, &solution);
         assert_eq!(ledger.emitted.len(), room.patches.channels());

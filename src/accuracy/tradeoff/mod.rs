@@ -29,6 +29,7 @@ const REFERENCE_RAYS: f64 = 4.0;
 
 /// How far to go.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct TradeoffOptions {
     /// About how many common patches.
     pub patches: usize,
@@ -37,6 +38,12 @@ pub struct TradeoffOptions {
     /// The same seed gives the same errors; times are never the same.
     pub seed: u64,
 }
+
+setters!(TradeoffOptions {
+    with_patches(patches: usize),
+    with_rays(rays: f64),
+    with_seed(seed: u64),
+});
 
 impl Default for TradeoffOptions {
     /// 1000 common patches and 2²¹ rays: as many as the preset [`Quality::MEDIUM`] has.
@@ -62,6 +69,7 @@ pub enum Series {
 
 /// Seconds of the wall clock.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct Times {
     /// Subdivision and form factors; of path tracing, everything.
     pub casting: f64,
@@ -80,6 +88,7 @@ impl Times {
 
 /// What one choice costs and gives. Errors are RMS by area over the common patches, relative to the mean irradiance.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Point {
     /// What it was made to show.
     pub series: Series,
@@ -118,6 +127,7 @@ impl Point {
 
 /// What the truth is taken from.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Reference {
     /// Patches of each of the two.
     pub patches: usize,
@@ -139,6 +149,7 @@ impl Reference {
 
 /// Speed against accuracy.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Tradeoff {
     /// How many patches errors are taken over.
     pub common_patches: usize,
@@ -152,6 +163,7 @@ pub struct Tradeoff {
 
 /// Sizes of the sweep.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Extent {
     /// Edge of the common patches.
     pub edge: f64,

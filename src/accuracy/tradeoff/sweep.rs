@@ -200,8 +200,11 @@ impl<'a> Sweep<'a> {
 
     /// Path tracing with more and more paths.
     pub(super) fn path_tracing(&self) -> Result<Vec<Point>> {
-        let region =
-            |i| Region { triangle: self.common.triangle(i), part: self.common.corners(i), front: true };
+        let region = |i| Region {
+            triangle: self.common.triangle(i),
+            part: self.common.barycentric_corners(i),
+            front: true,
+        };
         let regions: Vec<Region> = (0..self.common.len()).map(region).collect();
         let paths = PathTracer::new(self.scene, self.tracer, PathOptions::default());
         let channels = self.common.channels();

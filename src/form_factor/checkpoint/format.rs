@@ -50,7 +50,7 @@ impl Piece {
 
 pub(super) fn damage(path: &Path, place: &str) -> Error {
     Error::input(path, None, format!("the checkpoint is damaged at {place}"))
-        .with_hint("delete it to begin anew, or give --checkpoint another name")
+        .with_hint("delete it to begin anew, or keep the checkpoint in another file")
 }
 
 pub(super) fn header(scene: &Scene, seed: u64) -> [u8; HEADER] {
@@ -70,7 +70,7 @@ pub(super) fn header(scene: &Scene, seed: u64) -> [u8; HEADER] {
 pub(super) fn check_header(path: &Path, found: &[u8], wanted: &[u8; HEADER]) -> Result<()> {
     let same = |range: std::ops::Range<usize>| found[range.clone()] == wanted[range];
     let other = |what: String, advice: &str| Err(Error::input(path, None, what).with_hint(advice));
-    let name = "give --checkpoint another name, or delete the file";
+    let name = "keep the checkpoint in another file, or delete this one";
     if found.len() < HEADER || !same(0..16) {
         return other("this file is not a checkpoint, and was left as it is".into(), name);
     }
@@ -85,7 +85,7 @@ pub(super) fn check_header(path: &Path, found: &[u8], wanted: &[u8; HEADER]) -> 
     }
     if !same(36..44) {
         let seed = u64::from_le_bytes(std::array::from_fn(|k| found[36 + k]));
-        return other(format!("the checkpoint is of seed {seed}"), &format!("give --seed {seed}, or {name}"));
+        return other(format!("the checkpoint is of seed {seed}"), &format!("use seed {seed}, or {name}"));
     }
     Ok(())
 }

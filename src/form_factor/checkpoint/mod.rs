@@ -27,7 +27,7 @@ use std::{
     time::Duration,
 };
 
-use crate::{Error, Result, scene::Scene};
+use crate::{Error, Result, Setting, scene::Scene};
 use format::{HEADER, check_header, header};
 use store::Store;
 
@@ -53,7 +53,7 @@ impl Checkpoint {
     /// which nothing is kept goes again when it is dropped.
     ///
     /// # Errors
-    /// [`Error::Input`] when the file is damaged, or of something else: it is not touched then. [`Error::Usage`] when another
+    /// [`Error::Input`] when the file is damaged, or of something else: it is not touched then. [`Error::Setting`] when another
     /// process uses it, [`Error::Io`] when it cannot be read or written.
     pub fn open(path: &Path, scene: &Scene, seed: u64) -> Result<Checkpoint> {
         let failed = |e| Error::io(path, e);
@@ -69,10 +69,11 @@ impl Checkpoint {
             .open(path)
             .map_err(failed)?;
         if !lock(&file) {
-            return Err(Error::Usage {
-                message: format!("{}: another run is using this checkpoint", path.display()),
-                hint: Some("wait for its end, or give --checkpoint another name".into()),
-            });
+            return Err(Error::setting(
+                &[Setting::Checkpoint],
+                format!("{}: another run is using this checkpoint", path.display()),
+                "wait for its end, or use another file",
+            ));
         }
         let size = file.metadata().map_err(failed)?.len();
         let wanted = header(scene, seed);

@@ -34,7 +34,7 @@ impl Section {
     ) -> Section {
         assert_eq!(checkpoint.seed, seed, "the checkpoint is of another seed");
         let of_patch = |i: usize| {
-            let corners = patches.corners(i).map(|b| mix(&b.map(f64::to_bits)));
+            let corners = patches.barycentric_corners(i).map(|b| mix(&b.map(f64::to_bits)));
             mix(&[patches.triangle(i) as u64, mix(&corners)])
         };
         let all: Vec<u64> = (0..patches.fronts()).into_par_iter().with_min_len(1024).map(of_patch).collect();

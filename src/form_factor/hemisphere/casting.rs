@@ -45,7 +45,7 @@ impl Hits {
             self.mean_kernels.extend(kernels);
             let before = self.rays();
             let old = self.make_room(first..last, &wanted);
-            progress.begin(self.rays() - before);
+            progress.begin("casting rays", self.rays() - before);
             self.cast(tracer, patches, first, &old, seed, progress)?;
             let seen = backs_seen(patches, self);
             patches.add_backs(scene, &seen);
