@@ -1,4 +1,4 @@
-//! A solved scene, with everything that the solution was made from.
+//! A scene solved, with all that its answer rests on.
 
 use crate::{
     Progress, Result,
@@ -19,7 +19,7 @@ pub struct Solved {
     pub form_factors: FormFactors,
     /// The light.
     pub solution: Solution,
-    /// Its standard errors.
+    /// Its sampling errors.
     pub error_bars: ErrorBars,
 }
 
@@ -39,7 +39,7 @@ impl Solved {
         Self::of_patches(scene, tracer, Patches::subdivide(scene, subdivision), cast, options, progress)
     }
 
-    /// As [`Solved::new`], for given patches.
+    /// As [`Solved::new`], for patches at hand.
     ///
     /// # Errors
     /// As [`FormFactors::cast`] and [`solve()`].

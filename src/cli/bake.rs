@@ -5,12 +5,13 @@ use std::{
     time::Instant,
 };
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use radiosity::{
     Error, Result, Scene,
     energy::EnergyLedger,
     lightmap::{
         self, Atlas, BakeOptions, Coordinates, LARGEST, Layout, Lightmap, PAGE,
+        gltf::Encoding,
         report::{BakeReport, BakeSeconds},
         write::{self, Picture, page_name},
     },
@@ -18,6 +19,7 @@ use radiosity::{
     output::{
         exposure,
         file::{OutputFile, Pending},
+        gltf,
         report::{EnergyReport, SceneReport, peak_bytes, seconds},
     },
     tone::Exposure,
@@ -49,15 +51,21 @@ const RESOLUTION: u32 = 512;
       scene-original-uv.obj   the same faces with the scene's own texture coordinates, where those were not used\n  \
       report.json             all figures\n\
     Further pages are called lightmap-2.exr and so on.\n\n\
+    With -o NAME.glb one glTF file holds the lit scene, all else that is in a glTF scene included; NAME.exr beside it holds \
+    the irradiance.\n\n\
     The map is of the fronts of triangles, or of the back where only that is lit. The scene's own texture coordinates \
     are used when they lie in 0..1 without overlap and leave room between charts; the report says why where they do \
     not. An existing file that no earlier bake wrote is never replaced.")]
 pub struct BakeArgs {
     #[command(flatten)]
     scene: SceneArgs,
-    /// Write the files into this directory, which is made if it is missing
-    #[arg(short, long, value_name = "DIR")]
+    /// Write the files into this directory, which is made if it is missing; or write one glTF file
+    #[arg(short, long, value_name = "DIR|NAME.glb")]
     output: PathBuf,
+    /// How a glTF file shows the map: materials that emit it, which every viewer shows; the extension MOZ_lightmap; or texture
+    /// coordinates alone
+    #[arg(long, value_enum, value_name = "HOW", default_value_t = GltfLightmap::Emissive)]
+    gltf_lightmap: GltfLightmap,
     /// Write all figures as JSON here too
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
@@ -104,7 +112,23 @@ pub struct BakeArgs {
     cast: CastArgs,
 }
 
+/// Names of [`Encoding`].
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum GltfLightmap {
+    Emissive,
+    Moz,
+    Uv,
+}
+
 impl BakeArgs {
+    fn encoding(&self) -> Encoding {
+        match self.gltf_lightmap {
+            GltfLightmap::Emissive => Encoding::Emissive,
+            GltfLightmap::Moz => Encoding::Moz,
+            GltfLightmap::Uv => Encoding::Coordinates,
+        }
+    }
+
     fn layout(&self) -> Layout {
         match self.texel {
             Some(length) => Layout::Texel(length, self.resolution.map_or(PAGE, |n| n as usize)),
@@ -161,8 +185,15 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     (atlas, times.atlas) =
         watch.stage("atlas", || Atlas::new(&scene, &tracer, args.layout(), args.coordinates()))?;
     args.common.limit().check_map(atlas.texels() as f64)?;
-    let directory = Directory::new(&args.output, "bake", ("scene.obj", write::SIGNATURE))?;
-    let files = Files::new(args, &directory, &atlas, &scene)?;
+    let directory = if outputs::is_glb(&args.output) {
+        None
+    } else {
+        Some(Directory::new(&args.output, "bake", ("scene.obj", write::SIGNATURE))?)
+    };
+    let files = match &directory {
+        Some(directory) => Files::new(args, directory, &atlas, &scene)?,
+        None => Files::of_glb(args, &atlas)?,
+    };
     let all: Vec<&OutputFile> = files.0.iter().map(|file| &file.output).chain(&report_file).collect();
     outputs::check_distinct(&all)?;
     all.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
@@ -174,11 +205,14 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     watch.begin_writing();
     report.files = files.0.iter().map(|file| file.name.clone()).collect();
     let mut pending;
-    (pending, times.stages.output) = watch.stage("writing", || files.write(&map, &scene, &exposures))?;
+    (pending, times.stages.output) =
+        watch.stage("writing", || files.write(args, &map, &scene, &exposures))?;
     times.stages.total = seconds(start.elapsed());
     report.seconds = times;
     report.peak_bytes = peak_bytes();
-    let reports = std::iter::once(directory.file(REPORT, &[&args.scene.path])?).chain(report_file);
+    let inside =
+        directory.as_ref().map(|directory| directory.file(REPORT, &[&args.scene.path])).transpose()?;
+    let reports = inside.into_iter().chain(report_file);
     for file in reports {
         pending.push(file.write(|out| report.write(out))?);
     }
@@ -239,6 +273,7 @@ enum Kind {
     Mesh,
     Materials,
     OriginalCoordinates,
+    Glb,
 }
 
 /// All files but the report.
@@ -277,7 +312,28 @@ impl Files {
         Ok(Files(files.collect::<Result<_>>()?))
     }
 
-    fn write(self, map: &Lightmap, scene: &Scene, exposures: &Exposures) -> Result<Vec<Pending>> {
+    /// A glTF file, and the irradiance beside it.
+    fn of_glb(args: &BakeArgs, atlas: &Atlas) -> Result<Files> {
+        let (glb, scene) = (&args.output, &args.scene.path);
+        let file = |output: OutputFile, kind| {
+            let name = output.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
+            File { name, output, kind }
+        };
+        let mut files = vec![file(OutputFile::new(glb, &[scene])?, Kind::Glb)];
+        for (page, name) in exr_names(glb, atlas.pages).into_iter().enumerate() {
+            let kind = Kind::Picture(Picture::Irradiance, page, PictureFormat::Exr);
+            files.push(file(outputs::beside_glb(glb, &name, scene)?, kind));
+        }
+        Ok(Files(files))
+    }
+
+    fn write(
+        self,
+        args: &BakeArgs,
+        map: &Lightmap,
+        scene: &Scene,
+        exposures: &Exposures,
+    ) -> Result<Vec<Pending>> {
         let write_one = |file: File| match file.kind {
             Kind::Picture(what, page, format) => {
                 let film = map.picture(scene, what, page);
@@ -293,7 +349,19 @@ impl Files {
                 .output
                 .write(|out| map.write_mtl(scene, |page| page_name("scene", page, PictureFormat::Png), out)),
             Kind::OriginalCoordinates => file.output.write(|out| write::write_original(scene, out)),
+            Kind::Glb => {
+                let source = gltf::Source::of(scene, &args.scene.path)?;
+                let names = exr_names(&args.output, map.atlas().pages);
+                let bytes = map.glb(scene, &source, args.encoding(), exposures.radiosity, &names)?;
+                file.output.write(|out| out.write_all(&bytes))
+            }
         };
         self.0.into_iter().map(write_one).collect()
     }
+}
+
+/// Names of the images of irradiance beside a glTF file, a page each.
+fn exr_names(glb: &Path, pages: usize) -> Vec<String> {
+    let stem = glb.file_stem().unwrap_or_default().to_string_lossy();
+    (0..pages).map(|page| page_name(&stem, page, PictureFormat::Exr)).collect()
 }

@@ -10,17 +10,19 @@ use radiosity::{
     scene::{LoadOptions, MOST_RADIANCE, is_radiance},
 };
 
-/// The scene, and light and colour that its file lacks: arguments of every command.
+/// The scene, and what its file does not say: arguments of every command.
 #[derive(Args)]
 pub struct SceneArgs {
     /// The scene: Wavefront .obj with its .mtl beside it, .ply, .gltf or .glb
     #[arg(value_name = "SCENE")]
     pub path: PathBuf,
-    /// Reflectance of surfaces without one in the file: a number or R,G,B [default: 0.5]
-    #[arg(long, value_name = "R[,G,B]", allow_hyphen_values = true, value_parser = reflectance)]
-    reflectance: Option<[f64; 3]>,
-    /// Let a material emit this radiance in W/(m2 sr), for example 10@lamp or 9,8,5@lamp. Without @ all materials emit. The
-    /// materials of a .ply are named by their colours, for example 10@#ffcc00. May be repeated
+    /// Reflectance of a material, whatever the file says, as in 0.6@wall or 0.6,0.5,0.4@wall; without @ that of surfaces that
+    /// the file gives none [default: 0.5], and of those that have but colours at vertices or on faces. May be given several
+    /// times
+    #[arg(long, value_name = "R[,G,B][@MATERIAL]", allow_hyphen_values = true, value_parser = reflectance)]
+    reflectance: Vec<Reflectance>,
+    /// Let a material emit radiance, W/(m2 sr), as in 10@lamp or 9,8,5@lamp; without @ all of them. A .ply names its
+    /// materials by their colours, as in 10@#ffcc00. May be given several times
     #[arg(long, value_name = "L[,M,N][@MATERIAL]", allow_hyphen_values = true, value_parser = emission)]
     emit: Vec<Emission>,
     /// Let surfaces that a glTF file calls unlit emit their colour, instead of reflecting by it
@@ -28,7 +30,14 @@ pub struct SceneArgs {
     unlit_emits: bool,
 }
 
-/// A radiance, and the material that emits it.
+/// What shall reflect how much.
+#[derive(Debug, Clone, PartialEq)]
+struct Reflectance {
+    share: [f64; 3],
+    material: Option<String>,
+}
+
+/// Who shall emit what.
 #[derive(Debug, Clone, PartialEq)]
 struct Emission {
     radiance: [f64; 3],
@@ -36,42 +45,53 @@ struct Emission {
 }
 
 impl SceneArgs {
-    /// Reads the scene and applies `--emit`.
+    /// Reads the scene and lights the materials that were told to emit.
     pub fn load(&self) -> RadiosityResult<Scene> {
+        let plain = self.reflectance.iter().rev().find(|r| r.material.is_none()).map(|r| r.share);
         let mut scene = Scene::load_with(
             &self.path,
-            &LoadOptions::default().with_reflectance(self.reflectance).with_unlit_emits(self.unlit_emits),
+            &LoadOptions::default().with_reflectance(plain).with_unlit_emits(self.unlit_emits),
         )?;
+        for Reflectance { share, material } in &self.reflectance {
+            if let Some(name) = material
+                && scene.reflect(name, *share) == 0
+            {
+                return Err(self.no_material(&scene, "--reflectance", name));
+            }
+        }
         for Emission { radiance, material } in &self.emit {
             if scene.emit(material.as_deref(), *radiance) == 0 {
-                let name = material.as_deref().unwrap_or_default();
-                let mut names: Vec<&str> = scene.materials.iter().map(|m| m.name.as_str()).collect();
-                names.dedup();
-                let (shown, more) = (names.len().min(10), names.len().saturating_sub(10));
-                let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
-                return Err(Error::Usage {
-                    message: format!("--emit: no face of {} has material `{name}`", self.path.display()),
-                    hint: Some(format!("its materials are {}{rest}", names[..shown].join(", "))),
-                });
+                return Err(self.no_material(&scene, "--emit", material.as_deref().unwrap_or_default()));
             }
         }
         Ok(scene)
     }
+
+    fn no_material(&self, scene: &Scene, option: &str, name: &str) -> Error {
+        let mut names: Vec<&str> = scene.materials.iter().map(|m| m.name.as_str()).collect();
+        names.dedup();
+        let (shown, more) = (names.len().min(10), names.len().saturating_sub(10));
+        let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+        Error::Usage {
+            message: format!("{option}: no face of {} has material `{name}`", self.path.display()),
+            hint: Some(format!("its materials are {}{rest}", names[..shown].join(", "))),
+        }
+    }
 }
 
-/// The number of patches and rays: options of every command that solves for radiosity.
+/// How finely to cut the scene and how many rays to cast: options of every command that solves for radiosity.
 #[derive(Args)]
 pub struct CastArgs {
-    /// Preset of the numbers of patches and rays [default: medium]
+    /// A preset of patches and rays [default: medium]
     #[arg(long, value_enum)]
     quality: Option<QualityName>,
-    /// Largest edge of a patch, in the unit of the scene. `inf` makes each triangle one patch
+    /// Largest edge of a patch in the scene's unit; `inf` leaves the triangles whole
     #[arg(long, value_name = "LENGTH", value_parser = positive)]
     patch_size: Option<f64>,
-    /// Approximate number of patches. There is at least one per triangle
+    /// About how many patches; at least one a triangle
     #[arg(long, value_name = "N", conflicts_with = "patch_size", value_parser = clap::value_parser!(u32).range(1..))]
     patches: Option<u32>,
-    /// Mean number of rays per patch, hemisphere and shadow rays together. At least 16 are hemisphere rays
+    /// Rays a patch, hemisphere and shadow rays together; there are never fewer than 16 of the first
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     rays: Option<u32>,
 }
@@ -102,7 +122,7 @@ impl CastArgs {
         }
     }
 
-    /// How to cut the scene into patches, and where that choice came from.
+    /// How to cut the scene, and a word on who chose that.
     pub fn subdivision(&self) -> (Subdivision, String) {
         if let Some(edge) = self.patch_size {
             return (Subdivision::Edge(edge), format!("--patch-size {edge}"));
@@ -115,27 +135,27 @@ impl CastArgs {
         (Subdivision::Count(patches), format!("about {patches} for quality {name}"))
     }
 
-    /// Rays per patch.
+    /// Rays a patch.
     pub fn rays(&self) -> u32 {
         self.rays.unwrap_or(self.quality().rays)
     }
 
-    /// How to cut the scene into patches, if an option says so.
+    /// How to cut the scene, where that was said.
     pub fn given_subdivision(&self) -> Option<Subdivision> {
         self.given_patches().map(|_| self.subdivision().0)
     }
 
-    /// Rays per patch, if an option says so.
+    /// Rays a patch, where that was said.
     pub fn given_rays(&self) -> Option<u32> {
         (self.quality.is_some() || self.rays.is_some()).then(|| self.rays())
     }
 
-    /// The option that determines the patches, if one was given.
+    /// The option that said how to cut the scene, if any.
     pub fn given_patches(&self) -> Option<&'static str> {
         self.given().filter(|&option| option != "--rays")
     }
 
-    /// The first of these options that was given. Some commands solve only with some of their methods.
+    /// The first of these options that was given: for commands that solve only sometimes.
     pub fn given(&self) -> Option<&'static str> {
         [
             (self.patch_size.is_some(), "--patch-size"),
@@ -149,35 +169,35 @@ impl CastArgs {
 }
 
 pub fn positive(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0, "expected a length above 0, or inf")
+    parse(text, |x| x > 0.0, "a length above 0, or inf, is wanted")
 }
 
 pub fn finite_length(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0 && x.is_finite(), "expected a finite length above 0")
+    parse(text, |x| x > 0.0 && x.is_finite(), "a finite length above 0 is wanted")
 }
 
 pub fn below_one(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0 && x < 1.0, "expected a number between 0 and 1")
+    parse(text, |x| x > 0.0 && x < 1.0, "a number between 0 and 1 is wanted")
 }
 
 pub fn percent(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0 && x <= 100.0, "expected a percentage above 0 and at most 100")
+    parse(text, |x| x > 0.0 && x <= 100.0, "a percentage above 0, at most 100, is wanted")
 }
 
 pub fn seconds_given(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0 && x.is_finite(), "expected a finite number of seconds above 0")
+    parse(text, |x| x > 0.0 && x.is_finite(), "a finite number of seconds above 0 is wanted")
 }
 
 pub fn stops(text: &str) -> Result<f64, String> {
-    parse(text, |x| x.abs() <= 100.0, "expected a number between -100 and 100")
+    parse(text, |x| x.abs() <= 100.0, "a number between -100 and 100 is wanted")
 }
 
-/// A radiance with a finite inverse.
+/// A radiance whose inverse is finite too.
 pub fn white(text: &str) -> Result<f64, String> {
-    parse(text, |x| (1e-100..=1e100).contains(&x), "expected a radiance from 1e-100 to 1e100")
+    parse(text, |x| (1e-100..=1e100).contains(&x), "a radiance from 1e-100 to 1e100 is wanted")
 }
 
-/// Three numbers, or one that counts for all three.
+/// One number, which stands for three, or three.
 fn colour(text: &str) -> Option<[f64; 3]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|word| word.trim().parse().ok()).collect();
     match numbers.as_deref() {
@@ -187,9 +207,16 @@ fn colour(text: &str) -> Option<[f64; 3]> {
     }
 }
 
-fn reflectance(text: &str) -> Result<[f64; 3], String> {
+fn reflectance(text: &str) -> Result<Reflectance, String> {
+    let (share, material) = match text.split_once('@') {
+        Some((share, name)) => (share, Some(name.to_owned())),
+        None => (text, None),
+    };
     let good = |c: &[f64; 3]| c.iter().all(|r| (0.0..=1.0).contains(r));
-    colour(text).filter(good).ok_or("expected one number or three (R,G,B) between 0 and 1".into())
+    match colour(share).filter(good) {
+        Some(share) => Ok(Reflectance { share, material }),
+        None => Err("one number or three, R,G,B, between 0 and 1 are wanted, then perhaps @ and the name of a material".into()),
+    }
 }
 
 fn emission(text: &str) -> Result<Emission, String> {
@@ -201,7 +228,7 @@ fn emission(text: &str) -> Result<Emission, String> {
     match colour(radiance).filter(good) {
         Some(radiance) => Ok(Emission { radiance, material }),
         None => Err(format!(
-            "expected one number or three from 0 to {MOST_RADIANCE:e}, optionally followed by @ and the name of a material"
+            "one number or three from 0 to {MOST_RADIANCE:e} are wanted, then perhaps @ and the name of a material"
         )),
     }
 }
@@ -212,7 +239,7 @@ pub fn point(text: &str) -> Result<DVec3, String> {
         text.split(',').map(|word| word.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();
     match numbers.as_deref() {
         Some(&[x, y, z]) => Ok(DVec3::new(x, y, z)),
-        _ => Err("expected three numbers x,y,z without blanks".into()),
+        _ => Err("three numbers x,y,z without blanks are wanted".into()),
     }
 }
 
@@ -225,7 +252,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn emission_is_a_radiance_and_an_optional_name() {
+    fn emission_is_radiance_and_perhaps_a_name() {
         let of = |radiance, name: Option<&str>| Ok(Emission { radiance, material: name.map(String::from) });
         assert_eq!(emission("10"), of([10.0; 3], None));
         assert_eq!(emission("1,0,2.5@my lamp@2"), of([1.0, 0.0, 2.5], Some("my lamp@2")));
@@ -239,8 +266,10 @@ mod tests {
 
     #[test]
     fn reflectance_is_a_share() {
-        assert_eq!(reflectance("0.25"), Ok([0.25; 3]));
-        assert_eq!(reflectance("0,1, 0.5"), Ok([0.0, 1.0, 0.5]));
+        let of = |share, name: Option<&str>| Ok(Reflectance { share, material: name.map(String::from) });
+        assert_eq!(reflectance("0.25"), of([0.25; 3], None));
+        assert_eq!(reflectance("0,1, 0.5"), of([0.0, 1.0, 0.5], None));
+        assert_eq!(reflectance("0.5@my wall"), of([0.5; 3], Some("my wall")));
         assert!(["1.1", "-0.1", "nan", "0.5,0.5", ""].iter().all(|wrong| reflectance(wrong).is_err()));
     }
 }

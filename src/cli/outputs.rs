@@ -1,4 +1,4 @@
-//! The files that a command writes. They are checked before the work, and all written together after it.
+//! The files that a command writes: checked before the work, written after it, together.
 
 use std::{
     fs,
@@ -9,43 +9,67 @@ use std::{
 
 use radiosity::{Error, Result, monte_carlo::PictureFormat, output::file::OutputFile};
 
-/// Kinds of files that scenes consist of. A text output may not have such a name, because the file might belong to another scene.
-/// The files of this scene are compared with each output once they are known (`pipeline::read`).
+/// Kinds of files that scenes are made of. No text takes the place of one: it might be of another scene. Those of this
+/// scene are compared with each output once they are known (`pipeline::read`).
 const INPUT_KINDS: [&str; 13] =
     ["obj", "mtl", "gltf", "glb", "bin", "png", "jpg", "jpeg", "tga", "bmp", "exr", "hdr", "dds"];
 
-/// The output file of a mesh.
+/// Where a mesh can be written to.
 pub fn mesh(path: &Path, scene: &Path) -> Result<OutputFile> {
     let output = OutputFile::new(path, &[scene])?;
     let is_ply = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"));
-    if !is_ply && !is_device(path) {
-        return Err(usage(path, "the name of a mesh must end in .ply", "the program writes PLY files"));
+    if !is_ply && !is_glb(path) && !is_device(path) {
+        return Err(usage(
+            path,
+            "the name of a mesh must end in .ply or .glb",
+            "the program writes PLY and binary glTF files",
+        ));
     }
     Ok(output)
 }
 
-/// The output file of a picture, and its format.
+/// Whether a name is that of a binary glTF file.
+pub fn is_glb(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"))
+}
+
+/// A file beside a binary glTF file that belongs to it. One that is there already is replaced only where the glTF file is
+/// there too and an earlier run wrote it.
+pub fn beside_glb(glb: &Path, name: &str, scene: &Path) -> Result<OutputFile> {
+    let path = glb.with_file_name(name);
+    let is_ours = || {
+        let mark = b"\"generator\":\"radiosity ";
+        fs::read(glb).is_ok_and(|bytes| bytes.windows(mark.len()).any(|window| window == mark))
+    };
+    if path.exists() && !is_ours() {
+        let message = "there is a file of this name that no earlier bake wrote";
+        return Err(usage(&path, message, "give another name with -o"));
+    }
+    OutputFile::new(&path, &[scene])
+}
+
+/// Where a picture can be written to, and its format.
 pub fn picture(path: &Path, scene: &Path) -> Result<(OutputFile, PictureFormat)> {
     let output = OutputFile::new(path, &[scene])?;
     let extension = path.extension().map(|e| e.to_string_lossy());
     match extension.and_then(|e| PictureFormat::of_extension(&e)) {
         Some(format) => Ok((output, format)),
         None if is_device(path) => Ok((output, PictureFormat::Png)),
-        None => Err(usage(path, "unknown kind of picture", "use a name that ends in .png, .exr or .hdr")),
+        None => Err(usage(path, "unknown kind of picture", "end the name in .png, .exr or .hdr")),
     }
 }
 
-/// The output file of a report.
+/// Where a report can be written to.
 pub fn report(path: &Path, scene: &Path) -> Result<OutputFile> {
     text(path, &[scene], "a report")
 }
 
-/// The output file of a text; `what` names its contents in messages.
+/// Where text can be written to; `what` it is.
 pub fn text(path: &Path, inputs: &[&Path], what: &str) -> Result<OutputFile> {
     no_scene(path, inputs, what, "give it a name that ends in .json or .txt")
 }
 
-/// The file of a checkpoint.
+/// Where a checkpoint can be kept.
 pub fn checkpoint(path: &Path, scene: &Path) -> Result<OutputFile> {
     no_scene(path, &[scene], "a checkpoint", "give it a name that ends in .checkpoint")
 }
@@ -54,23 +78,23 @@ fn no_scene(path: &Path, inputs: &[&Path], what: &str, hint: &str) -> Result<Out
     let output = OutputFile::new(path, inputs)?;
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
     if extension.is_some_and(|e| INPUT_KINDS.contains(&e.as_str())) {
-        let message = format!("{what} may not have the name of a scene, material or texture");
+        let message = format!("{what} may not take the name of a scene, material or texture");
         return Err(usage(path, &message, hint));
     }
     Ok(output)
 }
 
-/// The directories made in this run, outermost first. Static, because a second Ctrl-C exits without dropping anything.
+/// The directories made in this run, outermost first. Here, since who insists on a stop gets out without dropping anything.
 static MADE: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// Removes the directories that were made and are still empty.
+/// Removes what directories were made, but for those that hold something.
 pub fn remove_made() {
-    // The lock is held until all are removed, so that a concurrent exit waits.
+    // Held until all are gone: who gets out meanwhile waits for it.
     let mut made = MADE.lock().expect("no thread panics holding it");
     made.drain(..).rev().for_each(|path| drop(fs::remove_dir(path)));
 }
 
-/// A directory for the files of a command. It is removed again if it was made here and nothing was written into it.
+/// A directory for the files of a command. One that was made here, and in which nothing was written, goes again.
 #[derive(Debug)]
 pub struct Directory {
     path: PathBuf,
@@ -120,7 +144,7 @@ impl Drop for Directory {
     }
 }
 
-/// Refuses two outputs that are the same file.
+/// Refuses two outputs that are one file.
 pub fn check_distinct(outputs: &[&OutputFile]) -> Result<()> {
     for (i, output) in outputs.iter().enumerate() {
         if outputs[..i].iter().any(|other| output.is_same(other)) {
@@ -139,7 +163,7 @@ fn usage(path: &Path, message: &str, hint: &str) -> Error {
     Error::Usage { message: format!("{}: {message}", path.display()), hint: Some(hint.into()) }
 }
 
-/// The names of the written files, for a summary.
+/// Names of files for a summary.
 pub fn names(paths: &[&Option<PathBuf>]) -> String {
     let names: Vec<_> = paths.iter().filter_map(|p| p.as_ref()).map(|p| p.display().to_string()).collect();
     if names.is_empty() { "nothing: no -o and no --report".into() } else { names.join(", ") }

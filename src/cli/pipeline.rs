@@ -17,7 +17,7 @@ use super::{
     watch::Watch,
 };
 
-/// Reads a scene that emits light and builds its ray tracer. Refuses a scene of which a file is one of `outputs`.
+/// A scene that emits, ready for rays. None of its files may be one of `outputs`.
 pub fn load(
     args: &SceneArgs,
     outputs: &[&OutputFile],
@@ -31,15 +31,15 @@ pub fn load(
         watch.warn(&format!("{}: left out {} triangles without area", path.display(), scene.degenerate));
     }
     if !scene.has_emitter() {
-        return Err(Error::input(path, None, "nothing emits light, so there is nothing to compute").with_hint(
-            "give a material an emitted radiance with --emit, or with a line like `Ke 10 10 10` in the .mtl file",
+        return Err(Error::input(path, None, "nothing emits light: there is nothing to compute").with_hint(
+            "give a material an emitted radiance, by --emit or a line like `Ke 10 10 10` in the .mtl file",
         ));
     }
     (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
     Ok((scene, tracer))
 }
 
-/// Reads a scene and prints the warnings of the reader. Refuses a scene of which a file is one of `outputs`.
+/// A scene, with what its reader has to say. None of its files may be one of `outputs`.
 pub fn read(args: &SceneArgs, outputs: &[&OutputFile], watch: &Watch) -> Result<Scene> {
     let scene = args.load()?;
     outputs.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
@@ -47,9 +47,9 @@ pub fn read(args: &SceneArgs, outputs: &[&OutputFile], watch: &Watch) -> Result<
     Ok(scene)
 }
 
-/// How commands that need a solution for something else compute it.
+/// How commands that need a solution on their way to something else get it.
 pub struct Job<'a> {
-    /// The file of the scene, for messages.
+    /// The scene's file, for messages.
     pub file: &'a Path,
     pub cast: &'a CastArgs,
     pub seed: u64,
@@ -65,7 +65,7 @@ pub struct Solved {
 }
 
 impl Job<'_> {
-    /// Refuses a computation that needs too much memory, and warns if it needs much.
+    /// Refuses what cannot be held in memory; warns of what is much.
     pub fn check(&self, scene: &Scene, watch: &Watch) -> Result<()> {
         let (subdivision, _) = self.cast.subdivision();
         let bytes = forecast::bytes(scene, Estimator::Pooled, Solver::Auto);
@@ -106,7 +106,7 @@ impl Job<'_> {
     }
 }
 
-/// Adds the name of the scene to an error that the scene causes.
+/// Names the scene where the scene is to blame.
 pub fn blame(file: &Path, error: Error) -> Error {
     match (&error, error.hint()) {
         (Error::NoEquilibrium, Some(hint)) => Error::input(file, None, error.to_string()).with_hint(hint),

@@ -31,38 +31,38 @@ use super::{
 /// Make a picture of a scene, by path tracing, light tracing or radiosity
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity render room.obj -o room.png --method path --spp 256\n\n\
-    In a .png the radiance is multiplied by the exposure, clipped at white and encoded as sRGB. There is no other tone \
-    curve, so pictures with the same --white are comparable. A .exr or .hdr holds the radiance itself in W/(m2 sr).")]
+    In a .png radiance is multiplied by the exposure, clipped at white and encoded as sRGB; there is no other curve, \
+    and the same --white makes pictures comparable. A .exr or .hdr holds the radiance itself, W/(m2 sr).")]
 pub struct RenderArgs {
     #[command(flatten)]
     scene: SceneArgs,
-    /// Write the picture to this file: .png, .exr or .hdr
+    /// Write the picture: .png, .exr or .hdr
     #[arg(short, long, value_name = "OUT.png|.exr|.hdr")]
     output: PathBuf,
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
-    /// Method
+    /// How light is followed
     #[arg(long, value_enum, default_value_t = Method::Path)]
     method: Method,
-    /// Samples per pixel: paths, or the mean number of particles
+    /// Samples a pixel: paths, or particles on average
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
-    /// Path tracing without next event estimation: light counts only if a path hits an emitter
+    /// Path tracing without looking at emitters: light counts only where a path runs into it
     #[arg(long)]
     no_next_event: bool,
-    /// With --method radiosity: gather the last bounce with N rays per sample, instead of interpolating between patches
+    /// With --method radiosity: gather the last bounce by N rays a sample, instead of smoothing the patches
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65536))]
     final_gather: Option<u32>,
     #[command(flatten)]
     camera: CameraArgs,
-    /// Make the picture brighter by this number of stops. Negative is darker
+    /// Make the picture brighter, by stops; negative is darker
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
-    /// Radiance that is shown as white, in W/(m2 sr) [default: automatic]
+    /// Radiance to show as white, W/(m2 sr) [default: chosen by the picture]
     #[arg(long, value_name = "RADIANCE", value_parser = white)]
     white: Option<f64>,
-    /// Seed of the random numbers. The same seed gives the same bytes
+    /// Another seed casts other rays; the same gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     #[command(flatten)]
@@ -73,11 +73,11 @@ pub struct RenderArgs {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Method {
-    /// Path tracing from the camera to the emitters
+    /// Paths from the camera to the light
     Path,
-    /// Light tracing from the emitters to the camera
+    /// Particles from the light to the camera
     Light,
-    /// A radiosity solution
+    /// The radiosity of patches
     Radiosity,
 }
 
@@ -91,16 +91,15 @@ impl Method {
     }
 }
 
-/// Largest number of particles in a run of light tracing.
+/// Particles that a run of light tracing can number.
 const MOST_PARTICLES: u64 = 1 << 36;
 
 impl RenderArgs {
-    /// Refuses options that have no effect with this method.
+    /// Refuses options that the method has no use for.
     fn check(&self) -> Result<()> {
         let usage = |message: String, hint: &str| Err(Error::Usage { message, hint: Some(hint.into()) });
         if self.no_next_event && self.method == Method::Light {
-            let message =
-                "light tracing needs next event estimation, because no particle ever hits a pinhole";
+            let message = "light tracing needs next event estimation: no particle ever meets a pinhole";
             return usage(message.into(), "leave --no-next-event out, or use --method path");
         }
         let foreign = match self.method {
@@ -108,23 +107,20 @@ impl RenderArgs {
             _ => self.final_gather.map(|_| "--final-gather").or(self.cast.given()),
         };
         if let Some(option) = foreign {
-            let message = format!("{option} has no effect with --method {}", self.method.name());
+            let message = format!("{option} is not for --method {}", self.method.name());
             let other = if self.method == Method::Radiosity { "path" } else { "radiosity" };
             return usage(message, &format!("leave it out, or use --method {other}"));
         }
         Ok(())
     }
 
-    /// Refuses an exposure for a picture that holds radiance.
+    /// Refuses an exposure of a picture that holds radiance.
     fn check_exposure(&self, format: PictureFormat) -> Result<()> {
         let given = self.white.map(|_| "--white").or((self.exposure != 0.0).then_some("--exposure"));
         match given.filter(|_| format != PictureFormat::Png) {
             None => Ok(()),
             Some(option) => Err(Error::Usage {
-                message: format!(
-                    "{option} is for .png only: {} holds the radiance itself",
-                    self.output.display()
-                ),
+                message: format!("{option} is for .png: {} holds the radiance itself", self.output.display()),
                 hint: Some(format!("leave {option} out, or end the name in .png")),
             }),
         }
@@ -134,7 +130,7 @@ impl RenderArgs {
         Job { file: &self.scene.path, cast: &self.cast, seed: self.seed, limit: self.common.limit() }
     }
 
-    /// Refuses pictures that need too much memory or too many particles.
+    /// Refuses pictures that neither memory nor a day's work can hold.
     fn check_size(&self, camera: &Camera) -> Result<()> {
         let pixels = (camera.width() * camera.height()) as u64;
         self.common.limit().check_picture(pixels as f64, self.method == Method::Light)?;
@@ -147,7 +143,7 @@ impl RenderArgs {
         Ok(())
     }
 
-    /// The exposure of the picture.
+    /// What the picture's white is.
     fn exposure(&self, film: &Film) -> Exposure {
         self.white.map_or_else(|| film.automatic_exposure(), Exposure::of_white).brighter(self.exposure)
     }
@@ -205,7 +201,7 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// The picture, and the number of patches of the solution.
+/// The picture, and how many patches it took.
 fn picture(
     args: &RenderArgs,
     scene: &Scene,

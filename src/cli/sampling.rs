@@ -11,7 +11,6 @@ use radiosity::{
         solved::Solved,
     },
     form_factor::{CastOptions, Checkpoint, Estimator},
-    monte_carlo::Camera,
     output::{
         ply::{self, PlyOptions},
         report::Seconds,
@@ -24,24 +23,24 @@ use radiosity::{
 use super::{
     forecast::{self, Work},
     pipeline::blame,
-    solve::{Errors, SolveArgs, view},
+    solve::{Errors, SolveArgs},
     watch::Watch,
 };
 
-/// Patches to start with, if no option sets their number.
+/// Patches to start with, where nobody chose any.
 const FIRST_PATCHES: usize = 500;
-/// Patches that are enough for `--time`: beyond these, more rays gain more. Half as many as the preset, because they are small
-/// where light varies.
+/// Patches that suffice where a time is given: more rays do more then. Half as many as preset, since they are small where light
+/// varies.
 const ENOUGH_PATCHES: usize = 4000;
-/// Share of `--time` that may pass until the patches are chosen.
+/// Share of the time that may go by until they are known.
 const LATE: f64 = 0.2;
-/// Share of `--error` that the discretisation error may take. Errors add up by squares, so sampling may take 0.87 of it.
+/// Share of a wanted error that the patches' size may take; as errors add up by squares, the rays may take 0.87 of it.
 const OF_PATCHES: f64 = 0.5;
-/// Largest number of times that the patches are refined.
+/// Patches are made smaller so often at most: some are doubled each time.
 const MOST_CUTS: usize = 16;
-/// The discretisation error falls about with this power of the number of patches, if they are small where light varies.
+/// What they cost falls about with this power of their number where they are small where light varies.
 const RATE: f64 = 0.75;
-/// Their number grows at least by this factor each time.
+/// They grow in number at least so much each time.
 const LEAST_GROWTH: f64 = 1.2;
 
 /// A scene about to be sampled.
@@ -49,20 +48,18 @@ pub struct Sampling<'a> {
     pub args: &'a SolveArgs,
     pub scene: &'a Scene,
     pub tracer: &'a Tracer,
-    /// That of the picture, where one is wanted.
-    pub camera: Option<&'a Camera>,
     pub watch: &'a Watch,
-    /// The store of rays.
+    /// Where rays are kept.
     pub checkpoint: Option<Arc<Checkpoint>>,
-    /// Number of all patches relative to those of fronts.
+    /// How many patches there will be for one of a front.
     pub with_backs: f64,
 }
 
 /// The light, with its sampling errors.
 pub enum Answer {
-    /// Found with a matrix, which also gives these errors.
+    /// By a matrix, with what that tells besides.
     Matrix(Box<Solved>, Box<Errors>),
-    /// Found without a matrix.
+    /// Without one.
     Sweeps(Box<Patches>, Box<StochasticSolution>),
 }
 
@@ -81,7 +78,7 @@ impl Answer {
         }
     }
 
-    /// Standard error of irradiance.
+    /// Of irradiance.
     pub fn standard_error(&self) -> &[f64] {
         match self {
             Answer::Matrix(solved, _) => &solved.error_bars.standard_error,
@@ -89,7 +86,7 @@ impl Answer {
         }
     }
 
-    /// The errors that only a matrix gives.
+    /// What only a matrix tells.
     pub fn errors(&self) -> Option<&Errors> {
         match self {
             Answer::Matrix(_, errors) => Some(errors),
@@ -98,22 +95,22 @@ impl Answer {
     }
 }
 
-/// Patches that were refined where light varies.
+/// Patches that were chosen by the light,
 struct SmallPatches {
     patches: Patches,
-    /// Their discretisation error, if it is known.
+    /// the error that they leave, where that can be told,
     floor: Option<f64>,
-    /// The first round with them.
+    /// and the first round with them.
     first: Option<(Solved, Round)>,
 }
 
-/// The result of the sampling.
+/// What came of it.
 pub struct Sampled {
     pub answer: Answer,
     pub rounds: Vec<Round>,
-    /// Where the choice of the patches came from.
+    /// Who chose the patches.
     pub chosen: String,
-    /// Their discretisation error, if they were refined where light varies and if it is known.
+    /// The error that they leave, where the light chose them and that could be told.
     pub floor: Option<f64>,
 }
 
@@ -133,7 +130,8 @@ impl Sampling<'_> {
             (SmallPatches { patches: small, floor, first }, searching) =
                 self.watch.stage("patches", || self.small_enough(wanted, start))?;
             let adaptive = small.is_restricted();
-            chosen = if adaptive { "smaller where light varies" } else { "as small as needed" }.into();
+            chosen =
+                if adaptive { "smaller where light varies" } else { "as small as they should be" }.into();
             adapted = Some(small);
         }
         if let (Some(wanted), true) = (wanted, adapted.is_some()) {
@@ -150,7 +148,7 @@ impl Sampling<'_> {
             CastOptions::default().with_rays(rays).with_estimator(args.estimator()).with_seed(args.seed);
         let usable = with_matrix && cast.estimator == Estimator::Pooled;
         let first = first.filter(|_| usable);
-        // A first round that is continued counts as a round.
+        // A round that is gone on from counts as one.
         let kept = first.as_ref().map_or(0.0, |(_, round)| round.elapsed);
         times.subdivide = searching - kept + subdivide;
         let before = start.elapsed().as_secs_f64() - kept;
@@ -159,15 +157,15 @@ impl Sampling<'_> {
             .with_seconds(args.time.map(|seconds| seconds - before))
             .with_most_rays((in_rounds && with_matrix).then(|| args.common.limit().most_rays(count, &bytes)));
         let (answer, rounds) = match with_matrix {
-            // If the patches were refined, their discretisation error has been reported already.
+            // Where the patches were chosen by the light, it was said what they leave.
             true => self.by_matrix(patches, first, &cast, plan, wanted.filter(|_| floor.is_none()), times)?,
             false => self.sweep(patches, rays, &plan, times)?,
         };
         Ok(Sampled { answer, rounds, chosen, floor })
     }
 
-    /// Casts and solves until the plan is fulfilled, continuing the first round if there is one. Warns if the patches are too large
-    /// for an error of `wanted`.
+    /// Casts and solves for as long as the plan says, from the first round if there is one. Says if the patches are too large for
+    /// an error of `wanted`.
     fn by_matrix(
         &self,
         patches: Patches,
@@ -206,7 +204,7 @@ impl Sampling<'_> {
             times.solve += seconds;
             return Ok((Answer::Matrix(Box::new(solved), Box::new(errors)), rounds));
         }
-        // The rays cannot be used again, because sweeps carry other light.
+        // What was cast cannot be used: sweeps meet other light.
         let Solved { patches, .. } = solved;
         let plan = plan.with_most_rays(None).with_seconds(plan.seconds.map(|seconds| seconds - all));
         let swept = self.sweep(patches, FIRST_RAYS, &plan, times)?;
@@ -214,7 +212,7 @@ impl Sampling<'_> {
         Ok(swept)
     }
 
-    /// Bytes with a matrix, for a number of patches of fronts.
+    /// Bytes with a matrix for so many patches of fronts.
     fn bytes(&self, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
         let (bytes, with_backs) =
             (forecast::bytes(self.scene, estimator, self.args.solve_options().solver), self.with_backs);
@@ -239,14 +237,10 @@ impl Sampling<'_> {
         blame(&self.args.scene.path, error)
     }
 
-    /// Seconds for everything after the last round, measured by doing it once.
+    /// How long all takes that comes after the last round, were this the last: it is done for once.
     fn seconds_after(&self, solved: &Solved) -> Result<f64> {
         let start = Instant::now();
         self.errors(solved)?;
-        if let Some(camera) = self.camera {
-            let light = (&solved.patches, (&solved.solution).into());
-            view(camera, (self.scene, self.tracer), light, self.watch.progress())?;
-        }
         if let Some(path) = &self.args.output {
             let (patches, light) = (&solved.patches, &solved.solution);
             let options = PlyOptions::default().with_standard_errors(Some(&solved.error_bars.standard_error));
@@ -256,7 +250,7 @@ impl Sampling<'_> {
         Ok(start.elapsed().as_secs_f64())
     }
 
-    /// Patches that are small enough for the wanted error or the given time, smaller where light varies.
+    /// Patches small enough for a wanted error, or for the time there is, smaller where light varies.
     fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<SmallPatches> {
         let cast = CastOptions::default().with_rays(FIRST_RAYS).with_seed(self.args.seed);
         let progress = self.watch.progress();
@@ -264,7 +258,7 @@ impl Sampling<'_> {
         let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
         let mut floor = None;
         if !limit.allows(bytes(patches.fronts() as f64, FIRST_RAYS)) {
-            // Memory is too small even to find out where light varies.
+            // Not even to look where light varies.
             return Ok(SmallPatches { patches, floor: None, first: None });
         }
         let mut first = None;
@@ -283,7 +277,7 @@ impl Sampling<'_> {
             }
             let finer = match floor {
                 Some(_) => adaptive::finer(self.scene, solved, solution, growth.max(LEAST_GROWTH)),
-                // One patch per triangle does not show where light varies.
+                // Whole triangles do not tell where light varies.
                 None => Patches::subdivide(self.scene, &Subdivision::Count(4 * patches.fronts())),
             };
             let grown = finer.fronts() > patches.fronts();
@@ -298,7 +292,7 @@ impl Sampling<'_> {
             && floor > wanted
         {
             self.watch.warn(&format!(
-                "{:.2} % is out of reach: the smallest patches that fit into memory have a discretisation error of about {:.2} %",
+                "{:.2} % is out of reach: the smallest patches that can be held leave about {:.2} % themselves",
                 100.0 * wanted,
                 100.0 * floor
             ));
@@ -306,13 +300,13 @@ impl Sampling<'_> {
         Ok(SmallPatches { patches, floor, first })
     }
 
-    /// Warns if the patches that the options chose are too large for the wanted error.
+    /// Says that the patches someone chose are too large for the error that he wants.
     fn warn_of_patches(&self, solved: &Solved, wanted: f64) -> Result<()> {
         let Solved { patches, form_factors, solution, .. } = solved;
         let found = Discretisation::of(form_factors, patches, solution, self.watch.progress())?;
         if let Some(found) = found.filter(|d| d.relative > wanted) {
             self.watch.warn(&format!(
-                "patches of this size have a discretisation error of about {:.2} %, which more rays do not reduce: leave {} out",
+                "patches of this size leave about {:.2} % themselves, which no ray lowers: leave {} out",
                 100.0 * found.relative,
                 self.args.cast.given().unwrap_or("--patches")
             ));
@@ -320,11 +314,11 @@ impl Sampling<'_> {
         Ok(())
     }
 
-    /// Prints what a round reached.
+    /// Tells how far a round came.
     pub fn tell(&self, plan: &Plan, rounds: &[Round]) {
         let [.., round] = rounds else { return };
         let mut line = format!(
-            "round {}: {:.0} rays per patch, error {:.3} %, {:.2} s",
+            "round {}: {:.0} rays a patch, error {:.3} %, {:.2} s",
             rounds.len(),
             round.rays,
             100.0 * round.error,
@@ -333,8 +327,7 @@ impl Sampling<'_> {
         let target = plan.error.filter(|&target| round.error > target);
         if let (Some(target), Some(rays)) = (target, plan.forecast(rounds)) {
             let left = round.elapsed * (rays / round.rays - 1.0);
-            line +=
-                &format!("; {:.3} % needs about {rays:.0} rays per patch, {left:.1} s more", 100.0 * target);
+            line += &format!("; {:.3} % needs about {rays:.0} rays, {left:.1} s more", 100.0 * target);
             if plan.most_rays.is_some_and(|most| rays > most) {
                 line += ": out of reach of memory";
             }

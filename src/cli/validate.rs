@@ -1,4 +1,4 @@
-//! `radiosity validate`: checks of the answer by independent methods.
+//! `radiosity validate`: whether the answer can be trusted.
 
 use std::{fmt::Write, path::PathBuf};
 
@@ -23,11 +23,12 @@ use super::{
     watch::Watch,
 };
 
-/// Check the answer: energy ledger, closure, reciprocity, and radiosity against path tracing and light tracing
+/// Check whether the answer can be trusted: energy ledger, closure, reciprocity, and radiosity against path tracing and
+/// light tracing
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity validate room.obj --report validation.json\n\n\
-    Solves the scene with two patch sizes, traces paths and particles, and compares the irradiance of every patch in \
-    units of the combined standard errors. The exit status is 1 if a check fails.")]
+    Solves the scene at two patch sizes, follows light from both ends, and compares the irradiance of every patch in\n\
+    units of the combined standard errors. Exit status 1 when a check fails.")]
 pub struct ValidateArgs {
     #[command(flatten)]
     scene: SceneArgs,
@@ -36,7 +37,7 @@ pub struct ValidateArgs {
     report: Option<PathBuf>,
     #[command(flatten)]
     cast: CastArgs,
-    /// Paths per patch
+    /// Paths a patch
     #[arg(long, value_name = "N", default_value_t = ValidationOptions::default().paths,
         value_parser = clap::value_parser!(u32).range(16..=1 << 24))]
     paths: u32,
@@ -44,7 +45,7 @@ pub struct ValidateArgs {
     #[arg(long, value_name = "N", default_value_t = ValidationOptions::default().particles,
         value_parser = clap::value_parser!(u64).range(1024..=1 << 40))]
     particles: u64,
-    /// Seed of the random numbers. The same seed gives the same verdict
+    /// Another seed casts other rays; the same gives the same verdict
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     #[command(flatten)]
@@ -69,7 +70,7 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         .with_paths(args.paths)
         .with_particles(args.particles)
         .with_seed(args.seed);
-    // It also solves with edges half as long.
+    // It solves with edges half as long, too, and compares.
     let one = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let bytes = |patches: f64, rays: f64| one(patches, rays) + one(4.0 * patches, rays);
     let work = Work {
@@ -128,13 +129,13 @@ fn table(report: &ValidationReport) -> String {
         line(
             name,
             format!(
-                "off by {} as cast, {} after closure",
+                "off by {} as cast, {} repaired",
                 summary::small(deviation.before),
                 summary::small(deviation.after)
             ),
         );
     }
-    line("discretisation error", format!("{:.2} % RMS", 100.0 * report.discretisation_relative));
+    line("allowance for patch size", format!("{:.2} % RMS", 100.0 * report.discretisation_relative));
     for ComparisonReport { what, figures: c, .. } in &report.comparisons {
         line(
             what,

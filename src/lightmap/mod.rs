@@ -13,6 +13,7 @@ mod coverage;
 mod denoise;
 mod dilation;
 mod gather;
+pub mod gltf;
 mod grid;
 mod overlap;
 mod raster;

@@ -74,7 +74,7 @@ impl Lightmap {
         )
     }
 
-    fn dilated_radiosity(&self, scene: &Scene) -> Vec<[f32; 3]> {
+    pub(super) fn dilated_radiosity(&self, scene: &Scene) -> Vec<[f32; 3]> {
         let mut values = self.radiosity(scene);
         if self.texels.contains(&Texel::Dilated) {
             let grid = Grid::new(&self.atlas, &self.coverage);

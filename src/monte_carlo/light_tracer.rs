@@ -1,10 +1,10 @@
 //! Light tracing: particles followed forwards, from where they are emitted to where they are absorbed.
 //!
-//! The energy of each particle balances to rounding. At the first reflections absorption is continuous: the particle keeps
-//! the share ρ and the rest is absorbed, which avoids the variance of early deaths. After that the particle survives with
-//! probability q = max ρ. A survivor keeps the share ρ/q, and 1 − ρ/q ≥ 0 is absorbed. If the particle dies, all of it is
-//! absorbed. Both absorb 1 − ρ in expectation, the absorbed parts sum to what was emitted, and weights never grow, as they
-//! would if roulette raised the weight of survivors.
+//! The books of each particle balance to rounding. For the first reflections absorption is continuous: a hit keeps
+//! ρ of the particle and books the rest, which spares the variance of dying early. After that the particle dies, or
+//! goes on, with probability q = max ρ; it then carries ρ/q of what it had and the hit books the difference
+//! 1 − ρ/q ≥ 0, or all of it when the particle dies. The expectation of both is 1 − ρ; the sum of what is booked
+//! telescopes to what was emitted; and weights never grow, as they would if roulette paid survivors.
 
 use std::f64::consts::PI;
 
@@ -32,9 +32,9 @@ pub struct LightOptions {
     pub particles: u64,
     /// Independent batches, whose spread gives the standard errors. Default 32.
     pub batches: u32,
-    /// Reflections before a particle may die. Until then absorption is continuous. Default 3.
+    /// Reflections before a particle may die; until then it is absorbed bit by bit. Default 3.
     pub continuous: u32,
-    /// Seed. Everything is a function of it. Default 1.
+    /// Everything is a function of it. Default 1.
     pub seed: u64,
 }
 
@@ -51,23 +51,23 @@ impl Default for LightOptions {
     }
 }
 
-/// The energy account of one particle, W: `emitted` = `absorbed` + `escaped` to rounding.
+/// The books of one particle, W: `emitted` = `absorbed` + `escaped` to rounding.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Particle {
-    /// Flux at emission.
+    /// Flux it set out with.
     pub emitted: [f64; 3],
-    /// Flux absorbed by surfaces.
+    /// Flux left on surfaces.
     pub absorbed: [f64; 3],
     /// Flux that left the scene.
     pub escaped: [f64; 3],
 }
 
-/// The result of light tracing, W.
+/// What light tracing found, W.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct LightTransport {
-    /// Flux that arrived in each bin. Divided by the area of the bin it is the irradiance.
+    /// Flux that arrived in each bin; over the bin's area it is the irradiance.
     pub bins: Vec<Estimate>,
     /// Flux emitted.
     pub emitted: Estimate,
@@ -98,7 +98,7 @@ pub struct LightTracer<'a> {
     options: LightOptions,
 }
 
-/// One event of a particle.
+/// What one step of a particle gives to those who count.
 enum Event<'h> {
     /// Flux arrives.
     Arrives(&'h Hit, DVec3),
@@ -106,7 +106,7 @@ enum Event<'h> {
     Leaves(Vec3A, Vec3A, DVec3),
 }
 
-/// Sums of one batch: bins of three channels, and the energy account.
+/// Sums of one batch: counters of three channels, and the particles' books.
 struct Batch {
     counters: Vec<[f64; 3]>,
     books: [[f64; 3]; 3],
@@ -118,7 +118,7 @@ impl<'a> LightTracer<'a> {
         LightTracer { scene, tracer, emitters: Emitters::new(scene, tracer), options }
     }
 
-    /// Follows all particles. `bin` returns the index of the bin that a hit belongs to, if any.
+    /// Follows all particles; `bin` tells which of the `bins` counters a hit belongs to, if any.
     ///
     /// # Errors
     /// [`Error::Stopped`]; [`Error::NoEquilibrium`] when particles do not end.
@@ -137,7 +137,7 @@ impl<'a> LightTracer<'a> {
         })
     }
 
-    /// Follows all particles and connects every point that they leave to the camera.
+    /// Follows all particles and shows every place they leave to the camera.
     ///
     /// # Errors
     /// [`Error::Stopped`]; [`Error::NoEquilibrium`] when particles do not end.
@@ -260,7 +260,7 @@ impl<'a> LightTracer<'a> {
         Err(Error::NoEquilibrium)
     }
 
-    /// Adds flux that leaves a point to the radiance of the pixel in which the camera sees it.
+    /// Adds what the eye sees of flux that leaves a point, as radiance of the pixel it is seen in.
     ///
     /// A pixel is the mean of L over its square of the image plane at distance 1. Of that plane, the area dA at
     /// distance r covers dA cos θ / (r² cos³ θc), θc being the angle to the optical axis; and flux Φ leaving dA as a

@@ -1,4 +1,4 @@
-//! Points at which the user wants the irradiance, and their files.
+//! Irradiance at places that the user names.
 
 use std::{io::Write, path::Path};
 
@@ -7,26 +7,30 @@ use glam::DVec3;
 use super::Estimate;
 use crate::{Error, Result, scene::direction};
 
-/// A point and its normal, in the coordinates of the scene file.
+/// A place and the direction it faces, in the file's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Probe {
     /// The point.
     pub point: DVec3,
-    /// The normal, of any length above zero.
+    /// The direction it faces; not zero, of any length.
     pub normal: DVec3,
 }
 
-/// Reads a file of probes. Each line is `x y z nx ny nz`. Blank lines and everything after `#` are ignored.
+/// Reads a file of probes: each line `x y z nx ny nz`, with blanks, tabs, commas or semicolons between the numbers. Blank lines
+/// and what follows `#` do not count, nor does a first line of names without any number, as tables have.
 ///
 /// # Errors
-/// [`Error::Io`] if the file cannot be read; [`Error::Input`] with the number of a line that is not understood.
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] with the line that cannot be understood.
 pub fn read_probes(path: &Path) -> Result<Vec<Probe>> {
     let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
     let text = String::from_utf8_lossy(&bytes);
-    let mut probes = Vec::new();
+    let (mut probes, mut begun) = (Vec::new(), false);
     for (i, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
         let content = line.split('#').next().unwrap_or_default().trim();
         if !content.is_empty() {
+            if !std::mem::replace(&mut begun, true) && is_header(content) {
+                continue;
+            }
             let probe = parse(content).map_err(|message| {
                 Error::input(path, Some(i + 1), message).with_hint("a line reads: x y z nx ny nz")
             })?;
@@ -39,9 +43,19 @@ pub fn read_probes(path: &Path) -> Result<Vec<Probe>> {
     Ok(probes)
 }
 
+/// The words of a line. A comma or semicolon ends a word, blanks beside it do not count.
+fn words(line: &str) -> impl Iterator<Item = &str> {
+    line.split(|c: char| c.is_whitespace() || matches!(c, ',' | ';')).filter(|word| !word.is_empty())
+}
+
+/// Whether a line names columns: it has as many words as columns at least, and none is a number.
+fn is_header(line: &str) -> bool {
+    words(line).count() >= 6 && words(line).all(|word| word.trim_matches('"').parse::<f64>().is_err())
+}
+
 fn parse(line: &str) -> std::result::Result<Probe, String> {
     let mut numbers = Vec::with_capacity(6);
-    for word in line.split_whitespace() {
+    for word in words(line) {
         match word.parse::<f64>() {
             Ok(x) if x.is_finite() => numbers.push(x),
             Ok(_) => return Err(format!("{word} is not finite")),
@@ -61,10 +75,10 @@ fn parse(line: &str) -> std::result::Result<Probe, String> {
 /// Writes a line `x y z nx ny nz Er Eg Eb SEr SEg SEb` for each probe.
 ///
 /// # Errors
-/// Errors of the writer.
+/// What the writer says.
 ///
 /// # Panics
-/// If the numbers of probes and estimates differ.
+/// When there are not as many estimates as probes.
 pub fn write_probes(out: &mut impl Write, probes: &[Probe], estimates: &[Estimate]) -> std::io::Result<()> {
     assert_eq!(probes.len(), estimates.len(), "an estimate for each probe");
     for (probe, estimate) in probes.iter().zip(estimates) {
@@ -87,6 +101,22 @@ mod tests {
         let path = folder.path().join("points.txt");
         std::fs::write(&path, text).unwrap();
         read_probes(&path)
+    }
+
+    #[test]
+    fn tables_with_names_commas_semicolons_and_tabs_are_points() {
+        let wanted = read("1 2 3 0 0 1\n4 5 6 0 1 0").unwrap();
+        for table in [
+            "x,y,z,nx,ny,nz\n1,2,3,0,0,1\n4,5,6,0,1,0\n",
+            "\"x\";\"y\";\"z\";\"nx\";\"ny\";\"nz\"\n1;2; 3;0;0;1\n4;5;6;0;1;0;\n",
+            "# sensors\nx\ty\tz\tnx\tny\tnz\n1\t2\t3\t0\t0\t1\n4, 5, 6, 0, 1, 0\n",
+        ] {
+            assert_eq!(read(table).unwrap(), wanted, "{table}");
+        }
+        // Names are read over on the first line alone, and a broken number is no name.
+        for (wrong, line) in [("1 2 3 0 0 1\nx y z nx ny nz", 2), ("1,x,3,0,0,1", 1), ("a b c", 1)] {
+            assert!(matches!(read(wrong), Err(Error::Input { line: Some(l), .. }) if l == line), "{wrong}");
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@
 pub mod exposure;
 pub mod file;
 pub mod final_gather;
+pub mod gltf;
 pub mod inspection_report;
 mod lit_sides;
 mod meeting;

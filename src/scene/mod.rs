@@ -133,7 +133,7 @@ pub struct Scene {
 #[non_exhaustive]
 pub struct LoadOptions {
     /// Reflectance of surfaces that the file gives none, R G B in \[0, 1\]; [`DEFAULT_REFLECTANCE`] where `None`, and
-    /// then a warning says so.
+    /// then a warning says so. It counts before the colours of an OBJ's or PLY's vertices and faces.
     pub reflectance: Option<[f64; 3]>,
     /// Whether to keep which triangles were one face, and what the file says that it belongs to.
     pub faces: bool,
@@ -287,6 +287,28 @@ impl Scene {
             let specular = material.specular.take();
             *material = Material { specular, ..Material::new(name, reflectance, emission) };
             found += 1;
+        }
+        found
+    }
+
+    /// Lets the material of this name reflect `reflectance` on all its triangles; textures and colours of its reflectance no
+    /// longer count. Returns how many materials have the name.
+    ///
+    /// # Panics
+    /// When a reflectance is outside 0 to 1.
+    pub fn reflect(&mut self, material: &str, reflectance: [f64; 3]) -> usize {
+        assert!(reflectance.iter().all(|r| (0.0..=1.0).contains(r)), "a reflectance is outside 0 to 1");
+        let mut found = 0;
+        for m in self.materials.iter_mut().filter(|m| m.name == material) {
+            m.reflectance = reflectance;
+            m.reflectance_offset = [0.0; 3];
+            m.reflectance_map = None;
+            found += 1;
+        }
+        for (triangle, colours) in self.triangles.iter().zip(&mut self.colours) {
+            if self.materials[triangle.material as usize].name == material {
+                *colours = [[1.0; 3]; 3];
+            }
         }
         found
     }

@@ -50,15 +50,26 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let (models, definitions) = parse(path, &scan, &libraries)?;
     scan.text = String::new();
 
-    let mut assembly =
-        Assembly { path, materials: Materials::new(*options), builder: SceneBuilder::default() };
+    // A reflectance from outside counts before colours, which are pictures of a surface rather than figures of it.
+    let coloured = options.reflectance.is_none() && !scan.colours.is_empty();
+    let mut assembly = Assembly {
+        path,
+        materials: Materials::new(*options),
+        builder: SceneBuilder::default(),
+        scan: coloured.then_some(&scan),
+        colours: Vec::new(),
+    };
     assembly.add(&models, &scan.faces, &definitions, &libraries.origins)?;
-    let Assembly { mut materials, builder, .. } = assembly;
+    let Assembly { mut materials, builder, mut colours, .. } = assembly;
 
     let mut warnings = scan.warnings;
     warnings.append(libraries.warnings);
     warnings.append(materials.warnings);
     let mut scene = builder.finish();
+    if !colours.is_empty() {
+        colours.resize(scene.triangles.len(), [[1.0; 3]; 3]);
+    }
+    scene.colours = colours;
     scene.materials = materials.materials;
     scene.textures = materials.textures;
     if options.faces {
@@ -98,6 +109,10 @@ struct Assembly<'a> {
     path: &'a Path,
     materials: Materials,
     builder: SceneBuilder,
+    /// Where vertices have colours.
+    scan: Option<&'a Scan>,
+    /// Those of each triangle's corners.
+    colours: Vec<[[f32; 3]; 3]>,
 }
 
 impl Assembly<'_> {
@@ -118,11 +133,13 @@ impl Assembly<'_> {
             for i in 0..count {
                 let arity = mesh.face_arities.get(i).map_or(3, |&n| n as usize);
                 let face = faces.next().expect("tobj and the layer before it agree on the faces");
-                let material = self.materials.index(mesh.material_id, face.textured, definitions, origins)?;
-                if mesh.material_id.is_none() {
+                let colours = self.colours_of(face, arity);
+                let kind = (face.textured, colours.is_some());
+                let material = self.materials.index(mesh.material_id, kind, definitions, origins)?;
+                if mesh.material_id.is_none() && colours.is_none() {
                     without_material.get_or_insert(face.line);
                 }
-                self.polygon(mesh, start..start + arity, face, material)?;
+                self.polygon(mesh, start..start + arity, face, material, colours)?;
                 start += arity;
             }
         }
@@ -139,12 +156,19 @@ impl Assembly<'_> {
         Ok(())
     }
 
+    /// The colours of a face's vertices, where all have one.
+    fn colours_of(&self, face: &Face, arity: usize) -> Option<Vec<[f32; 3]>> {
+        let scan = self.scan?;
+        scan.corners[face.corners..][..arity].iter().map(|&v| scan.colours[v as usize]).collect()
+    }
+
     fn polygon(
         &mut self,
         mesh: &tobj::Mesh,
         corners: std::ops::Range<usize>,
         face: &Face,
         material: u32,
+        colours: Option<Vec<[f32; 3]>>,
     ) -> Result<()> {
         let points: Vec<DVec3> = mesh.indices[corners.clone()]
             .iter()
@@ -163,7 +187,12 @@ impl Assembly<'_> {
         }
         for triangle in triangles {
             let uv = uv.as_ref().map(|uv| triangle.map(|i| uv[i]));
+            let kept = self.builder.scene.triangles.len();
             self.builder.push(triangle.map(|i| points[i]), material, uv);
+            if let Some(colours) = colours.as_ref().filter(|_| self.builder.scene.triangles.len() > kept) {
+                self.colours.resize(kept, [[1.0; 3]; 3]);
+                self.colours.push(triangle.map(|i| colours[i]));
+            }
         }
         Ok(())
     }

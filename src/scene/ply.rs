@@ -274,13 +274,18 @@ struct Mesh<'a> {
 }
 
 impl Mesh<'_> {
+    /// Whether colours are reflectances: neither pictures of light, nor less than a reflectance from outside.
+    fn colours_count(&self) -> bool {
+        !self.light && self.options.reflectance.is_none()
+    }
+
     fn vertex(&mut self, vertex: Vertex, at: &Place) -> Result<()> {
         let position = DVec3::from_array(vertex.position);
         if !position.is_finite() {
             return Err(at.error(self.path, "a coordinate is not finite".into()));
         }
         let colour = vertex.colour.linear().map_err(|why| at.error(self.path, why))?;
-        self.vertices.push((position, colour.filter(|_| !self.light)));
+        self.vertices.push((position, colour.filter(|_| self.colours_count())));
         Ok(())
     }
 
@@ -309,7 +314,12 @@ impl Mesh<'_> {
         }
         let reflectance = match face.reflectance.given() {
             Some(given) => Some(given),
-            None => face.colour.linear().map_err(error)?.filter(|_| !self.light).or_else(|| mean(&corners)),
+            None => face
+                .colour
+                .linear()
+                .map_err(error)?
+                .filter(|_| self.colours_count())
+                .or_else(|| mean(&corners)),
         };
         if let Some(bad) = reflectance.and_then(|rgb| rgb.into_iter().find(|r| !(0.0..=1.0).contains(r))) {
             return Err(error(format!("reflectance {bad} is outside 0..1")));

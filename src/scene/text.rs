@@ -1,7 +1,8 @@
 //! Bytes to logical lines, and file names as exporters write them to files that exist.
 
 use std::borrow::Cow;
-use std::path::{Path, PathBuf};
+use std::ffi::OsStr;
+use std::path::{Component, Path, PathBuf};
 
 /// The file as text: UTF-16 where a byte order mark says so, else UTF-8. What is not UTF-8 is taken as Latin-1, which
 /// keeps different names different (a replacement character would not).
@@ -75,16 +76,32 @@ pub(super) fn without_comment(rest: &str) -> &str {
     rest.split_once('#').map_or(rest, |(before, _)| before)
 }
 
-/// The file that `name` means for a file in `folder`: as [`find_as_named`], and at last beside the file, for paths
-/// of the exporter's machine.
-pub(super) fn find_file(folder: &Path, name: &str) -> Option<PathBuf> {
-    find_as_named(folder, name).or_else(|| {
-        let last = name.trim().trim_matches('"').rsplit(['/', '\\']).next()?;
-        existing(folder, last)
+/// A file that a name led to.
+pub(super) struct Found {
+    pub(super) path: PathBuf,
+    /// Whether a part of the name had to be left out: it is not where the name says.
+    pub(super) elsewhere: bool,
+}
+
+/// The file that `name` means for a file in `folder`: as [`find_as_named`]; without a comment after it; and, for paths of
+/// another machine, by the last parts of the path, as many as lead to a file.
+pub(super) fn find_file(folder: &Path, name: &str) -> Option<Found> {
+    let bare = name.trim().trim_matches('"');
+    let without_comment = bare.split_once(" #").or_else(|| bare.split_once("\t#")).map(|(before, _)| before);
+    let names = [Some(bare), without_comment];
+    let named = names.iter().flatten().find_map(|name| find_as_named(folder, name));
+    if let Some(path) = named {
+        return Some(Found { path, elsewhere: false });
+    }
+    names.into_iter().flatten().find_map(|name| {
+        let slashed = name.trim().trim_matches('"').replace('\\', "/");
+        let parts: Vec<&str> = slashed.split('/').filter(|part| !part.is_empty()).collect();
+        let path = (0..parts.len()).find_map(|first| existing(folder, &parts[first..].join("/")))?;
+        Some(Found { path, elsewhere: true })
     })
 }
 
-/// The file `name` in `folder`: as it is, with `\ ` as a blank, with `\` as `/`, in another case.
+/// The file `name` in `folder`: as it is, with `\ ` as a blank, with `\` as `/`, each part of the path in any case.
 pub(super) fn find_as_named(folder: &Path, name: &str) -> Option<PathBuf> {
     let bare = name.trim().trim_matches('"');
     existing(folder, bare).or_else(|| existing(folder, &bare.replace("\\ ", " ").replace('\\', "/")))
@@ -95,18 +112,23 @@ fn existing(folder: &Path, name: &str) -> Option<PathBuf> {
     if path.is_file() {
         return Some(path);
     }
-    let wanted = path.file_name()?.to_str()?.to_lowercase();
-    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut same: Vec<_> = std::fs::read_dir(parent)
-        .ok()?
-        .flatten()
-        .filter(|entry| entry.file_name().to_string_lossy().to_lowercase() == wanted)
-        .map(|entry| entry.path())
-        .filter(|path| path.is_file())
-        .collect();
+    let mut place = PathBuf::new();
+    for part in path.components() {
+        place = match part {
+            Component::Normal(part) if !place.join(part).exists() => in_any_case(&place, part)?,
+            _ => place.join(part),
+        };
+    }
+    place.is_file().then_some(place)
+}
+
+/// What a folder has under this name in another case.
+fn in_any_case(folder: &Path, name: &OsStr) -> Option<PathBuf> {
+    let wanted = name.to_str()?.to_lowercase();
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let names = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.file_name());
     // The order of a directory is not defined.
-    same.sort();
-    same.into_iter().next()
+    names.filter(|name| name.to_string_lossy().to_lowercase() == wanted).min().map(|name| folder.join(name))
 }
 
 #[cfg(test)]
@@ -128,6 +150,28 @@ mod tests {
             let got: Vec<_> = lines(&text).collect();
             let words = got[0].1.split_whitespace().count();
             assert_eq!((got.len(), words), (1, if part.len() > 2 { 1_500_001 } else { 1 }));
+        }
+    }
+
+    #[test]
+    fn files_are_found_in_any_case_behind_comments_and_from_other_machines() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir_all(folder.path().join("Textures/Wood")).unwrap();
+        std::fs::write(folder.path().join("Textures/Wood/Oak 1.png"), b"").unwrap();
+        for (name, elsewhere) in [
+            ("Textures/Wood/Oak 1.png", false),
+            ("textures\\wood\\oak 1.PNG", false),
+            ("TEXTURES/Wood/oak\\ 1.png # the floor", false),
+            ("\"Textures/Wood/Oak 1.png\"\t# the floor", false),
+            ("C:\\Users\\me\\textures\\WOOD\\Oak 1.png", true),
+            ("/home/me/level/textures/wood/oak 1.png # the floor", true),
+        ] {
+            let found = find_file(folder.path(), name).unwrap_or_else(|| panic!("{name}"));
+            assert!(found.path.ends_with("Textures/Wood/Oak 1.png"), "{name}: {}", found.path.display());
+            assert_eq!(found.elsewhere, elsewhere, "{name}");
+        }
+        for name in ["Oak 1.png", "wood/oak 2.png", "", "/", "Textures/Wood"] {
+            assert!(find_file(folder.path(), name).is_none(), "{name}");
         }
     }
 

@@ -200,6 +200,40 @@ fn what_is_not_said_gets_a_default_and_is_told_once() {
 }
 
 #[test]
+fn a_reflectance_from_outside_counts_before_colours() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("white.ply");
+    let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+        property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\nproperty list uchar int vertex_indices\n\
+        property float reflectance_r\nproperty float reflectance_g\nproperty float reflectance_b\nend_header\n\
+        0 0 0 255 255 255\n1 0 0 255 255 255\n0 1 0 255 255 255\n3 0 1 2 0.25 0.25 0.25\n";
+    // A figure of the file's still counts before it.
+    std::fs::write(&path, text).unwrap();
+    let given = LoadOptions::default().with_reflectance(Some([0.6; 3]));
+    assert_eq!(Scene::load_with(&path, &given).unwrap().materials[0].reflectance, [0.25; 3]);
+    let plain = text.replace("3 0 1 2 0.25 0.25 0.25", "3 0 1 2");
+    let plain: String = plain.split_inclusive('\n').filter(|line| !line.contains("reflectance")).collect();
+    std::fs::write(&path, plain).unwrap();
+    assert_eq!(Scene::load(&path).unwrap().materials[0].reflectance, [1.0; 3]);
+    assert_eq!(Scene::load_with(&path, &given).unwrap().materials[0].reflectance, [0.6; 3]);
+}
+
+#[test]
+fn a_reflectance_with_a_name_counts_before_all_that_the_file_says() {
+    let here = Here::new(
+        "mtllib scene.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl wall\nf 1 2 3\nusemtl lamp\nf 1 3 2\n",
+        "newmtl wall\nKd 1 1 1\nnewmtl lamp\nKd 0.5 0.5 0.5\nKe 1 1 1\n",
+    );
+    let run = here.run("inspect scene.obj --reflectance 0.25,0.5,0.75@wall --report r.json --quiet");
+    assert!(run.status.success());
+    let materials = &here.json("r.json")["materials"];
+    assert_eq!(materials[0]["reflectance"], serde_json::json!([0.25, 0.5, 0.75]));
+    assert_eq!(materials[1]["reflectance"], serde_json::json!([0.5, 0.5, 0.5]));
+    let said = here.fails("inspect scene.obj --reflectance 0.25@roof", 2);
+    assert!(said.contains("--reflectance: no face of scene.obj has material `roof`"), "{said}");
+}
+
+#[test]
 fn bad_files_are_named_with_line_or_element() {
     let header = |from: &str, to: &str| square().replace(from, to);
     for (text, wanted) in [

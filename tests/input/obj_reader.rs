@@ -386,3 +386,36 @@ fn faces_and_what_they_belong_to_are_kept_for_who_asks() {
     assert_eq!(names(By::Group), ["(none)", "b c"]);
     assert_eq!(names(By::Object), ["(none)", "a"]);
 }
+
+#[test]
+fn colours_of_vertices_are_reflectances_times_kd() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("s.obj");
+    std::fs::write(folder.path().join("s.mtl"), "newmtl half\nKd 0.5 0.5 0.5\nnewmtl bare\n").unwrap();
+    let linear = radiosity::tone::linear;
+    for (white, numbers) in [(1.0, "0.9 0.1 1"), (255.0, "204 51 255")] {
+        let vertices = format!("v 0 0 0 {numbers}\nv 1 0 0 {numbers}\nv 0 1 0 1 {numbers}\nv 9 9 9\n");
+        std::fs::write(
+            &path,
+            format!("mtllib s.mtl\nf 1 2 3\nusemtl half\nf 1 2 3\nusemtl bare\nf 1 3 2\nf 1 2 4\n{vertices}"),
+        )
+        .unwrap();
+        let colour: Vec<f64> =
+            numbers.split(' ').map(|c| linear(c.parse::<f64>().unwrap() / white)).collect();
+        let scene = Scene::load(&path).unwrap();
+        for (t, factor) in [(0, 1.0), (1, 0.5), (2, 1.0)] {
+            let found = scene.mean_reflectance(t, &[[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]]);
+            for c in 0..3 {
+                assert!((found[c] - factor * colour[c]).abs() < 1e-6, "{t}: {found:?}");
+            }
+        }
+        // A face of which one vertex has no colour has none.
+        assert_eq!(scene.mean_reflectance(3, &[[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]]), [0.5; 3]);
+        // A reflectance from outside counts before them, and not before Kd.
+        let given =
+            Scene::load_with(&path, &LoadOptions::default().with_reflectance(Some([0.3; 3]))).unwrap();
+        assert!(given.colours.is_empty());
+        let found = [0, 1, 2].map(|t| given.material(t).reflectance[0]);
+        assert_eq!(found, [0.3, 0.5, 0.3]);
+    }
+}

@@ -1,9 +1,11 @@
-//! Error over time on one scene, for rays, patches, tolerances, solvers, estimators and path tracing.
+//! Speed against accuracy on one scene: what rays, patches, tolerance, solver and estimator buy, and what path tracing
+//! gives for the same time.
 //!
-//! All methods are compared by the mean irradiance of *common patches*, the coarsest subdivision of the sweep. The truth is
-//! estimated by two independent reference solutions r1 and r2, with finer patches and more rays than any point. The mean of
-//! (x - r1)(x - r2) is free of their noise in expectation. [`Reference::error`] is what their discretisation error and their
-//! noise may still add, and smaller errors are marked as not believed.
+//! What is compared is the mean irradiance of *common patches*, the coarsest subdivision of the sweep, so that coarse and
+//! fine solutions and path tracing answer one question. The truth is known by two independent reference solutions r1 and
+//! r2, with patches finer and rays more numerous than of any point. The mean of (x - r1)(x - r2) is free of their noise in
+//! expectation; what their patches' size and their noise may still add is [`Reference::error`], and no error below that
+//! is believed.
 
 mod sweep;
 
@@ -16,24 +18,24 @@ use crate::{
 };
 use sweep::Sweep;
 
-/// Rays per patch at the start of every line.
+/// Rays a patch at the start of every line.
 const FIRST_RAYS: f64 = 16.0;
 /// Every line has edges half as long as the one before.
 const LINES: i32 = 3;
-/// The coarsest line reaches at least this many rays per patch, for any number of triangles.
+/// The coarsest line reaches at least this many rays a patch, however many triangles the scene has.
 const LEAST_MOST_RAYS: f64 = 64.0;
 /// Each of the two references casts this many times the rays of the largest point.
 const REFERENCE_RAYS: f64 = 4.0;
 
-/// The extent of a sweep.
+/// How far to go.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct TradeoffOptions {
-    /// Approximate number of common patches.
+    /// About how many common patches.
     pub patches: usize,
-    /// Number of rays of the largest point, over all patches. Time and memory are proportional to it.
+    /// Rays of the largest point, all patches together. Time and memory grow in proportion.
     pub rays: f64,
-    /// The same seed gives the same errors. Times differ.
+    /// The same seed gives the same errors; times are never the same.
     pub seed: u64,
 }
 
@@ -44,24 +46,24 @@ setters!(TradeoffOptions {
 });
 
 impl Default for TradeoffOptions {
-    /// 1000 common patches and 2²¹ rays, as many as the preset [`Quality::MEDIUM`].
+    /// 1000 common patches and 2²¹ rays: as many as the preset [`Quality::MEDIUM`] has.
     fn default() -> Self {
         TradeoffOptions { patches: Quality::DRAFT.patches, rays: f64::from(1 << 21), seed: 0 }
     }
 }
 
-/// What a point belongs to.
+/// What a point was made to show.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Series {
-    /// Increasing numbers of rays on the patches of one line. Lines are numbered from the coarsest.
+    /// More and more rays with the patches of one line, which is numbered from the coarsest.
     Rays(usize),
     /// A preset, by its name.
     Preset(&'static str),
-    /// An estimator of form factors, by its name.
+    /// Another way from rays to form factors, by its name.
     Estimator(&'static str),
-    /// A solver and a tolerance, on form factors that are cast once for all of them.
+    /// Another solver or tolerance, on form factors cast once for all of them.
     Solver,
-    /// Path tracing of the common patches, with next event estimation.
+    /// Path tracing of the common patches with next event.
     PathTracing,
 }
 
@@ -84,78 +86,78 @@ impl Times {
     }
 }
 
-/// The time and the errors of one choice. Errors are area-weighted RMS errors over the common patches, relative to the mean irradiance.
+/// What one choice costs and gives. Errors are RMS by area over the common patches, relative to the mean irradiance.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Point {
-    /// What it belongs to.
+    /// What it was made to show.
     pub series: Series,
     /// Patches, those on backs included.
     pub patches: usize,
-    /// Mean number of rays or paths per patch.
+    /// Mean rays a patch, or paths a patch.
     pub rays: f64,
     /// The solver that ran; `None` for path tracing.
     pub solver: Option<Solver>,
-    /// The tolerance of the solver.
+    /// The tolerance that it was given.
     pub tolerance: f64,
     /// Its iterations.
     pub iterations: usize,
-    /// The true error. Zero if the noise of the references outweighs it.
+    /// The true error; zero where the noise of the references outweighs it.
     pub error: f64,
-    /// Whether the true error exceeds the error of the references.
+    /// Whether the true error is above what is known of the references.
     pub believed: bool,
-    /// The sampling error as estimated by the error bars of the point.
+    /// The error that sampling is estimated to cause, from the point's own error bars.
     pub estimated_sampling: f64,
-    /// The estimated discretisation error. `None` if unknown.
+    /// The error that the size of its patches is estimated to cause; `None` where it cannot be told.
     pub estimated_discretisation: Option<f64>,
     /// The median of its runs, stage by stage.
     pub seconds: Times,
-    /// Number of runs with different seeds. The squares of the errors are averaged.
+    /// How often it was run, with different seeds; the squares of the errors are averaged.
     pub runs: usize,
-    /// Bytes of form factors and hits. For path tracing, bytes of the estimates.
+    /// Bytes of form factors and hits; of path tracing, its estimates.
     pub bytes: usize,
 }
 
 impl Point {
-    /// The error that the point itself would report: sampling and discretisation together.
+    /// The error that the point itself would tell its user: sampling and the size of patches together.
     pub fn estimated(&self) -> f64 {
         self.estimated_sampling.hypot(self.estimated_discretisation.unwrap_or(0.0))
     }
 }
 
-/// The references.
+/// What the truth is taken from.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Reference {
-    /// Number of patches of each of the two.
+    /// Patches of each of the two.
     pub patches: usize,
-    /// Mean number of rays per patch of each.
+    /// Mean rays a patch of each.
     pub rays: f64,
     /// Standard error of their mean, from their difference.
     pub sampling: f64,
-    /// Change of their irradiance from edges twice as long. It equals the remaining error if the error falls with the edge, and is three
-    /// times as large if the error falls with its square.
+    /// Change of their irradiance from edges twice as long: what is left where the error falls with the edge, three times
+    /// too much where it falls with its square.
     pub discretisation: f64,
 }
 
 impl Reference {
-    /// Both parts together. Errors below this are not believed.
+    /// Both parts together: no error below is believed.
     pub fn error(&self) -> f64 {
         self.sampling.hypot(self.discretisation)
     }
 }
 
-/// The result of a sweep.
+/// Speed against accuracy.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Tradeoff {
-    /// Number of common patches.
+    /// How many patches errors are taken over.
     pub common_patches: usize,
-    /// The references.
+    /// What the truth is taken from.
     pub reference: Reference,
     /// The points, by series.
     pub points: Vec<Point>,
-    /// What was left out of the sweep, one sentence each.
+    /// What was asked of the sweep and could not be had, a sentence each.
     pub left_out: Vec<String>,
 }
 
@@ -167,14 +169,14 @@ pub struct Extent {
     pub edge: f64,
     /// Rays of the largest point.
     pub rays: f64,
-    /// Number of patches of a reference, without backs.
+    /// Patches of a reference, but for backs.
     pub reference_patches: f64,
-    /// Mean number of rays per patch of a reference.
+    /// Mean rays a patch of a reference.
     pub reference_rays: f64,
 }
 
 impl Extent {
-    /// The extent of a sweep on a scene.
+    /// How far a sweep will go.
     pub fn of(scene: &Scene, options: &TradeoffOptions) -> Extent {
         let common = Patches::subdivide(scene, &Subdivision::Count(options.patches));
         let rays = options.rays.max(LEAST_MOST_RAYS * common.len() as f64);
@@ -190,8 +192,8 @@ impl Tradeoff {
     /// Runs the sweep.
     ///
     /// # Errors
-    /// As [`crate::form_factor::FormFactors::cast`] and [`crate::solve::solve`], except that a solver that does not converge is left
-    /// out.
+    /// As [`crate::form_factor::FormFactors::cast`] and [`crate::solve::solve`]; but a solver that does not converge is only
+    /// left out.
     pub fn of(
         scene: &Scene,
         tracer: &Tracer,

@@ -42,6 +42,19 @@ impl Component {
         }
     }
 
+    /// Writes a number, rounded where the type has whole numbers.
+    fn write(self, x: f64, out: &mut [u8]) {
+        let whole = x.round();
+        match self {
+            Component::I8 => out.copy_from_slice(&(whole as i8).to_le_bytes()),
+            Component::U8 => out.copy_from_slice(&(whole as u8).to_le_bytes()),
+            Component::I16 => out.copy_from_slice(&(whole as i16).to_le_bytes()),
+            Component::U16 => out.copy_from_slice(&(whole as u16).to_le_bytes()),
+            Component::U32 => out.copy_from_slice(&(whole as u32).to_le_bytes()),
+            Component::F32 => out.copy_from_slice(&(x as f32).to_le_bytes()),
+        }
+    }
+
     /// The number that `bytes` begin with. Normalised integers are shares of the largest; the least of the signed ones
     /// counts as -1 (section 3.11 of the specification).
     fn number(self, bytes: &[u8], normalized: bool) -> f64 {
@@ -69,6 +82,46 @@ struct Layout {
     count: usize,
 }
 
+/// An accessor's elements as bytes, one after another.
+pub struct Raw {
+    bytes: Vec<u8>,
+    /// Bytes of an element.
+    pub size: usize,
+    component: Component,
+    /// As the file calls them.
+    pub component_type: u64,
+    pub kind: String,
+    pub normalized: bool,
+}
+
+impl Raw {
+    /// Number of elements.
+    pub fn count(&self) -> usize {
+        self.bytes.len() / self.size
+    }
+
+    /// The bytes of an element.
+    pub fn element(&self, i: usize) -> &[u8] {
+        &self.bytes[i * self.size..][..self.size]
+    }
+
+    /// The first three components of an element as they stand, zero where there are fewer.
+    pub fn numbers(&self, element: &[u8]) -> [f64; 3] {
+        let mut numbers = element[..self.size].chunks_exact(self.component.size());
+        std::array::from_fn(|_| numbers.next().map_or(0.0, |bytes| self.component.number(bytes, false)))
+    }
+
+    /// Writes an element between three.
+    pub fn mix(&self, of: [u32; 3], weights: [f64; 3], out: &mut [u8]) {
+        let size = self.component.size();
+        for (k, out) in out.chunks_exact_mut(size).enumerate() {
+            let number = |v: u32| self.component.number(&self.element(v as usize)[k * size..], false);
+            let mixed: f64 = of.iter().zip(weights).map(|(&v, weight)| weight * number(v)).sum();
+            self.component.write(mixed, out);
+        }
+    }
+}
+
 impl Document {
     /// The elements of accessor `i`, which must be of type `kind`.
     ///
@@ -92,6 +145,28 @@ impl Document {
         }
         // Every u32 is exact in double precision.
         Ok(self.numbers::<1>(i, "SCALAR")?.into_iter().map(|[index]| index as u32).collect())
+    }
+
+    /// Accessor `i` as bytes, for copies that change no bit.
+    ///
+    /// # Errors
+    /// Those of [`Document::numbers`].
+    pub fn raw(&self, i: usize) -> Result<Raw> {
+        self.accessor(i)
+            .and_then(|accessor| {
+                let layout = self.layout(accessor)?;
+                let mut bytes = vec![0; layout.count * layout.size];
+                self.copy(accessor, &layout, &mut bytes)?;
+                Ok(Raw {
+                    bytes,
+                    size: layout.size,
+                    component: layout.component,
+                    component_type: accessor.component_type,
+                    kind: accessor.kind.clone(),
+                    normalized: accessor.normalized,
+                })
+            })
+            .map_err(|why| self.error(format!("accessors[{i}]: {why}")))
     }
 
     /// The type of accessor `i`, such as `VEC3`.

@@ -35,6 +35,8 @@ const COMPRESSED: [(&str, &str); 4] = [
 pub struct Document {
     /// Where it is.
     pub path: PathBuf,
+    /// Its JSON as bytes.
+    json: Vec<u8>,
     /// What the JSON says.
     pub root: Root,
     /// The bytes of each buffer.
@@ -49,7 +51,14 @@ impl Document {
     /// # Errors
     /// [`Error::Io`] when it cannot be read; [`Error::Input`] when what it says cannot be used.
     pub fn read(path: &Path) -> Result<Document> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+        Document::of_bytes(path, std::fs::read(path).map_err(|e| Error::io(path, e))?)
+    }
+
+    /// A file that has been read; `path` says where it is, for messages and for what is beside it.
+    ///
+    /// # Errors
+    /// Those of [`Document::read`].
+    pub fn of_bytes(path: &Path, bytes: Vec<u8>) -> Result<Document> {
         let (json, chunk, is_text) = split(path, bytes)?;
         let root: Root = serde_json::from_slice(&json).map_err(|e| {
             // The position at the end of the message is told as a line, where the file has lines, and by what stands there.
@@ -66,9 +75,17 @@ impl Document {
         check_version(path, &root)?;
         check_extensions(path, &root)?;
         let mut document =
-            Document { path: path.to_owned(), root, buffers: Vec::new(), files: vec![path.to_owned()] };
+            Document { path: path.to_owned(), json, root, buffers: Vec::new(), files: vec![path.to_owned()] };
         document.load_buffers(chunk)?;
         Ok(document)
+    }
+
+    /// All of the JSON, known to us or not.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when it is nested too deeply.
+    pub fn value(&self) -> Result<serde_json::Value> {
+        serde_json::from_slice(&self.json).map_err(|e| self.error(format!("the JSON cannot be used: {e}")))
     }
 
     /// An error in this file.
@@ -117,7 +134,7 @@ impl Document {
         let name =
             percent_decoded(uri).ok_or_else(|| format!("`{shown}` is no name: its % codes are not UTF-8"))?;
         let folder = self.path.parent().unwrap_or(Path::new(""));
-        let file = text::find_file(folder, &name).ok_or_else(|| format!("`{shown}` not found"))?;
+        let file = text::find_file(folder, &name).ok_or_else(|| format!("`{shown}` not found"))?.path;
         let bytes = std::fs::read(&file).map_err(|e| format!("`{shown}`: {e}"))?;
         Ok((bytes, file))
     }

@@ -21,7 +21,6 @@ pub(crate) mod primitive;
 
 use std::collections::HashMap;
 use std::path::Path;
-use std::rc::Rc;
 
 use glam::{DVec2, DVec3};
 
@@ -45,7 +44,6 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let nodes = document.nodes()?;
     let mut assembly = Assembly {
         document: &document,
-        nodes: &nodes,
         options,
         materials: Materials::new(&document, options),
         builder: SceneBuilder::default(),
@@ -53,18 +51,76 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
         emission_texcoords: Vec::new(),
         both_sides: Vec::new(),
         parts: Vec::new(),
-        known: HashMap::new(),
         left_out: 0,
     };
-    for instance in &nodes.instances {
-        assembly.add(instance)?;
-    }
+    document.walk(&nodes, |place, geometry| assembly.add(place, geometry))?;
     assembly.finish()
+}
+
+/// A primitive of a mesh in the scene.
+pub(crate) struct Place<'a> {
+    /// Its mesh and where that is.
+    pub instance: &'a Instance,
+    /// Which primitive of the mesh it is.
+    pub primitive: usize,
+}
+
+impl Place<'_> {
+    /// A vertex in the space of the scene.
+    pub fn position(&self, geometry: &Geometry, vertex: usize) -> DVec3 {
+        let p = geometry.positions[vertex];
+        if geometry.posed { p } else { self.instance.matrix.transform_point3(p) }
+    }
+
+    /// Whether its place turns fronts into backs (section 3.7.4 of the specification).
+    pub fn is_mirrored(&self, geometry: &Geometry) -> bool {
+        !geometry.posed && self.instance.matrix.determinant() < 0.0
+    }
+}
+
+impl Document {
+    /// Shows every primitive in the scene, in the order in which their triangles are numbered, and its geometry where it has
+    /// triangles.
+    ///
+    /// # Errors
+    /// Those of reading geometry, and of `show`.
+    pub fn for_each_primitive(
+        &self,
+        show: impl FnMut(&Place<'_>, Option<&Geometry>) -> Result<()>,
+    ) -> Result<()> {
+        self.walk(&self.nodes()?, show)
+    }
+
+    fn walk(
+        &self,
+        nodes: &Nodes,
+        mut show: impl FnMut(&Place<'_>, Option<&Geometry>) -> Result<()>,
+    ) -> Result<()> {
+        // Geometry is read once for all instances, unless each is posed by itself.
+        let mut known: HashMap<(usize, usize), Option<Geometry>> = HashMap::new();
+        for instance in &nodes.instances {
+            let node = &self.root.nodes[instance.node];
+            let is_shared = node.skin.is_none() && node.weights.is_none();
+            for primitive in 0..self.root.meshes[instance.mesh].primitives.len() {
+                let place = Place { instance, primitive };
+                let key = (instance.mesh, primitive);
+                if !is_shared || !known.contains_key(&key) {
+                    let geometry = self.geometry(nodes, instance.node, instance.mesh, primitive)?;
+                    if !is_shared {
+                        show(&place, geometry.as_ref())?;
+                        continue;
+                    }
+                    known.insert(key, geometry);
+                }
+                show(&place, known[&key].as_ref())?;
+            }
+        }
+        Ok(())
+    }
 }
 
 struct Assembly<'a> {
     document: &'a Document,
-    nodes: &'a Nodes,
     options: &'a LoadOptions,
     materials: Materials<'a>,
     builder: SceneBuilder,
@@ -73,35 +129,24 @@ struct Assembly<'a> {
     /// Triangles whose backs emit.
     both_sides: Vec<u32>,
     parts: Vec<Part>,
-    /// Geometry that further instances may need.
-    known: HashMap<(usize, usize), Rc<Option<Geometry>>>,
     /// Primitives of points and lines.
     left_out: usize,
 }
 
 impl Assembly<'_> {
-    fn add(&mut self, instance: &Instance) -> Result<()> {
-        let mesh = &self.document.root.meshes[instance.mesh];
-        if self.options.faces {
+    fn add(&mut self, place: &Place<'_>, geometry: Option<&Geometry>) -> Result<()> {
+        let (document, instance) = (self.document, place.instance);
+        let mesh = &document.root.meshes[instance.mesh];
+        if self.options.faces && place.primitive == 0 {
             let name = |name: &Option<String>, kind: &str, i: usize| {
                 Some(name.clone().unwrap_or(format!("{kind} {i}")))
             };
-            let node = &self.document.root.nodes[instance.node];
             self.parts.push(Part {
-                object: name(&node.name, "node", instance.node),
+                object: name(&document.root.nodes[instance.node].name, "node", instance.node),
                 group: name(&mesh.name, "mesh", instance.mesh),
             });
         }
-        for i in 0..mesh.primitives.len() {
-            self.primitive(instance, i)?;
-        }
-        Ok(())
-    }
-
-    fn primitive(&mut self, instance: &Instance, i: usize) -> Result<()> {
-        let document = self.document;
-        let primitive = &document.root.meshes[instance.mesh].primitives[i];
-        let Some(geometry) = &*self.geometry(instance, i)? else {
+        let Some(geometry) = geometry else {
             self.left_out += 1;
             return Ok(());
         };
@@ -110,6 +155,7 @@ impl Assembly<'_> {
                 document.error(format!("more than {MOST_TRIANGLES} triangles, all instances counted"))
             );
         }
+        let primitive = &mesh.primitives[place.primitive];
         let has = |set: u32| primitive.attributes.contains_key(&format!("TEXCOORD_{set}"));
         let made = self.materials.index(primitive.material, has)?;
         let coordinates = |lookup: &Option<Lookup>, or: Option<u32>| -> Result<Option<Vec<DVec2>>> {
@@ -131,25 +177,24 @@ impl Assembly<'_> {
             (None, Some(only)) => (Some(only), None),
             both => both,
         };
-        self.triangles(instance, geometry, &made, uv.as_deref(), uv_of_emission.as_deref())
+        self.triangles(place, geometry, &made, uv.as_deref(), uv_of_emission.as_deref())
     }
 
     fn triangles(
         &mut self,
-        instance: &Instance,
+        place: &Place<'_>,
         geometry: &Geometry,
         made: &Made,
         uv: Option<&[DVec2]>,
         uv_of_emission: Option<&[DVec2]>,
     ) -> Result<()> {
-        let place = |p: DVec3| if geometry.posed { p } else { instance.matrix.transform_point3(p) };
-        let positions: Vec<DVec3> = geometry.positions.iter().map(|&p| place(p)).collect();
+        let positions: Vec<DVec3> =
+            (0..geometry.positions.len()).map(|v| place.position(geometry, v)).collect();
         if positions.iter().any(|p| !p.is_finite()) {
-            let node = instance.node;
+            let node = place.instance.node;
             return Err(self.document.error(format!("nodes[{node}] puts a vertex where no number reaches")));
         }
-        // A mirrored placement turns fronts into backs (section 3.7.4 of the specification).
-        let mirrored = !geometry.posed && instance.matrix.determinant() < 0.0;
+        let mirrored = place.is_mirrored(geometry);
         for &[a, b, c] in &geometry.triangles {
             let corners = if mirrored { [a, c, b] } else { [a, b, c] }.map(|i| i as usize);
             let kept = self.builder.scene.triangles.len();
@@ -177,20 +222,6 @@ impl Assembly<'_> {
             }
         }
         Ok(())
-    }
-
-    /// The geometry of a primitive, read once for all instances unless it is posed.
-    fn geometry(&mut self, instance: &Instance, i: usize) -> Result<Rc<Option<Geometry>>> {
-        let key = (instance.mesh, i);
-        if let Some(known) = self.known.get(&key) {
-            return Ok(known.clone());
-        }
-        let geometry = Rc::new(self.document.geometry(self.nodes, instance.node, instance.mesh, i)?);
-        let node = &self.document.root.nodes[instance.node];
-        if node.skin.is_none() && node.weights.is_none() {
-            self.known.insert(key, geometry.clone());
-        }
-        Ok(geometry)
     }
 
     fn finish(self) -> Result<Scene> {

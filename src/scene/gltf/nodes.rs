@@ -10,6 +10,8 @@ use crate::Result;
 pub struct Instance {
     /// The node that places it.
     pub node: usize,
+    /// Which of the copies it is that EXT_mesh_gpu_instancing makes of the node's mesh; `None` without the extension.
+    pub copy: Option<usize>,
     /// The mesh.
     pub mesh: usize,
     /// From the mesh's space to that of the scene.
@@ -58,13 +60,11 @@ impl Document {
                     return Err(failed(&format!("meshes[{mesh}] does not exist")));
                 }
                 match &node.extensions.instancing {
-                    None => nodes.instances.push(Instance { node: i, mesh, matrix }),
+                    None => nodes.instances.push(Instance { node: i, copy: None, mesh, matrix }),
                     Some(_) => {
                         let copies = self.copies(i)?;
-                        nodes.instances.extend(copies.into_iter().map(|place| Instance {
-                            node: i,
-                            mesh,
-                            matrix: matrix * place,
+                        nodes.instances.extend(copies.into_iter().enumerate().map(|(copy, place)| {
+                            Instance { node: i, copy: Some(copy), mesh, matrix: matrix * place }
                         }));
                     }
                 }

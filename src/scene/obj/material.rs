@@ -23,8 +23,8 @@ pub(super) struct Materials {
     pub(super) files: Vec<PathBuf>,
     /// Names of textures that could not be read.
     pub(super) missing: Vec<String>,
-    /// By tobj's index and whether textures apply.
-    made: HashMap<(Option<usize>, bool), u32>,
+    /// By tobj's index, whether textures apply, and whether vertices have colours.
+    made: HashMap<(Option<usize>, bool, bool), u32>,
     read: HashMap<PathBuf, Option<usize>>,
     absent: HashSet<(PathBuf, String)>,
 }
@@ -44,25 +44,26 @@ impl Materials {
         }
     }
 
-    /// The index of the material `id` for a face that has texture coordinates or not.
+    /// The index of the material `id` for a face that has texture coordinates or not, and colours at its vertices or not.
     pub(super) fn index(
         &mut self,
         id: Option<usize>,
-        textured: bool,
+        (textured, coloured): (bool, bool),
         definitions: &[tobj::Material],
         origins: &[Origin],
     ) -> Result<u32> {
         let has = |i: usize, map: &str| map_of(&definitions[i], map).is_some();
         let maps = id.is_some_and(|i| has(i, "map_Kd") || has(i, "map_Ke"));
-        let key = (id, textured || !maps);
+        let key = (id, textured || !maps, coloured);
         if let Some(&index) = self.made.get(&key) {
             return Ok(index);
         }
         let material = match id {
             Some(i) => {
-                let first = !self.made.contains_key(&(id, !key.1));
-                self.convert(&definitions[i], &origins[i], key.1, first)?
+                let first = !self.made.keys().any(|(known, ..)| *known == id);
+                self.convert(&definitions[i], &origins[i], (key.1, coloured), first)?
             }
+            None if coloured => Material::new("(none)", [1.0; 3], [0.0; 3]),
             None => Material::new("(none)", self.options.default_reflectance(), [0.0; 3]),
         };
         let index = self.materials.len() as u32;
@@ -75,7 +76,7 @@ impl Materials {
         &mut self,
         definition: &tobj::Material,
         origin: &Origin,
-        textured: bool,
+        (textured, coloured): (bool, bool),
         first: bool,
     ) -> Result<Material> {
         origin.check()?;
@@ -108,8 +109,10 @@ impl Materials {
             let after = " have no texture coordinates; they go without its texture";
             self.warnings.repeat(origin.file.display().to_string(), "faces of material", name, after);
         }
-        let plain = if reflectance_map.is_some() { [1.0; 3] } else { self.options.default_reflectance() };
-        let told = map_of(definition, "map_Kd").is_some() || !origin.notes.is_empty() || !origin.defined;
+        let told = reflectance_map.is_some() || coloured;
+        let plain = if told { [1.0; 3] } else { self.options.default_reflectance() };
+        let told =
+            coloured || map_of(definition, "map_Kd").is_some() || !origin.notes.is_empty() || !origin.defined;
         if definition.diffuse.is_none() && !told && self.options.reflectance.is_none() {
             let after = format!(" has no Kd; {} is used", self.options.default_in_words());
             self.warnings.repeat(origin.place("newmtl"), "material", name, &after);
@@ -165,7 +168,7 @@ impl Materials {
             (_, Some(_)) => "plain Ke is used".to_string(),
             (_, None) => "the material does not emit".to_string(),
         };
-        let Some(path) = find_file(folder, name) else {
+        let Some(found) = find_file(folder, name) else {
             if self.absent.insert((folder.into(), name.into())) {
                 let after = format!(" not found; {instead}");
                 self.warnings.repeat(place.into(), "texture", name, &after);
@@ -173,7 +176,11 @@ impl Materials {
             }
             return None;
         };
-        let path = path.canonicalize().unwrap_or(path);
+        if found.elsewhere && self.absent.insert((folder.into(), name.into())) {
+            let after = " is not where the library says; the one beside the scene is used";
+            self.warnings.repeat(place.into(), "texture", name, after);
+        }
+        let path = found.path.canonicalize().unwrap_or(found.path);
         if let Some(&known) = self.read.get(&path) {
             return known;
         }

@@ -81,6 +81,7 @@ impl Libraries {
                 }
                 let read = find_file(folder, &name)
                     .ok_or_else(|| "not found".to_string())
+                    .map(|found| found.path)
                     .and_then(|path| std::fs::read(&path).map(|b| (path, b)).map_err(|e| e.to_string()));
                 match read {
                     Ok((path, bytes)) => {

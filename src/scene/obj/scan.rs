@@ -8,7 +8,7 @@ use std::path::Path;
 use crate::scene::Part;
 use crate::scene::text::{self, split_keyword, without_comment};
 use crate::scene::warnings::Warnings;
-use crate::{Error, Result};
+use crate::{Error, Result, tone};
 
 /// What a material without a name is called.
 pub(super) const UNNAMED: &str = "(unnamed)";
@@ -20,6 +20,8 @@ pub(super) struct Face {
     pub(super) textured: bool,
     /// Index into the parts.
     pub(super) part: u32,
+    /// Where the numbers of its vertices begin in [`Scan::corners`].
+    pub(super) corners: usize,
 }
 
 /// An OBJ file, checked.
@@ -28,6 +30,10 @@ pub(super) struct Scan {
     pub(super) text: String,
     /// The polygons of `text`, in order.
     pub(super) faces: Vec<Face>,
+    /// Linear colours of the vertices, in file order; empty where the file has none.
+    pub(super) colours: Vec<Option<[f32; 3]>>,
+    /// Vertices of all faces, counted from 0; empty where no vertex has a colour.
+    pub(super) corners: Vec<u32>,
     /// What faces belong to.
     pub(super) parts: Vec<Part>,
     /// `mtllib` lines.
@@ -41,6 +47,8 @@ struct Scanner<'a> {
     path: &'a Path,
     positions: usize,
     texcoords: usize,
+    /// What the file calls the brightest colour; `None` where vertices have no colours.
+    white: Option<f64>,
     total_positions: usize,
     total_texcoords: usize,
     vertex_text: String,
@@ -80,6 +88,7 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
         path,
         positions: 0,
         texcoords: 0,
+        white: white(text),
         total_positions: count("v"),
         total_texcoords: count("vt"),
         vertex_text: String::new(),
@@ -95,6 +104,8 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
         scan: Scan {
             text: String::new(),
             faces: Vec::new(),
+            colours: Vec::new(),
+            corners: Vec::new(),
             parts: Vec::new(),
             libraries: Vec::new(),
             used: Vec::new(),
@@ -123,7 +134,7 @@ impl Scanner<'_> {
         Error::input(self.path, Some(line), message)
     }
 
-    /// Only x y z: the weight is for rational curves (OBJ specification, "Vertex data"), colours are an extension.
+    /// x y z; the weight is for rational curves (OBJ specification, "Vertex data"). Colours are an extension.
     fn position(&mut self, line: usize, rest: &str) -> Result<()> {
         let mut words = rest.split_whitespace();
         self.vertex_text.push('v');
@@ -141,6 +152,11 @@ impl Scanner<'_> {
         }
         self.vertex_text.push('\n');
         self.positions += 1;
+        if let Some(white) = self.white {
+            let colour =
+                colour(rest).map(|rgb| rgb.map(|c| tone::linear((c / white).clamp(0.0, 1.0)) as f32));
+            self.scan.colours.push(colour);
+        }
         Ok(())
     }
 
@@ -170,6 +186,10 @@ impl Scanner<'_> {
         self.use_material(line);
         let textured = corners.iter().all(|(_, vt)| vt.is_some());
         self.face_text.push('f');
+        let first = self.scan.corners.len();
+        if self.white.is_some() {
+            self.scan.corners.extend(corners.iter().map(|(v, _)| *v as u32 - 1));
+        }
         for (v, vt) in corners {
             let _ = match vt.filter(|_| textured) {
                 Some(vt) => write!(self.face_text, " {v}/{vt}"),
@@ -178,7 +198,7 @@ impl Scanner<'_> {
         }
         self.face_text.push('\n');
         let part = self.part();
-        self.scan.faces.push(Face { line, textured, part });
+        self.scan.faces.push(Face { line, textured, part, corners: first });
         Ok(())
     }
 
@@ -257,6 +277,32 @@ impl Scanner<'_> {
         scan.text = self.vertex_text + &self.face_text;
         scan
     }
+}
+
+/// The colour that a vertex line holds: the last three of six numbers, or of seven, of which the fourth is the weight. None of
+/// another line, or of numbers that are none.
+fn colour(rest: &str) -> Option<[f64; 3]> {
+    let mut words = rest.split_whitespace().skip(3);
+    let mut numbers = [0.0; 4];
+    let count = words.by_ref().take(4).zip(&mut numbers).try_fold(0, |count, (word, number)| {
+        *number = word.parse().ok().filter(|x: &f64| x.is_finite())?;
+        Some(count + 1)
+    })?;
+    match (count, numbers) {
+        (3, [r, g, b, _]) | (4, [_, r, g, b]) if words.next().is_none() => Some([r, g, b]),
+        _ => None,
+    }
+}
+
+/// The brightest colour of the vertices of a file: 1, or 255 where there are larger numbers. None where no vertex has a colour.
+fn white(text: &str) -> Option<f64> {
+    let lines = text::lines(text);
+    let colours = lines.filter_map(|(_, line)| match split_keyword(&line) {
+        ("v", rest) => colour(without_comment(rest)),
+        _ => None,
+    });
+    let most = colours.flatten().reduce(f64::max)?;
+    Some(if most > 1.0 { 255.0 } else { 1.0 })
 }
 
 /// An index counted from 1; negative ones count back from the last element read.
