@@ -5,6 +5,7 @@ pub mod bias;
 pub mod comparison;
 pub mod discretisation;
 pub mod error_bars;
+pub mod lambert;
 pub mod memory;
 pub mod refinement;
 pub mod solved;

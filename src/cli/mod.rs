@@ -7,6 +7,7 @@ mod bake;
 mod camera;
 mod forecast;
 mod inspect;
+mod models;
 mod options;
 mod outputs;
 mod pipeline;

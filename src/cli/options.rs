@@ -6,11 +6,14 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use radiosity::{
     Error, Quality, Result as RadiosityResult, Scene,
+    monte_carlo::reflection::SpecularPart,
     patch::Subdivision,
     scene::{LoadOptions, MOST_RADIANCE, is_radiance},
 };
 
-/// The scene, and what its file does not say: arguments of every command.
+use super::models;
+
+/// The scene, and light and colour that its file lacks: arguments of every command.
 #[derive(Args)]
 pub struct SceneArgs {
     /// The scene: Wavefront .obj with its .mtl beside it, .ply, .gltf or .glb
@@ -28,6 +31,22 @@ pub struct SceneArgs {
     /// Let surfaces that a glTF file calls unlit emit their colour, instead of reflecting by it
     #[arg(long)]
     unlit_emits: bool,
+    /// Give a material a specular part on top of its Kd, as in floor=ward:0.2,0.1,0.1: mirror:KS, phong:KS,N, blinn-phong:KS,N,
+    /// ward:KS,AX,AY, beckmann:KS,ALPHA, ggx:KS,ALPHA, schlick:KS,ALPHA, conductor:ETA,KAPPA,ALPHA or
+    /// metallic-roughness:METALLIC,ROUGHNESS. May be given several times
+    #[arg(long, value_name = "MATERIAL=MODEL", value_parser = models::model)]
+    model: Vec<models::Model>,
+    /// What becomes of specular parts where all surfaces count as Lambertian, which is everywhere but in path and light tracing
+    #[arg(long, value_enum, default_value_t = SpecularName::Drop)]
+    specular: SpecularName,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SpecularName {
+    /// Left out
+    Drop,
+    /// The share of diffuse light that they reflect is added to the diffuse reflectance
+    Diffuse,
 }
 
 /// What shall reflect how much.
@@ -45,7 +64,15 @@ struct Emission {
 }
 
 impl SceneArgs {
-    /// Reads the scene and lights the materials that were told to emit.
+    /// What becomes of specular parts where all surfaces count as Lambertian.
+    pub fn specular(&self) -> SpecularPart {
+        match self.specular {
+            SpecularName::Drop => SpecularPart::Drop,
+            SpecularName::Diffuse => SpecularPart::Diffuse,
+        }
+    }
+
+    /// Reads the scene and applies `--emit` and `--model`.
     pub fn load(&self) -> RadiosityResult<Scene> {
         let plain = self.reflectance.iter().rev().find(|r| r.material.is_none()).map(|r| r.share);
         let mut scene = Scene::load_with(
@@ -64,9 +91,15 @@ impl SceneArgs {
                 return Err(self.no_material(&scene, "--emit", material.as_deref().unwrap_or_default()));
             }
         }
+        for model in &self.model {
+            if model.apply(&mut scene) == 0 {
+                return Err(self.no_material(&scene, "--model", &model.material));
+            }
+        }
         Ok(scene)
     }
 
+    /// That no face has the material which an option names.
     fn no_material(&self, scene: &Scene, option: &str, name: &str) -> Error {
         let mut names: Vec<&str> = scene.materials.iter().map(|m| m.name.as_str()).collect();
         names.dedup();

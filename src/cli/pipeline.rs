@@ -5,6 +5,7 @@ use std::path::Path;
 use radiosity::{
     Error, Result, Scene,
     form_factor::{CastOptions, Estimator, FormFactors},
+    monte_carlo::reflection::{SpecularPart, Surfaces, make_lambertian},
     output::{file::OutputFile, report::Seconds},
     patch::Patches,
     solve::{self, Solution, SolveOptions, Solver},
@@ -17,8 +18,21 @@ use super::{
     watch::Watch,
 };
 
-/// A scene that emits, ready for rays. None of its files may be one of `outputs`.
+/// Reads a scene that emits light, makes its surfaces Lambertian, and builds its ray tracer. Refuses a scene of which a file is one of
+/// `outputs`.
 pub fn load(
+    args: &SceneArgs,
+    outputs: &[&OutputFile],
+    watch: &Watch,
+    times: &mut Seconds,
+) -> Result<(Scene, Tracer)> {
+    let (mut scene, tracer) = load_as_given(args, outputs, watch, times)?;
+    flatten(&mut scene, args, watch);
+    Ok((scene, tracer))
+}
+
+/// The same with the specular parts of its materials.
+pub fn load_as_given(
     args: &SceneArgs,
     outputs: &[&OutputFile],
     watch: &Watch,
@@ -39,7 +53,34 @@ pub fn load(
     Ok((scene, tracer))
 }
 
-/// A scene, with what its reader has to say. None of its files may be one of `outputs`.
+/// Leaves the scene with Lambertian surfaces only; a warning tells whose specular part that costs.
+pub fn flatten(scene: &mut Scene, args: &SceneArgs, watch: &Watch) {
+    let glossy = scene.materials.iter().filter(|m| m.specular.is_some());
+    let glossy: Vec<String> = glossy.map(|m| m.name.clone()).collect();
+    make_lambertian(scene, args.specular());
+    if let [first, rest @ ..] = &glossy[..] {
+        let whose = match rest.len() {
+            0 => format!("the specular part of material `{first}`"),
+            n => format!("the specular parts of material `{first}` and {n} more"),
+        };
+        let what = match args.specular() {
+            SpecularPart::Drop => "left out; --specular diffuse counts the light as diffuse",
+            SpecularPart::Diffuse => "counted as diffuse",
+        };
+        let warning = format!("{}: {whose}: {what}", args.path.display());
+        watch.warn(&warning);
+        scene.warnings.push(warning);
+    }
+}
+
+/// Warns of materials that path and light tracing cannot follow as they are given.
+pub fn warn_of_gloss(scene: &Scene, file: &Path, watch: &Watch) {
+    for warning in Surfaces::of(scene).warnings() {
+        watch.warn(&format!("{}: {warning}", file.display()));
+    }
+}
+
+/// Reads a scene and prints the warnings of the reader. Refuses a scene of which a file is one of `outputs`.
 pub fn read(args: &SceneArgs, outputs: &[&OutputFile], watch: &Watch) -> Result<Scene> {
     let scene = args.load()?;
     outputs.iter().try_for_each(|output| output.check_inputs(&scene.files))?;

@@ -108,7 +108,13 @@ pub fn run(args: &ProbeArgs) -> Result<Outcome> {
 
     let watch = Watch::new(args.common.quiet);
     let mut times = SamplingSeconds::default();
-    let (scene, tracer) = pipeline::load(&args.scene, &files, &watch, &mut times.stages)?;
+    let (scene, tracer) = if args.method == Method::Radiosity {
+        pipeline::load(&args.scene, &files, &watch, &mut times.stages)?
+    } else {
+        let (scene, tracer) = pipeline::load_as_given(&args.scene, &files, &watch, &mut times.stages)?;
+        pipeline::warn_of_gloss(&scene, &args.scene.path, &watch);
+        (scene, tracer)
+    };
     let (estimates, patches) = estimate(args, &probes, &scene, &tracer, &watch, &mut times)?;
 
     watch.begin_writing();

@@ -7,6 +7,7 @@ use radiosity::{
     Error, Result, Scene,
     monte_carlo::{
         Camera, Film, LightOptions, LightTracer, PathOptions, PathTracer, PictureFormat, RenderOptions,
+        reflection::Surfaces,
     },
     output::{
         file::Pending,
@@ -162,7 +163,19 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
 
     let watch = Watch::new(args.common.quiet);
     let mut times = SamplingSeconds::default();
-    let (scene, tracer) = pipeline::load(&args.scene, &files, &watch, &mut times.stages)?;
+    let (scene, tracer) = if args.method == Method::Radiosity {
+        pipeline::load(&args.scene, &files, &watch, &mut times.stages)?
+    } else {
+        let (scene, tracer) = pipeline::load_as_given(&args.scene, &files, &watch, &mut times.stages)?;
+        pipeline::warn_of_gloss(&scene, &args.scene.path, &watch);
+        if args.method == Method::Light && Surfaces::of(&scene).has_mirror() {
+            watch.warn(
+                "mirrors are dark in the picture: no particle that leaves one meets the camera's pinhole; \
+                 --method path shows what they reflect",
+            );
+        }
+        (scene, tracer)
+    };
     let camera = args.camera.camera(&scene, &tracer)?;
     args.check_size(&camera)?;
     camera::check(&args.camera, &camera, &scene, &tracer, &watch)?;

@@ -4,15 +4,22 @@ use std::{fmt::Write, path::PathBuf};
 
 use clap::Args;
 use radiosity::{
-    Result,
-    accuracy::validation::{Validation, ValidationOptions},
+    Result, Scene,
+    accuracy::{
+        lambert::{LambertCost, LambertOptions},
+        validation::{Validation, ValidationOptions},
+    },
     form_factor::Estimator,
     output::{
+        file::Pending,
+        lambert_report::LambertReport,
+        ply::{self, PlyOptions},
         report::Seconds,
         validation_report::{ComparisonReport, ValidationReport},
     },
     patch::Patches,
     solve::Solver,
+    trace::Tracer,
 };
 
 use super::{
@@ -45,7 +52,14 @@ pub struct ValidateArgs {
     #[arg(long, value_name = "N", default_value_t = ValidationOptions::default().particles,
         value_parser = clap::value_parser!(u64).range(1024..=1 << 40))]
     particles: u64,
-    /// Another seed casts other rays; the same gives the same verdict
+    /// Also measure what taking all surfaces as Lambertian costs: follow light with materials as given, and with Lambertian ones of the
+    /// same albedo, by the same random numbers
+    #[arg(long)]
+    lambert: bool,
+    /// With --lambert: write a coloured mesh whose faces tell how much irradiance changes, and the standard error of that
+    #[arg(short, long, value_name = "OUT.ply", requires = "lambert")]
+    output: Option<PathBuf>,
+    /// Seed of the random numbers. The same seed gives the same verdict
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     #[command(flatten)]
@@ -55,14 +69,14 @@ pub struct ValidateArgs {
 /// Runs the command.
 pub fn run(args: &ValidateArgs) -> Result<Outcome> {
     let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
+    let mesh = args.output.as_ref().map(|path| outputs::mesh(path, &args.scene.path)).transpose()?;
+    let files: Vec<_> = report_file.iter().chain(&mesh).collect();
+    outputs::check_distinct(&files)?;
     args.common.start_threads()?;
     let watch = Watch::new(args.common.quiet);
-    let (scene, tracer) = pipeline::load(
-        &args.scene,
-        &report_file.iter().collect::<Vec<_>>(),
-        &watch,
-        &mut Seconds::default(),
-    )?;
+    let (given, tracer) = pipeline::load_as_given(&args.scene, &files, &watch, &mut Seconds::default())?;
+    let mut scene = given.clone();
+    pipeline::flatten(&mut scene, &args.scene, &watch);
     let defaults = ValidationOptions::default();
     let options = defaults
         .with_subdivision(args.cast.given_subdivision().unwrap_or(defaults.subdivision))
@@ -87,11 +101,21 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         Validation::of(&scene, &tracer, &options, watch.progress())
             .map_err(|error| pipeline::blame(&args.scene.path, error))
     })?;
-    let report = ValidationReport::new(&args.scene.path.display().to_string(), &scene, &validation);
+    let mut report = ValidationReport::new(&args.scene.path.display().to_string(), &scene, &validation);
+    let patches = &validation.solved.patches;
+    let cost = args.lambert.then(|| lambert(args, &given, &tracer, patches, &watch)).transpose()?;
+    report.lambert = cost.as_ref().map(|cost| LambertReport::new(cost, &given, patches));
     watch.begin_writing();
-    if let Some(file) = report_file {
-        file.write(|out| report.write(out))?.commit()?;
+    let mut pending = Vec::new();
+    pending.extend(report_file.map(|file| file.write(|out| report.write(out))).transpose()?);
+    if let (Some(file), Some(cost)) = (mesh, &cost) {
+        let options = PlyOptions::default()
+            .with_standard_errors(Some(&validation.solved.error_bars.standard_error))
+            .with_lambert(Some(&cost.matched.irradiance));
+        let solution = &validation.solved.solution;
+        pending.push(file.write(|out| ply::encode(out, &scene, patches, solution, &options))?);
     }
+    Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
         to_stdout(&table(&report))?;
@@ -105,6 +129,23 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
             report.objections[0]
         )),
     })
+}
+
+fn lambert(
+    args: &ValidateArgs,
+    given: &Scene,
+    tracer: &Tracer,
+    patches: &Patches,
+    watch: &Watch,
+) -> Result<LambertCost> {
+    pipeline::warn_of_gloss(given, &args.scene.path, watch);
+    let options =
+        LambertOptions::default().with_paths(args.paths).with_particles(args.particles).with_seed(args.seed);
+    let (cost, _) = watch.stage("following gloss", || {
+        LambertCost::of(given, tracer, patches, &options, watch.progress())
+            .map_err(|error| pipeline::blame(&args.scene.path, error))
+    })?;
+    Ok(cost)
 }
 
 fn table(report: &ValidationReport) -> String {
@@ -161,6 +202,9 @@ fn table(report: &ValidationReport) -> String {
                 w.z, w.first, w.second, w.material
             );
         }
+    }
+    if let Some(lambert) = &report.lambert {
+        let _ = writeln!(text, "{:<36} {}", "Lambertian surfaces", lambert.verdict);
     }
     let verdict = if report.valid { "passed" } else { "FAILED" };
     let _ = writeln!(text, "{:<36} {verdict}", "verdict");

@@ -94,9 +94,6 @@ impl Default for Effort {
 impl Effort {
     /// Estimates `count` quantities, each the mean of `sample(i, numbers)`.
     ///
-    /// Replicates are the unit of parallel work, so one quantity alone keeps several threads busy; each is summed in
-    /// order by one thread, so the result does not depend on how many there are.
-    ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped).
     ///
@@ -108,6 +105,26 @@ impl Effort {
         progress: &Progress,
         sample: impl Fn(usize, &mut Samples) -> [f64; 3] + Sync,
     ) -> Result<Vec<Estimate>> {
+        let means = self.replicates(count, progress, sample)?;
+        Ok(means.chunks(self.replicates as usize).map(Estimate::of).collect())
+    }
+
+    /// Means of the replicates of `count` quantities, those of one quantity after each other.
+    ///
+    /// Replicates are the unit of parallel work, so that a single quantity keeps several threads busy. Each replicate is summed in
+    /// order by one thread, so that the result does not depend on the number of threads.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped).
+    ///
+    /// # Panics
+    /// With fewer than two replicates.
+    pub(crate) fn replicates(
+        &self,
+        count: usize,
+        progress: &Progress,
+        sample: impl Fn(usize, &mut Samples) -> [f64; 3] + Sync,
+    ) -> Result<Vec<[f64; 3]>> {
         assert!(self.replicates >= 2, "a standard error needs two replicates");
         let replicates = self.replicates as usize;
         let each = self.samples.div_ceil(self.replicates).max(1);
@@ -123,8 +140,7 @@ impl Effort {
             })?;
             Ok(sum.map(|x| x / each as f64))
         };
-        let means: Vec<[f64; 3]> = (0..count * replicates).into_par_iter().map(one).collect::<Result<_>>()?;
-        Ok(means.chunks(replicates).map(Estimate::of).collect())
+        (0..count * replicates).into_par_iter().map(one).collect()
     }
 }
 

@@ -1,17 +1,26 @@
 //! Light tracing: particles followed forwards, from where they are emitted to where they are absorbed.
 //!
-//! The books of each particle balance to rounding. For the first reflections absorption is continuous: a hit keeps
-//! ρ of the particle and books the rest, which spares the variance of dying early. After that the particle dies, or
-//! goes on, with probability q = max ρ; it then carries ρ/q of what it had and the hit books the difference
-//! 1 − ρ/q ≥ 0, or all of it when the particle dies. The expectation of both is 1 − ρ; the sum of what is booked
-//! telescopes to what was emitted; and weights never grow, as they would if roulette paid survivors.
+//! The energy of each particle balances to rounding. At the first reflections absorption is continuous: the particle keeps
+//! the share ρ and the rest is absorbed, which avoids the variance of early deaths. After that the particle survives with
+//! probability q = max ρ. A survivor keeps the share ρ/q, and 1 − ρ/q ≥ 0 is absorbed. If the particle dies, all of it is
+//! absorbed. Both absorb 1 − ρ in expectation, the absorbed parts sum to what was emitted, and weights never grow, as they
+//! would if roulette raised the weight of survivors.
+//!
+//! On glossy surfaces ρ is the weight of the sampled direction. Some weights exceed 1, and then the absorbed part is negative. The energy
+//! still balances, and the mean is right.
 
-use std::f64::consts::PI;
+use std::f64::consts::{FRAC_1_PI, PI};
 
 use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
-use super::{Camera, Emitters, Estimate, Film, Lens, Samples, estimate::Running, samples::take};
+use super::{
+    Camera, Emitters, Estimate, Film, Lens, Samples,
+    estimate::Running,
+    reflection::{Surface, Surfaces},
+    samples::take,
+    scattering::{Diffuse, Place, Scattering},
+};
 use crate::{
     Error, Progress, Result,
     scene::Scene,
@@ -95,6 +104,9 @@ pub struct LightTracer<'a> {
     scene: &'a Scene,
     tracer: &'a Tracer,
     emitters: Emitters,
+    surfaces: Surfaces,
+    /// Whether particles are followed as those of a scene with gloss.
+    glossy: bool,
     options: LightOptions,
 }
 
@@ -102,8 +114,8 @@ pub struct LightTracer<'a> {
 enum Event<'h> {
     /// Flux arrives.
     Arrives(&'h Hit, DVec3),
-    /// Flux leaves a Lambertian surface at a point with this normal.
-    Leaves(Vec3A, Vec3A, DVec3),
+    /// Flux leaves a point with this normal: so much a solid angle and cosine towards a vector.
+    Leaves(Vec3A, Vec3A, &'h dyn Fn(Vec3A) -> DVec3),
 }
 
 /// Sums of one batch: counters of three channels, and the particles' books.
@@ -115,7 +127,14 @@ struct Batch {
 impl<'a> LightTracer<'a> {
     /// Prepares the emitters of the scene.
     pub fn new(scene: &'a Scene, tracer: &'a Tracer, options: LightOptions) -> Self {
-        LightTracer { scene, tracer, emitters: Emitters::new(scene, tracer), options }
+        let (emitters, surfaces) = (Emitters::new(scene, tracer), Surfaces::of(scene));
+        let glossy = !surfaces.is_lambertian();
+        LightTracer { scene, tracer, emitters, surfaces, glossy, options }
+    }
+
+    /// The same, but each particle takes as many random numbers a hit whatever it meets: see [`super::PathTracer::in_step`].
+    pub(crate) fn in_step(self) -> Self {
+        LightTracer { glossy: true, ..self }
     }
 
     /// Follows all particles; `bin` tells which of the `bins` counters a hit belongs to, if any.
@@ -145,10 +164,8 @@ impl<'a> LightTracer<'a> {
         let lens = camera.lens(self.tracer);
         let (width, height) = (camera.width(), camera.height());
         let found = self.run(width * height, progress, |counters, event| {
-            if let Event::Leaves(point, normal, flux) = event {
-                // Flux carries file areas, distances are of unit space.
-                let flux = flux / self.tracer.scale().powi(2);
-                self.splat(&lens, point, normal, flux, counters);
+            if let Event::Leaves(point, normal, leaving) = event {
+                self.splat(&lens, point, normal, leaving, counters);
             }
         })?;
         let film = |pick: fn(&Estimate) -> [f64; 3]| {
@@ -159,6 +176,26 @@ impl<'a> LightTracer<'a> {
             standard_error: film(|e| e.standard_error),
             transport: LightTransport { bins: Vec::new(), ..found },
         })
+    }
+
+    /// The books of each batch, W: emitted, absorbed and escaped, R G B.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`]; [`Error::NoEquilibrium`] when particles do not end.
+    pub(crate) fn books(&self, progress: &Progress) -> Result<Vec<[[f64; 3]; 3]>> {
+        let LightOptions { batches, .. } = self.options;
+        let each = self.particles_of_a_batch();
+        progress.begin("tracing light", u64::from(each) * u64::from(batches));
+        if self.emitters.is_empty() {
+            return Ok(vec![[[0.0; 3]; 3]; batches as usize]);
+        }
+        let books = |b| Ok(self.batch(b, each, 0, progress, &|_, _| ())?.books);
+        (0..batches).into_par_iter().map(books).collect()
+    }
+
+    fn particles_of_a_batch(&self) -> u32 {
+        let LightOptions { particles, batches, .. } = self.options;
+        u32::try_from(particles.div_ceil(batches.into()).max(1)).expect("fewer particles a batch")
     }
 
     /// Follows particle `index` of the stream `seed`, emitting a `1/count` of the scene's power on average.
@@ -175,9 +212,9 @@ impl<'a> LightTracer<'a> {
         progress: &Progress,
         count: impl Fn(&mut [[f64; 3]], Event) + Sync,
     ) -> Result<LightTransport> {
-        let LightOptions { particles, batches, .. } = self.options;
+        let LightOptions { batches, .. } = self.options;
         assert!(batches >= 2, "a standard error needs two batches");
-        let each = u32::try_from(particles.div_ceil(batches as u64).max(1)).expect("fewer particles a batch");
+        let each = self.particles_of_a_batch();
         progress.begin("tracing light", each as u64 * batches as u64);
         if self.emitters.is_empty() {
             return Ok(LightTransport { bins: vec![Estimate::default(); counters], ..Default::default() });
@@ -228,34 +265,51 @@ impl<'a> LightTracer<'a> {
     /// Follows one particle that stands for `share` of all.
     #[inline]
     fn follow(&self, samples: &mut Samples, share: f64, tell: &mut impl FnMut(Event)) -> Result<Particle> {
+        if self.glossy {
+            self.follow_by::<Surface>(samples, share, tell)
+        } else {
+            self.follow_by::<Diffuse>(samples, share, tell)
+        }
+    }
+
+    #[inline]
+    fn follow_by<'s, S: Scattering<'s>>(
+        &'s self,
+        samples: &mut Samples,
+        share: f64,
+        tell: &mut impl FnMut(Event),
+    ) -> Result<Particle> {
+        let place = Place { scene: self.scene, tracer: self.tracer, surfaces: &self.surfaces };
         let lamp = self.emitters.sample(self.scene, self.tracer, samples);
         let (mut point, mut normal) = (lamp.position, lamp.normal);
         let file_density = lamp.density / self.tracer.scale().powi(2);
         let mut flux = DVec3::from(lamp.radiance) * (PI * share / file_density);
         let emitted = flux;
         let mut absorbed = DVec3::ZERO;
+        tell(Event::Leaves(point, normal, &|_| flux * FRAC_1_PI));
+        let [x, y] = samples.square();
+        let mut direction = around(normal, square_to_cosine_hemisphere(x, y));
         for hits in 0..ENDLESS {
-            tell(Event::Leaves(point, normal, flux));
-            let [x, y] = samples.square();
-            let direction = around(normal, square_to_cosine_hemisphere(x, y));
             let Some(hit) = self.tracer.closest(Tracer::leave(point, normal), direction) else {
                 return Ok(close(emitted, absorbed, flux));
             };
             tell(Event::Arrives(&hit, flux));
-            let reflectance = DVec3::from(hit.reflectance(self.scene));
-            let q = if hits < self.options.continuous { 1.0 } else { survival(reflectance, flux) };
-            let kept = if q < 1.0 && f64::from(samples.number()) >= q {
-                DVec3::ZERO
-            } else {
-                flux * (reflectance / q)
-            };
-            absorbed += flux - kept;
-            flux = kept;
-            if flux == DVec3::ZERO {
-                return Ok(close(emitted, absorbed, flux));
-            }
             let shape = &self.tracer.triangles()[hit.triangle as usize];
             (point, normal) = (shape.point(hit.barycentric), shape.side_normal(hit.front));
+            let (surface, reflectance) = S::met(place, &hit, direction);
+            let arrived = flux * reflectance;
+            tell(Event::Leaves(point, normal, &|to| arrived * surface.brdf(to)));
+            let bounce = surface.sample(normal, samples);
+            let weight = bounce.map_or(DVec3::ZERO, |b| b.weight * reflectance);
+            let q = if hits < self.options.continuous { 1.0 } else { survival(weight, flux) };
+            let kept =
+                if q < 1.0 && f64::from(samples.number()) >= q { DVec3::ZERO } else { flux * (weight / q) };
+            absorbed += flux - kept;
+            flux = kept;
+            match bounce {
+                Some(bounce) if flux != DVec3::ZERO => direction = bounce.direction,
+                _ => return Ok(close(emitted, absorbed, flux)),
+            }
         }
         Err(Error::NoEquilibrium)
     }
@@ -263,10 +317,17 @@ impl<'a> LightTracer<'a> {
     /// Adds what the eye sees of flux that leaves a point, as radiance of the pixel it is seen in.
     ///
     /// A pixel is the mean of L over its square of the image plane at distance 1. Of that plane, the area dA at
-    /// distance r covers dA cos θ / (r² cos³ θc), θc being the angle to the optical axis; and flux Φ leaving dA as a
-    /// Lambertian surface is L dA = Φ/π.
+    /// distance r covers dA cos θ / (r² cos³ θc), θc being the angle to the optical axis; and of flux Φ that arrives on dA L dA = f Φ
+    /// leaves. What mirrors reflect never meets a pinhole.
     #[inline]
-    fn splat(&self, lens: &Lens, point: Vec3A, normal: Vec3A, flux: DVec3, counters: &mut [[f64; 3]]) {
+    fn splat(
+        &self,
+        lens: &Lens,
+        point: Vec3A,
+        normal: Vec3A,
+        leaving: &dyn Fn(Vec3A) -> DVec3,
+        counters: &mut [[f64; 3]],
+    ) {
         let Some((pixel, cos_axis)) = lens.pixel_of(point) else { return };
         let from = Tracer::leave(point, normal);
         let to = lens.eye() - from;
@@ -274,15 +335,17 @@ impl<'a> LightTracer<'a> {
         if cos > 0.0 && self.tracer.visible(from, lens.eye()) {
             let squared = f64::from(to.length_squared());
             let cover = f64::from(cos) / (squared * squared.sqrt() * cos_axis.powi(3));
-            add(&mut counters[pixel], flux * (cover / (PI * lens.pixel_area())));
+            // Flux carries file areas, distances are of unit space.
+            let unit = lens.pixel_area() * self.tracer.scale().powi(2);
+            add(&mut counters[pixel], leaving(to) * (cover / unit));
         }
     }
 }
 
-/// The largest reflectance of the channels that still carry flux.
+/// The largest reflectance of the channels that still carry flux, at most 1.
 #[inline]
 fn survival(reflectance: DVec3, flux: DVec3) -> f64 {
-    (0..3).filter(|&c| flux[c] > 0.0).map(|c| reflectance[c]).fold(0.0, f64::max)
+    (0..3).filter(|&c| flux[c] > 0.0).map(|c| reflectance[c]).fold(0.0, f64::max).min(1.0)
 }
 
 #[inline]

@@ -15,7 +15,9 @@ mod image;
 mod light_tracer;
 mod path_tracer;
 mod probe;
+pub mod reflection;
 mod samples;
+mod scattering;
 #[cfg(test)]
 mod tests;
 

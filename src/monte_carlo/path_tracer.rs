@@ -1,21 +1,21 @@
 //! Path tracing: light followed backwards, from where it is wanted to where it was emitted.
 //!
-//! At a surface the quantity estimated is the mean incoming radiance weighted by the cosine, E/π; so
-//! L = Le + ρ E/π holds at every vertex, and the probability density of a cosine-distributed direction cancels
-//! everything but ρ.
+//! At a Lambertian surface L = Le + ρ E/π: with directions by the cosine the probability density cancels everything but ρ. Where a
+//! scene has gloss, directions follow its lobes, and what the density leaves is the weight of a bounce.
 
 use std::f64::consts::PI;
 
 use glam::{DVec3, Vec3A};
 
-use super::{Effort, Emitters, Estimate, Samples};
+use super::{
+    Effort, Emitters, Estimate, Samples,
+    reflection::{Bounce, Surface, Surfaces},
+    scattering::{Diffuse, Place, Scattering},
+};
 use crate::{
     Progress, Result,
     scene::{Scene, direction},
-    trace::{
-        Hit, Tracer,
-        sampling::{around, square_to_cosine_hemisphere, square_to_triangle},
-    },
+    trace::{Hit, Tracer, sampling::square_to_triangle},
 };
 
 /// A path survives roulette with at most this probability, so that it ends even where nothing absorbs. Where surfaces reflect
@@ -111,6 +111,9 @@ pub struct PathTracer<'a> {
     scene: &'a Scene,
     tracer: &'a Tracer,
     emitters: Emitters,
+    surfaces: Surfaces,
+    /// Whether paths are followed as those of a scene with gloss.
+    glossy: bool,
     options: PathOptions,
 }
 
@@ -124,7 +127,15 @@ impl<'a> PathTracer<'a> {
             options.max_bounces.is_some() || options.roulette_after != u32::MAX,
             "paths without roulette need a limit"
         );
-        PathTracer { scene, tracer, emitters: Emitters::new(scene, tracer), options }
+        let (emitters, surfaces) = (Emitters::new(scene, tracer), Surfaces::of(scene));
+        let glossy = !surfaces.is_lambertian();
+        PathTracer { scene, tracer, emitters, surfaces, glossy, options }
+    }
+
+    /// The same, but each path takes as many random numbers a bounce whatever it meets: runs of one seed on scenes that differ in their
+    /// materials alone are then correlated, and their difference is known better than each.
+    pub(crate) fn in_step(self) -> Self {
+        PathTracer { glossy: true, ..self }
     }
 
     /// The scene's rays.
@@ -135,20 +146,40 @@ impl<'a> PathTracer<'a> {
     /// One sample of the radiance that arrives at `origin` against `direction` (unit space).
     #[inline]
     pub fn radiance(&self, origin: Vec3A, direction: Vec3A, samples: &mut Samples) -> [f64; 3] {
+        if self.glossy {
+            self.radiance_by::<Surface>(origin, direction, samples)
+        } else {
+            self.radiance_by::<Diffuse>(origin, direction, samples)
+        }
+    }
+
+    #[inline]
+    fn radiance_by<'s, S: Scattering<'s>>(
+        &'s self,
+        origin: Vec3A,
+        direction: Vec3A,
+        samples: &mut Samples,
+    ) -> [f64; 3] {
         let Some(hit) = self.tracer.closest(origin, direction) else { return [0.0; 3] };
         let emitted = hit.emission(self.scene);
         if self.options.max_bounces == Some(0) {
             return emitted;
         }
-        let reflectance = hit.reflectance(self.scene).into();
-        let gathered = self.gather(Receiver::of_hit(self.tracer, &hit), reflectance, 1, samples);
+        let (surface, reflectance) = S::met(self.place(), &hit, direction.normalize());
+        let gathered = self.gather(Receiver::of_hit(self.tracer, &hit), surface, reflectance, 1, samples);
         (DVec3::from(emitted) + gathered).to_array()
     }
 
     /// One sample of the irradiance of a place, W/m².
     #[inline]
     pub fn irradiance(&self, at: Receiver, samples: &mut Samples) -> [f64; 3] {
-        self.gather(at, DVec3::splat(PI), 0, samples).to_array()
+        let factor = DVec3::splat(PI);
+        let found = if self.glossy {
+            self.gather(at, Surface::receiver(at.normal), factor, 0, samples)
+        } else {
+            self.gather(at, Diffuse, factor, 0, samples)
+        };
+        found.to_array()
     }
 
     /// Irradiance of places.
@@ -174,21 +205,34 @@ impl<'a> PathTracer<'a> {
         effort: &Effort,
         progress: &Progress,
     ) -> Result<Vec<Estimate>> {
-        effort.estimate(regions.len(), progress, |i, samples| {
-            let Region { triangle, part, front } = &regions[i];
-            let [x, y] = samples.square();
-            let weights = square_to_triangle(x, y).map(f64::from);
-            let barycentric =
-                std::array::from_fn(|k| (0..3).map(|corner| weights[corner] * part[corner][k]).sum());
-            self.irradiance(Receiver::on_triangle(self.tracer, *triangle, barycentric, *front), samples)
-        })
+        effort.estimate(regions.len(), progress, |i, samples| self.irradiance_of(&regions[i], samples))
     }
 
-    /// `throughput` times the mean radiance that arrives at a place, weighted by the cosine; `bounces` reflections
-    /// lie between the place and the eye, its own included.
-    fn gather(
+    /// The same, as the means of the replicates: those of one part after each other.
+    pub(crate) fn replicates_of_irradiance(
         &self,
+        regions: &[Region],
+        effort: &Effort,
+        progress: &Progress,
+    ) -> Result<Vec<[f64; 3]>> {
+        effort.replicates(regions.len(), progress, |i, samples| self.irradiance_of(&regions[i], samples))
+    }
+
+    fn irradiance_of(&self, region: &Region, samples: &mut Samples) -> [f64; 3] {
+        let Region { triangle, part, front } = region;
+        let [x, y] = samples.square();
+        let weights = square_to_triangle(x, y).map(f64::from);
+        let barycentric =
+            std::array::from_fn(|k| (0..3).map(|corner| weights[corner] * part[corner][k]).sum());
+        self.irradiance(Receiver::on_triangle(self.tracer, *triangle, barycentric, *front), samples)
+    }
+
+    /// `throughput` times the radiance that a place sends on, or takes in; `bounces` reflections lie between the place and the
+    /// eye, its own included.
+    fn gather<'s, S: Scattering<'s>>(
+        &'s self,
         mut at: Receiver,
+        mut surface: S,
         mut throughput: DVec3,
         mut bounces: u32,
         samples: &mut Samples,
@@ -198,13 +242,14 @@ impl<'a> PathTracer<'a> {
             return sum;
         }
         loop {
-            let (light, hit) = self.look(at, samples);
+            let (light, met) = self.look(at, &surface, samples);
             sum += throughput * light;
-            let Some(hit) = hit else { return sum };
+            let Some((hit, bounce)) = met else { return sum };
             if self.options.max_bounces.is_some_and(|limit| bounces >= limit) {
                 return sum;
             }
-            throughput *= DVec3::from(hit.reflectance(self.scene));
+            let (next, reflectance) = S::met(self.place(), &hit, bounce.direction);
+            throughput *= bounce.weight * reflectance;
             bounces += 1;
             if bounces > self.options.roulette_after {
                 let survival = throughput.max_element().min(MOST_LIKELY_SURVIVAL);
@@ -216,48 +261,62 @@ impl<'a> PathTracer<'a> {
             if throughput == DVec3::ZERO {
                 return sum;
             }
-            at = Receiver::of_hit(self.tracer, &hit);
+            (at, surface) = (Receiver::of_hit(self.tracer, &hit), next);
         }
+    }
+
+    fn place(&self) -> Place<'_> {
+        Place { scene: self.scene, tracer: self.tracer, surfaces: &self.surfaces }
     }
 
     /// One sample of the irradiance of a place that comes straight from emitters, W/m², and what the hemisphere ray met
     /// that took part in it.
     #[inline]
     pub(crate) fn direct(&self, at: Receiver, samples: &mut Samples) -> ([f64; 3], Option<Hit>) {
-        let (light, hit) = self.look(at, samples);
-        ((light * PI).to_array(), hit)
+        let (light, met) = self.look(at, &Diffuse, samples);
+        ((light * PI).to_array(), met.map(|(hit, _)| hit))
     }
 
-    /// Mean radiance that arrives straight from emitters, weighted by the cosine: a point chosen on one, and a ray with a
-    /// cosine distribution. Also what that ray met.
+    /// Radiance that a place sends on of what comes straight from emitters: by a point chosen on one, and by a ray that goes on as
+    /// light would. Also what that ray met.
     #[inline]
-    fn look(&self, at: Receiver, samples: &mut Samples) -> (DVec3, Option<Hit>) {
-        let [x, y] = samples.square();
-        let local = square_to_cosine_hemisphere(x, y);
+    fn look<'s, S: Scattering<'s>>(
+        &'s self,
+        at: Receiver,
+        surface: &S,
+        samples: &mut Samples,
+    ) -> (DVec3, Option<(Hit, Bounce)>) {
+        let bounce = surface.sample(at.normal, samples);
         let origin = Tracer::leave(at.position, at.normal);
         let mut light = DVec3::ZERO;
         if self.options.next_event && !self.emitters.is_empty() {
-            light += self.look_at_emitter(origin, at.normal, samples);
+            light += self.look_at_emitter(origin, at.normal, surface, samples);
         }
-        let direction = around(at.normal, local);
-        let hit = self.tracer.closest(origin, direction);
+        let Some(bounce) = bounce else { return (light, None) };
+        let hit = self.tracer.closest(origin, bounce.direction);
         if let Some(hit) = &hit {
             let emitted = DVec3::from(hit.emission(self.scene));
             if emitted != DVec3::ZERO {
-                light += emitted * self.bounce_weight(hit, direction, local.z);
+                light += emitted * bounce.weight * self.bounce_weight(hit, &bounce);
             }
         }
-        (light, hit)
+        (light, hit.map(|hit| (hit, bounce)))
     }
 
-    /// Le cos θ/π over the density of a point chosen on an emitter, weighted against the same point met by a bounce.
+    /// Le f cos θ over the density of a point chosen on an emitter, weighted against the same point met by a bounce.
     ///
     /// With the power heuristic (Veach and Guibas, "Optimally Combining Sampling Techniques", SIGGRAPH 95, section 3.3) and
-    /// p = cos θ/π the density of a bounce, Le p/q · q²/(p² + q²) = Le / (p/q + q/p): bounded, however near the lamp. With
+    /// p the density of a bounce, which for Lambertian surfaces is f cos θ/ρ, Le p/q · q²/(p² + q²) is bounded, however near the lamp. With
     /// the balance heuristic the few bounces that meet a small lamp carry p/q of its light, which error bars miss together with
     /// them: at 32 rays a texel a floor under a lamp had 3.7 % of noise, and 83 % of its texels within 3.2 standard errors.
     #[inline]
-    fn look_at_emitter(&self, origin: Vec3A, normal: Vec3A, samples: &mut Samples) -> DVec3 {
+    fn look_at_emitter<'s, S: Scattering<'s>>(
+        &self,
+        origin: Vec3A,
+        normal: Vec3A,
+        surface: &S,
+        samples: &mut Samples,
+    ) -> DVec3 {
         let lamp = self.emitters.sample(self.scene, self.tracer, samples);
         let target = Tracer::leave(lamp.position, lamp.normal);
         let to = target - origin;
@@ -266,26 +325,26 @@ impl<'a> PathTracer<'a> {
             return DVec3::ZERO;
         }
         let squared = f64::from(to.length_squared());
-        let bounce = f64::from(cos) / (PI * squared.sqrt());
-        let chosen = lamp.density * squared * squared.sqrt() / f64::from(cos_lamp);
+        let length = squared.sqrt();
+        let (reflected, bounce) = surface.towards(normal, to, length);
+        let chosen = lamp.density * squared * length / f64::from(cos_lamp);
         if !self.tracer.visible(origin, target) {
             return DVec3::ZERO;
         }
-        let ratio = bounce / chosen;
-        DVec3::from(lamp.radiance) / (ratio + ratio.recip())
+        DVec3::from(lamp.radiance) * reflected * (chosen / (bounce * bounce + chosen * chosen))
     }
 
     /// Weight of emission met by a bounce: 1, or p²/(p² + q²) where the emitter could also have been chosen.
     #[inline]
-    fn bounce_weight(&self, hit: &Hit, direction: Vec3A, cos: f32) -> f64 {
+    fn bounce_weight(&self, hit: &Hit, bounce: &Bounce) -> f64 {
         if !self.options.next_event {
             return 1.0;
         }
         let normal = self.tracer.triangles()[hit.triangle as usize].normal;
-        let squared = f64::from(hit.t).powi(2) * f64::from(direction.length_squared());
-        let cos_lamp = f64::from(direction.dot(normal).abs()).max(f64::MIN_POSITIVE);
+        let squared = f64::from(hit.t).powi(2) * f64::from(bounce.direction.length_squared());
+        let cos_lamp = f64::from(bounce.direction.dot(normal).abs()).max(f64::MIN_POSITIVE);
         let chosen = self.emitters.density(hit.triangle) * squared / cos_lamp;
-        let bounce = f64::from(cos) / PI;
-        if bounce > 0.0 { 1.0 / (1.0 + (chosen / bounce).powi(2)) } else { 0.0 }
+        // A mirror's density is infinite.
+        if bounce.density > 0.0 { 1.0 / (1.0 + (chosen / bounce.density).powi(2)) } else { 0.0 }
     }
 }

@@ -8,6 +8,7 @@ pub mod file;
 pub mod final_gather;
 pub mod gltf;
 pub mod inspection_report;
+pub mod lambert_report;
 mod lit_sides;
 mod meeting;
 pub mod picture;

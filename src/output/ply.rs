@@ -5,7 +5,8 @@
 //! - `face`, one a patch: `vertex_indices`; `triangle` int, the triangle of the file; `side` uchar, 0 front and 1 back;
 //!   `area` double; `irradiance_*`, `radiosity_*` and `error_*` float, the last the standard error of the irradiance, NaN
 //!   where it is unknown; where it was estimated also `discretisation_*` float, the change of the irradiance if patches
-//!   were twice as large.
+//!   were twice as large; where it was measured also `lambert_*` and `lambert_error_*` float, by how much irradiance with
+//!   materials as given exceeds that with Lambertian ones, and its standard error; NaN on backs.
 //!
 //! A face shows the side of its patch that has more light, and faces never lie on one another, so that viewers which draw both
 //! sides of a face show no noise. With [`PlyOptions::backs`] both sides of a patch are faces.
@@ -32,6 +33,7 @@ use super::{
 };
 use crate::{
     Result,
+    monte_carlo::Estimate,
     patch::Patches,
     scene::{Scene, ply::BOTH_SIDES},
     solve::Light,
@@ -47,6 +49,9 @@ pub struct PlyOptions<'a> {
     /// By how much each patch's irradiance would change were patches twice as large, `channels` interleaved values; not
     /// written where `None`.
     pub discretisation: Option<&'a [f64]>,
+    /// By how much the irradiance of each front patch with materials as given exceeds that with Lambertian ones, with its standard
+    /// error; not written where `None`.
+    pub lambert: Option<&'a [Estimate]>,
     /// Surfaces that bend by this many degrees or more at an edge are not shaded as one.
     pub crease: f64,
     /// Whether both sides of a patch are written where rays have met both, instead of the one that has more light.
@@ -58,6 +63,7 @@ pub struct PlyOptions<'a> {
 setters!(PlyOptions<'a> {
     with_standard_errors(standard_errors: Option<&'a [f64]>),
     with_discretisation(discretisation: Option<&'a [f64]>),
+    with_lambert(lambert: Option<&'a [Estimate]>),
     with_crease(crease: f64),
     with_backs(backs: bool),
     with_exposure(exposure: Option<Exposure>),
@@ -69,6 +75,7 @@ impl Default for PlyOptions<'_> {
         PlyOptions {
             standard_errors: None,
             discretisation: None,
+            lambert: None,
             crease: CREASE,
             backs: false,
             exposure: None,
@@ -148,6 +155,10 @@ pub fn encode<'a>(
             radiosity: single(positive(of(light.radiosity))),
             error: options.standard_errors.map_or([f32::NAN; 3], |e| single(of(e))),
             discretisation: options.discretisation.map_or([0.0; 3], |e| single(of(e))),
+            lambert: options
+                .lambert
+                .and_then(|all| all.get(i))
+                .map_or([[f32::NAN; 3]; 2], |change| [change.mean, change.standard_error].map(single)),
         }
     })
 }
@@ -248,10 +259,16 @@ fn header(exposure: Exposure, shown: &Shown, options: &PlyOptions<'_>, patch: bo
     }
     face.properties.add(scalar("side", ScalarType::UChar));
     face.properties.add(scalar("area", ScalarType::Double));
-    let quantities = ["irradiance", "radiosity", "error"].into_iter();
-    for (name, kind) in
-        quantities.chain(options.discretisation.is_some().then_some("discretisation")).flat_map(named)
-    {
+    let quantities = [
+        ("irradiance", true),
+        ("radiosity", true),
+        ("error", true),
+        ("discretisation", options.discretisation.is_some()),
+        ("lambert", options.lambert.is_some()),
+        ("lambert_error", options.lambert.is_some()),
+    ];
+    let written = quantities.into_iter().filter(|(_, is_known)| *is_known);
+    for (name, kind) in written.flat_map(|(quantity, _)| named(quantity)) {
         face.properties.add(scalar(&name, kind));
     }
     header.elements.add(face);
@@ -316,12 +333,15 @@ struct Face {
     radiosity: [f32; 3],
     error: [f32; 3],
     discretisation: [f32; 3],
+    /// The change and its standard error.
+    lambert: [[f32; 3]; 2],
 }
 
 impl Checked for Face {
     fn fits(&self) -> bool {
         let finite = self.irradiance.iter().chain(&self.radiosity).chain(&self.discretisation);
-        finite.into_iter().all(|x| x.is_finite()) && !self.error.iter().any(|x| x.is_infinite())
+        let known = self.error.iter().chain(self.lambert.as_flattened());
+        finite.into_iter().all(|x| x.is_finite()) && !known.into_iter().any(|x| x.is_infinite())
     }
 }
 
@@ -355,6 +375,8 @@ impl PropertyAccess for Face {
             .or_else(|| channel(name, "radiosity_", self.radiosity))
             .or_else(|| channel(name, "error_", self.error))
             .or_else(|| channel(name, "discretisation_", self.discretisation))
+            .or_else(|| channel(name, "lambert_error_", self.lambert[1]))
+            .or_else(|| channel(name, "lambert_", self.lambert[0]))
     }
 }
 

@@ -4,7 +4,10 @@ use std::io::{self, Write};
 
 use serde::Serialize;
 
-use super::report::{BeforeAfter, EnergyReport};
+use super::{
+    lambert_report::LambertReport,
+    report::{BeforeAfter, EnergyReport},
+};
 use crate::{
     accuracy::{
         comparison::{Comparison, Worst},
@@ -40,6 +43,9 @@ pub struct ValidationReport {
     pub discretisation_relative: f64,
     /// Each pair of methods.
     pub comparisons: Vec<ComparisonReport>,
+    /// What taking all surfaces as Lambertian costs, where that was asked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lambert: Option<LambertReport>,
 }
 
 /// How two methods differ.
@@ -93,6 +99,7 @@ impl ValidationReport {
                 .comparisons()
                 .map(|(what, comparison)| ComparisonReport::new(what, comparison, scene, &solved.patches))
                 .into(),
+            lambert: None,
         }
     }
 

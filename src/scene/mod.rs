@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec2, DVec3};
 
 use crate::{Error, Result};
-pub use specular::{Distribution, Fresnel, MOST_EXPONENT, Specular};
+pub use specular::{Distribution, Fresnel, MOST_EXPONENT, Shadowing, Specular};
 pub use texture::{Texture, TextureMap};
 
 /// One triangle of the scene; counter-clockwise vertices seen from its front.
@@ -48,7 +48,7 @@ pub struct Material {
     pub reflectance_map: Option<TextureMap>,
     /// Texture that multiplies the emitted radiance.
     pub emission_map: Option<TextureMap>,
-    /// Reflectance on top of what the texture gives; has no effect without [`Material::reflectance_map`].
+    /// Reflectance on top of what textures and colours of vertices leave of it: of a specular part that counts as diffuse.
     pub reflectance_offset: [f64; 3],
     /// What it reflects beside its diffuse part. Only path and light tracing follow it.
     pub specular: Option<Box<Specular>>,
@@ -332,17 +332,16 @@ impl Scene {
     /// Reflectance at a point of triangle `t` given by barycentric coordinates.
     pub fn reflectance_at(&self, t: usize, barycentric: [f64; 3]) -> [f64; 3] {
         let m = self.material(t);
-        let reflectance =
-            self.mapped(m.reflectance, m.reflectance_offset, &m.reflectance_map, |texture, map| {
-                texture.at(map, interpolate(&self.texcoords[t], barycentric))
-            });
-        self.coloured(t, reflectance, barycentric)
+        let reflectance = self.mapped(m.reflectance, &m.reflectance_map, |texture, map| {
+            texture.at(map, interpolate(&self.texcoords[t], barycentric))
+        });
+        sum(self.coloured(t, reflectance, barycentric), m.reflectance_offset)
     }
 
     /// Radiance emitted at a point of the front of triangle `t` given by barycentric coordinates.
     pub fn emission_at(&self, t: usize, barycentric: [f64; 3]) -> [f64; 3] {
         let m = self.material(t);
-        self.mapped(m.emission, [0.0; 3], &m.emission_map, |texture, map| {
+        self.mapped(m.emission, &m.emission_map, |texture, map| {
             texture.at(map, interpolate(self.uv_of_emission(t), barycentric))
         })
     }
@@ -352,29 +351,25 @@ impl Scene {
     pub fn mean_reflectance(&self, t: usize, part: &[[f64; 3]; 3]) -> [f64; 3] {
         let m = self.material(t);
         let mean = |part: &[[f64; 3]; 3]| {
-            let reflectance =
-                self.mapped(m.reflectance, m.reflectance_offset, &m.reflectance_map, |texture, map| {
-                    texture.mean(map, part.map(|b| interpolate(&self.texcoords[t], b)))
-                });
+            let reflectance = self.mapped(m.reflectance, &m.reflectance_map, |texture, map| {
+                texture.mean(map, part.map(|b| interpolate(&self.texcoords[t], b)))
+            });
             // The mean of what is linear is its value in the middle.
-            self.coloured(t, reflectance, middle(part))
+            sum(self.coloured(t, reflectance, middle(part)), m.reflectance_offset)
         };
         let vary = self.colours.get(t).is_some_and(|[a, b, c]| a != b || b != c);
         if !vary || m.reflectance_map.is_none() {
             return mean(part);
         }
         let parts: Vec<[[f64; 3]; 3]> = quarters(part).iter().flat_map(quarters).collect();
-        let mut sum = [0.0; 3];
-        for mean in parts.iter().map(mean) {
-            (0..3).for_each(|c| sum[c] += mean[c] / parts.len() as f64);
-        }
-        sum
+        let share = 1.0 / parts.len() as f64;
+        parts.iter().map(mean).fold([0.0; 3], |total, of_part| sum(total, of_part.map(|r| r * share)))
     }
 
     /// Emitted radiance averaged over the part of triangle `t` whose corners have these barycentric coordinates.
     pub fn mean_emission(&self, t: usize, part: &[[f64; 3]; 3]) -> [f64; 3] {
         let m = self.material(t);
-        self.mapped(m.emission, [0.0; 3], &m.emission_map, |texture, map| {
+        self.mapped(m.emission, &m.emission_map, |texture, map| {
             texture.mean(map, part.map(|b| interpolate(self.uv_of_emission(t), b)))
         })
     }
@@ -386,7 +381,6 @@ impl Scene {
     fn mapped(
         &self,
         factor: [f64; 3],
-        offset: [f64; 3],
         map: &Option<TextureMap>,
         look_up: impl Fn(&Texture, &TextureMap) -> [f64; 3],
     ) -> [f64; 3] {
@@ -394,7 +388,7 @@ impl Scene {
             None => factor,
             Some(map) => {
                 let texel = look_up(&self.textures[map.texture], map);
-                std::array::from_fn(|c| factor[c] * texel[c] + offset[c])
+                std::array::from_fn(|c| factor[c] * texel[c])
             }
         }
     }
@@ -410,6 +404,10 @@ impl Scene {
             }),
         }
     }
+}
+
+fn sum(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|c| a[c] + b[c])
 }
 
 /// The middle of a part of a triangle in barycentric coordinates.

@@ -11,7 +11,9 @@
 //! What the formats leave open is decided so: a material without `Kd`, an undefined one and a face without one have
 //! reflectance 0.5 (with a warning); with `map_Kd` a missing `Kd` is 1, with `map_Ke` a missing `Ke` is 1; of two
 //! definitions of a material the first counts; normals are not read, the front is where the vertices run
-//! counter-clockwise; a texture statement's `-s` and `-o` make `uv · s + o`. Only materials that faces use are kept.
+//! counter-clockwise; a texture statement's `-s` and `-o` make `uv · s + o`. Only materials that faces use are kept. `Ks` is a modified Phong lobe of
+//! exponent `Ns`, with `illum` 3 a mirror and with `illum` 5 one after Fresnel and Schlick; with `Pr` or `Pm` the material is
+//! glTF's metallic-roughness model instead, `Kd` its base colour.
 
 mod map_line;
 mod material;

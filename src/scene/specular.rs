@@ -36,12 +36,12 @@ pub enum Specular {
         alpha: [f64; 2],
         /// What a facet reflects.
         fresnel: Fresnel,
+        /// Which facets others hide.
+        shadowing: Shadowing,
     },
-    /// glTF's metallic-roughness model: it is the whole material, its diffuse part too. The texture of the material's
-    /// reflectance multiplies `base` as well.
+    /// glTF's metallic-roughness model. The reflectance of the material, with its texture, is the base colour: what a metal reflects,
+    /// or what is below the surface of a dielectric.
     MetallicRoughness {
-        /// Base colour: reflectance of the metal, or of what is below the dielectric's surface.
-        base: [f64; 3],
         /// From 0, a dielectric, to 1, a metal.
         metallic: f64,
         /// Perceptual roughness from 0 to 1: the square root of GGX's alpha.
@@ -58,6 +58,17 @@ pub enum Distribution {
     Beckmann,
     /// Trowbridge and Reitz' distribution, with longer tails (Walter et al., EGSR 2007).
     Ggx,
+}
+
+/// How Smith's masking of one direction and shadowing of the other combine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Shadowing {
+    /// As facets of one height field: what is high is seen from both sides (Heitz, "Understanding the Masking-Shadowing Function in
+    /// Microfacet-Based BRDFs", JCGT 3(2), 2014, equation 99).
+    #[default]
+    HeightCorrelated,
+    /// As if independent: a little darker. Some other programs use it.
+    Separable,
 }
 
 /// What a smooth surface reflects, by the angle of incidence.
@@ -113,8 +124,7 @@ impl Specular {
             }
             Specular::Ward { reflectance, alpha } => colour(reflectance, "reflectance").and(rough(alpha)),
             Specular::Microfacet { alpha, fresnel: f, .. } => rough(alpha).and(fresnel(f)),
-            Specular::MetallicRoughness { base, metallic, roughness, anisotropy } => {
-                colour(base, "base colour")?;
+            Specular::MetallicRoughness { metallic, roughness, anisotropy } => {
                 share(*metallic, "metallic")?;
                 share(*roughness, "roughness")?;
                 share(*anisotropy, "anisotropy")

@@ -112,6 +112,15 @@ impl Texture {
         self.is_grey
     }
 
+    /// The largest linear value of each channel.
+    pub(crate) fn brightest(&self) -> [f64; 3] {
+        let most = self
+            .texels
+            .chunks_exact(3)
+            .fold([0; 3], |most: [u8; 3], texel| std::array::from_fn(|c| most[c].max(texel[c])));
+        most.map(|byte| LINEAR[usize::from(byte)])
+    }
+
     /// Linear value at `uv`.
     pub fn at(&self, map: &TextureMap, uv: DVec2) -> [f64; 3] {
         let p = self.to_texels(map, uv);

@@ -6,6 +6,7 @@ mod common;
 mod bake;
 #[cfg(unix)]
 mod checkpoint;
+mod gloss;
 mod gltf;
 mod inspect;
 #[cfg(target_os = "linux")]

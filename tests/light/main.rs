@@ -11,6 +11,7 @@ mod error_bars;
 mod exact_form_factors;
 mod extremes;
 mod form_factors;
+mod lambert;
 mod lightmaps;
 mod matrix;
 mod ply;

@@ -2,6 +2,8 @@
 
 mod agreement;
 mod books;
+mod gloss;
+mod mitsuba;
 mod truths;
 
 use glam::{DVec3, dvec3};

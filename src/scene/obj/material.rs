@@ -10,7 +10,8 @@ use super::mtl::Origin;
 use crate::Result;
 use crate::scene::text::find_file;
 use crate::scene::{
-    LoadOptions, MOST_RADIANCE, Material, Texture, TextureMap, is_radiance, warnings::Warnings,
+    Fresnel, LoadOptions, MOST_EXPONENT, MOST_RADIANCE, Material, Specular, Texture, TextureMap, is_radiance,
+    warnings::Warnings,
 };
 
 /// Makes the materials that faces use, each once, in the order of their first use.
@@ -117,6 +118,11 @@ impl Materials {
             let after = format!(" has no Kd; {} is used", self.options.default_in_words());
             self.warnings.repeat(origin.place("newmtl"), "material", name, &after);
         }
+        let specular = specular(definition);
+        if first && let Some((statement, value)) = specular.clamped {
+            let after = format!(": {statement} {value} is out of range; the nearest value is used");
+            self.warnings.repeat(origin.place(statement), "material", name, &after);
+        }
         let dark = if emission_map.is_some() { 1.0 } else { 0.0 };
         Ok(Material {
             name: name.clone(),
@@ -125,7 +131,7 @@ impl Materials {
             reflectance_map,
             emission_map,
             reflectance_offset: [0.0; 3],
-            specular: None,
+            specular: specular.part.map(Box::new),
         })
     }
 
@@ -202,12 +208,63 @@ impl Materials {
     }
 
     fn warn_left_out(&mut self, definition: &tobj::Material, origin: &Origin) {
-        let left_out = not_lambertian(definition);
+        let left_out = left_out(definition);
         if !left_out.is_empty() {
-            let after = format!(" is taken as purely diffuse; left out: {}", left_out.join(", "));
+            let after = format!(": left out: {}", left_out.join(", "));
             self.warnings.repeat(origin.place("newmtl"), "material", &definition.name, &after);
         }
     }
+}
+
+/// Illumination models of glass, of which nothing but the diffuse part counts.
+const GLASS: [u8; 4] = [4, 6, 7, 9];
+
+/// The specular part that a definition asks for.
+struct Asked {
+    part: Option<Specular>,
+    /// A statement whose value was out of range, and the value.
+    clamped: Option<(&'static str, f64)>,
+}
+
+/// Reads the specular part of a material. `Pr` and `Pm` come before `Ks` and `Ns`, which exporters that know both fill with
+/// conventions of their own. `illum` 3 and 8 are mirrors, 5 one that follows Fresnel's law, 0 and 1 have no highlights, and
+/// glass is left out. Without `illum`, `Ks` is a highlight as in `illum` 2.
+fn specular(definition: &tobj::Material) -> Asked {
+    let mut clamped = None;
+    let mut within = |statement: &'static str, value: f64, most: f64| {
+        if !(0.0..=most).contains(&value) {
+            clamped.get_or_insert((statement, value));
+        }
+        // NaN is no more than nothing.
+        value.max(0.0).min(most)
+    };
+    let parameter = |key: &str| number(definition, key);
+    let part = match definition.illumination_model {
+        Some(illum) if GLASS.contains(&illum) => None,
+        _ if parameter("Pr").or(parameter("Pm")).is_some() => Some(Specular::MetallicRoughness {
+            metallic: within("Pm", parameter("Pm").unwrap_or(0.0), 1.0),
+            roughness: within("Pr", parameter("Pr").unwrap_or(1.0), 1.0),
+            anisotropy: within("aniso", parameter("aniso").unwrap_or(0.0), 1.0),
+        }),
+        illum => {
+            let reflectance = definition.specular.unwrap_or_default().map(|s| within("Ks", s, 1.0));
+            match illum {
+                _ if reflectance == [0.0; 3] => None,
+                Some(3 | 8) => Some(Specular::Mirror(Fresnel::Constant(reflectance))),
+                Some(5) => Some(Specular::Mirror(Fresnel::Schlick(reflectance))),
+                Some(2) | None => {
+                    let exponent = within("Ns", definition.shininess.unwrap_or(0.0), MOST_EXPONENT);
+                    Some(Specular::Phong { reflectance, exponent })
+                }
+                _ => None,
+            }
+        }
+    };
+    Asked { part, clamped }
+}
+
+fn number(definition: &tobj::Material, key: &str) -> Option<f64> {
+    definition.unknown_param.get(key).and_then(|v| v.split_whitespace().next()?.parse().ok())
 }
 
 fn map_of<'a>(definition: &'a tobj::Material, statement: &str) -> Option<&'a str> {
@@ -217,17 +274,20 @@ fn map_of<'a>(definition: &'a tobj::Material, statement: &str) -> Option<&'a str
     }
 }
 
-/// What a material has beside diffuse reflection and emission.
-fn not_lambertian(definition: &tobj::Material) -> Vec<String> {
+/// What a material has beside diffuse and specular reflection and emission.
+fn left_out(definition: &tobj::Material) -> Vec<String> {
     let parameter = |key: &str| definition.unknown_param.get(key);
-    let number = |key: &str| parameter(key).and_then(|v| v.parse::<f64>().ok());
+    let number = |key: &str| number(definition, key);
     let mut parts = Vec::new();
     let mut add = |is_there: bool, what: &str| {
         if is_there {
             parts.push(what.to_string());
         }
     };
-    add(definition.specular.is_some_and(|ks| ks.iter().any(|&s| s > 0.0)), "gloss (Ks)");
+    let glass = definition.illumination_model.filter(|illum| GLASS.contains(illum));
+    let positive = |ks: [f64; 3]| ks.iter().any(|&s| s > 0.0);
+    add(glass.is_some() && definition.specular.is_some_and(positive), "gloss (Ks)");
+    add(glass.is_some() && number("Pm").is_some_and(|m| m > 0.0), "metal (Pm)");
     add(definition.specular_texture.is_some(), "map_Ks");
     add(definition.shininess_texture.is_some(), "map_Ns");
     let clear = definition.dissolve.is_some_and(|d| d < 1.0) || number("Tr").is_some_and(|t| t > 0.0);
@@ -239,11 +299,9 @@ fn not_lambertian(definition: &tobj::Material) -> Vec<String> {
     for key in ["disp", "decal", "refl"] {
         add(parameter(key).is_some(), key);
     }
-    add(number("Pm").is_some_and(|m| m > 0.0), "metal (Pm)");
     add(number("Pc").is_some_and(|c| c > 0.0), "clear coat (Pc)");
-    if let Some(illum @ 3..=9) = definition.illumination_model {
-        let what = if matches!(illum, 4 | 6 | 7 | 9) { "glass" } else { "mirror" };
-        parts.push(format!("{what} (illum {illum})"));
+    if let Some(illum) = glass {
+        parts.push(format!("glass (illum {illum})"));
     }
     parts
 }

@@ -11,9 +11,9 @@ use crate::scene::{LoadOptions, warnings::Warnings};
 use crate::{Error, Result};
 
 /// Statements under the spelling that tobj knows; exporters vary the case.
-const STATEMENTS: [&str; 21] = [
+const STATEMENTS: [&str; 24] = [
     "Kd", "Ke", "Ks", "d", "Tr", "Tf", "illum", "map_Kd", "map_Ke", "map_Ks", "map_d", "map_Tr", "map_Ns",
-    "bump", "map_bump", "norm", "disp", "decal", "refl", "Pm", "Pc",
+    "bump", "map_bump", "norm", "disp", "decal", "refl", "Pm", "Pc", "Ns", "Pr", "aniso",
 ];
 
 /// Where a material comes from. The list runs parallel to tobj's materials.
@@ -164,7 +164,7 @@ impl Libraries {
             },
             // tobj takes a byte; the cast saturates.
             "illum" => leading_number(numbers).map(|n| (n as u8).to_string()),
-            "d" | "Tr" => leading_number(numbers).map(|n| n.to_string()),
+            "d" | "Tr" | "Ns" => leading_number(numbers).map(|n| n.to_string()),
             _ => Some(value.to_string()).filter(|v| !v.is_empty()),
         };
         if let Some(kept) = kept {

@@ -1,0 +1,50 @@
+//! What becomes of specular parts where only Lambertian surfaces are known.
+
+use glam::DVec3;
+
+use super::{Lobe, albedo::hemispherical_albedo, surface::Gloss};
+use crate::scene::{Material, Scene, Specular};
+
+/// What becomes of the specular part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SpecularPart {
+    /// It is left out: the diffuse reflectance stays as the file gives it, and so does the base colour of a metal.
+    #[default]
+    Drop,
+    /// The share of diffuse light that it reflects is added to the diffuse reflectance.
+    Diffuse,
+}
+
+/// Leaves the scene with Lambertian materials only.
+pub fn make_lambertian(scene: &mut Scene, part: SpecularPart) {
+    for m in 0..scene.materials.len() {
+        let mut material = scene.materials[m].clone();
+        if let Some(specular) = material.specular.take()
+            && part == SpecularPart::Diffuse
+        {
+            flatten(&mut material, scene, &specular);
+        }
+        scene.materials[m] = material;
+    }
+}
+
+/// Makes the material a Lambertian one of the same hemispherical albedo, which is linear in what a texture multiplies.
+fn flatten(material: &mut Material, scene: &Scene, specular: &Specular) {
+    let (gloss, _) = Gloss::of(scene, material, specular, &mut Vec::new());
+    let below = gloss.diffuse * gloss.coupling.as_ref().map_or(1.0, |c| c.mean());
+    let reflectance = DVec3::from(material.reflectance);
+    let (factor, offset) = if let Specular::MetallicRoughness { .. } = specular {
+        // Schlick's reflectance is linear in r0 and so in the base colour, and the albedo with it.
+        let [black, white] = [0.0, 1.0].map(|base| hemispherical_albedo(&Lobe::of(specular, [base; 3])));
+        (reflectance * (below + white - black), black)
+    } else {
+        (reflectance * below, hemispherical_albedo(&gloss.lobe))
+    };
+    let (factor, offset) = (factor.min(DVec3::ONE), offset.min(DVec3::ONE));
+    let offset = offset.min(DVec3::ONE - factor);
+    if material.reflectance_map.is_some() || !scene.colours.is_empty() {
+        (material.reflectance, material.reflectance_offset) = (factor.into(), offset.into());
+    } else {
+        material.reflectance = (factor + offset).into();
+    }
+}

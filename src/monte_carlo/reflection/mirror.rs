@@ -1,0 +1,28 @@
+//! The perfect mirror: all light of one direction goes to one other.
+
+use glam::DVec3;
+
+use super::Brdf;
+use crate::scene::Fresnel;
+
+/// f = F δ(ωi - ωr)/cos θ, where ωr is the mirror image of ωo. As it is infinite where it is not 0, [`Brdf::evaluate`] and
+/// [`Brdf::density`] tell 0; the weight of the one direction that is ever sampled is F.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mirror {
+    /// What it reflects.
+    pub fresnel: Fresnel,
+}
+
+impl Brdf for Mirror {
+    fn evaluate(&self, _: DVec3, _: DVec3) -> DVec3 {
+        DVec3::ZERO
+    }
+
+    fn sample(&self, wo: DVec3, _: [f64; 2]) -> Option<DVec3> {
+        Some(DVec3::new(-wo.x, -wo.y, wo.z))
+    }
+
+    fn density(&self, _: DVec3, _: DVec3) -> f64 {
+        0.0
+    }
+}

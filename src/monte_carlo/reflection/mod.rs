@@ -1,0 +1,68 @@
+//! How surfaces reflect: the models that path and light tracing follow. The solver knows the first of them only.
+//!
+//! A model is a BRDF f(ωo, ωi) in 1/sr: radiance sent to ωo per irradiance that comes from ωi. Directions are unit vectors
+//! in the frame of the surface, whose z axis is the normal, and point away from it. Every model here is reciprocal,
+//! f(ωo, ωi) = f(ωi, ωo), and none reflects more than it gets; what single-scattering models lose between facets stays
+//! lost.
+
+mod albedo;
+mod beckmann;
+mod blinn_phong;
+mod fresnel;
+mod ggx;
+mod lambert;
+mod lambertian;
+mod lobe;
+mod metallic_roughness;
+mod microfacet;
+mod mirror;
+mod phong;
+mod surface;
+#[cfg(test)]
+mod tests;
+mod ward;
+
+use glam::DVec3;
+
+pub use albedo::{directional_albedo, hemispherical_albedo};
+pub use blinn_phong::BlinnPhong;
+pub use lambert::Lambert;
+pub use lambertian::{SpecularPart, make_lambertian};
+pub use lobe::Lobe;
+pub use metallic_roughness::{DIELECTRIC, alpha_of};
+pub use microfacet::Microfacet;
+pub use mirror::Mirror;
+pub use phong::Phong;
+pub use surface::Surfaces;
+pub(super) use surface::{Bounce, Surface};
+pub use ward::Ward;
+
+/// A model of reflection. Both directions have z > 0.
+pub trait Brdf {
+    /// The BRDF, 1/sr, R G B. A mirror's, which is infinite in one direction, is told as 0.
+    fn evaluate(&self, wo: DVec3, wi: DVec3) -> DVec3;
+
+    /// A direction ωi for light that goes to ωo, from a point of the unit square; none where the point leads below the surface:
+    /// that part of the lobe is lost.
+    fn sample(&self, wo: DVec3, u: [f64; 2]) -> Option<DVec3>;
+
+    /// Probability per solid angle, 1/sr, with which [`Brdf::sample`] chooses ωi; 0 for a mirror.
+    fn density(&self, wo: DVec3, wi: DVec3) -> f64;
+}
+
+/// The mirror image of `w` in a facet with the unit normal `h`.
+fn reflect(w: DVec3, h: DVec3) -> DVec3 {
+    h * (2.0 * w.dot(h)) - w
+}
+
+/// A direction at the angle from z whose cosine is given.
+fn spherical(cos: f64, azimuth: f64) -> DVec3 {
+    let (sin_azimuth, cos_azimuth) = azimuth.sin_cos();
+    let sin = (1.0 - cos * cos).max(0.0).sqrt();
+    DVec3::new(sin * cos_azimuth, sin * sin_azimuth, cos)
+}
+
+/// The direction if it is above the surface.
+fn above(w: DVec3) -> Option<DVec3> {
+    (w.z > 0.0).then_some(w)
+}

@@ -1,0 +1,104 @@
+//! What taking all surfaces as Lambertian costs, as JSON and in a sentence.
+
+use serde::Serialize;
+
+use crate::{
+    accuracy::lambert::{CONFIDENCE_95, Change, LambertCost},
+    patch::Patches,
+    scene::Scene,
+};
+
+/// Figures against Lambertian materials of the same hemispherical albedo; those against diffuse parts alone are `dropped`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LambertReport {
+    /// Materials with a specular part.
+    pub glossy_materials: usize,
+    /// Mean irradiance with materials as given, W/m².
+    pub mean_irradiance: f64,
+    /// The figures.
+    #[serde(flatten)]
+    pub matched: ChangeReport,
+    /// The same against the diffuse parts alone.
+    pub dropped: ChangeReport,
+    /// The verdict in a sentence.
+    pub verdict: String,
+}
+
+/// By how much irradiance with materials as given differs from that with Lambertian ones.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ChangeReport {
+    /// Area-weighted root mean square change, relative to the mean irradiance.
+    pub rms_relative: f64,
+    /// Its standard error.
+    pub standard_error: f64,
+    /// Change of the mean irradiance, relative to it.
+    pub mean_relative: f64,
+    /// Its standard error.
+    pub mean_standard_error: f64,
+    /// The largest change that is certain, relative to the mean irradiance: positive where gloss makes it brighter.
+    pub largest_relative: f64,
+    /// Its standard error.
+    pub largest_standard_error: f64,
+    /// Centre of the patch of the largest change.
+    pub largest_position: [f64; 3],
+    /// Its material.
+    pub largest_material: String,
+    /// Change of the absorbed flux, W, R G B.
+    pub absorbed: [f64; 3],
+    /// Its standard error.
+    pub absorbed_standard_error: [f64; 3],
+    /// Change of the escaped flux, W, R G B.
+    pub escaped: [f64; 3],
+    /// Its standard error.
+    pub escaped_standard_error: [f64; 3],
+}
+
+impl LambertReport {
+    /// Collects the figures.
+    pub fn new(cost: &LambertCost, scene: &Scene, patches: &Patches) -> LambertReport {
+        let [matched, dropped] =
+            [&cost.matched, &cost.dropped].map(|change| ChangeReport::new(change, scene, patches));
+        let verdict = if cost.glossy == 0 {
+            "no material has a specular part: nothing is lost".into()
+        } else {
+            format!(
+                "taking gloss as diffuse changes irradiance by {}; leaving it out, by {}",
+                matched.in_words(),
+                dropped.in_words()
+            )
+        };
+        LambertReport { glossy_materials: cost.glossy, mean_irradiance: cost.mean, matched, dropped, verdict }
+    }
+}
+
+impl ChangeReport {
+    fn new(change: &Change, scene: &Scene, patches: &Patches) -> ChangeReport {
+        ChangeReport {
+            rms_relative: change.rms_relative,
+            standard_error: change.standard_error,
+            mean_relative: change.mean_relative,
+            mean_standard_error: change.mean_standard_error,
+            largest_relative: change.largest_relative,
+            largest_standard_error: change.largest_standard_error,
+            largest_position: patches.centroid(scene, change.worst).to_array(),
+            largest_material: scene.material(patches.triangle(change.worst)).name.clone(),
+            absorbed: change.absorbed.mean,
+            absorbed_standard_error: change.absorbed.standard_error,
+            escaped: change.escaped.mean,
+            escaped_standard_error: change.escaped.standard_error,
+        }
+    }
+
+    /// In percent of the mean irradiance, with 95 % intervals.
+    fn in_words(&self) -> String {
+        let percent =
+            |x: f64, error: f64| format!("{:.1} ± {:.1} %", 100.0 * x, 100.0 * CONFIDENCE_95 * error);
+        let [x, y, z] = self.largest_position;
+        format!(
+            "{} RMS of its mean, at most by {} at {x:.4} {y:.4} {z:.4} ({})",
+            percent(self.rms_relative, self.standard_error),
+            percent(self.largest_relative.abs(), self.largest_standard_error),
+            self.largest_material
+        )
+    }
+}
