@@ -38,3 +38,8 @@ pub use scene::Scene;
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
+
+/// The examples of the library guide, compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/guides/library.md")]
+struct LibraryGuide;
