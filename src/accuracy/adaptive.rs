@@ -1,12 +1,12 @@
 //! Patches that are small where light varies.
 //!
-//! What patches of finite size cost comes from few of them, those that straddle the edge of a shadow or the contact of two
-//! surfaces. A solution from few rays tells which: a patch counts by its area times the variance of radiosity over its
-//! parent in the quadtree. Those that count most are cut in four, and the scene is solved anew; each such step follows the
-//! lines along which light changes one level further down.
+//! Most of the discretisation error comes from few patches, which straddle the edge of a shadow or the contact of two
+//! surfaces. A solution from few rays shows which. The criterion of a patch is its area times the variance of radiosity over
+//! its parent in the quadtree. The patches with the largest criterion are cut in four and the scene is solved again. Each
+//! step follows the lines along which light changes to the next level.
 //!
-//! It is radiosity whose variation is neglected, so that lamps and walls with textures count too: by irradiance, a lamp with
-//! a picture on it stays coarse, and the error of a room that it lights falls no further.
+//! The criterion uses radiosity, because that is what the solution takes as constant. Textured lamps and walls therefore count
+//! too. By irradiance a lamp with a picture would stay coarse, and the error of the room that it lights would stay large.
 
 use crate::{
     patch::{Cell, Patches},
@@ -14,12 +14,12 @@ use crate::{
     solve::Solution,
 };
 
-/// A step cuts at most this share of the patches: it doubles their number, and restricted quadtrees want a few more. When
-/// steps cut more, patches that matter little are cut before it shows which do.
+/// Largest share of the patches that a step cuts. It doubles their number, and the restriction of the quadtrees adds a few more.
+/// Larger steps would cut patches before the solution shows whether they matter.
 const MOST_CUT: f64 = 1.0 / 3.0;
 
-/// Cuts those front patches in four over which light varies most, so that there are about `growth` times as many, and no
-/// more than about twice. Backs are no unknowns of the result yet.
+/// Cuts the front patches over which light varies most in four. There will be about `growth` times as many patches, but no more
+/// than about twice as many. The result does not contain backs yet.
 ///
 /// # Panics
 /// When the solution is not one of these patches.
@@ -34,8 +34,8 @@ pub fn finer(scene: &Scene, patches: &Patches, solution: &Solution, growth: f64)
     patches.refined(scene, &marked)
 }
 
-/// The area of every front patch times the variance of radiosity over its parent, all channels together. Whole triangles
-/// have no parents, and are given the mean variance of the other patches.
+/// The area of every front patch times the variance of radiosity over its parent, summed over the channels. Patches that are
+/// whole triangles have no parents; they get the mean variance of the other patches.
 fn variation(patches: &Patches, solution: &Solution) -> Vec<f64> {
     let channels = solution.channels;
     assert_eq!(solution.radiosity.len(), patches.len() * channels, "sizes disagree");
@@ -52,7 +52,7 @@ fn variation(patches: &Patches, solution: &Solution) -> Vec<f64> {
     variances.iter().enumerate().map(|(i, v)| patches.area(i) * v.unwrap_or(mean)).collect()
 }
 
-/// The variance by area of some values over these patches.
+/// The area-weighted variance of some values over these patches.
 fn variance(patches: &Patches, of: std::ops::Range<usize>, values: &[f64], channels: usize) -> f64 {
     let area: f64 = of.clone().map(|i| patches.area(i)).sum();
     let mean = |f: &dyn Fn(usize) -> f64| of.clone().map(|i| patches.area(i) / area * f(i)).sum::<f64>();

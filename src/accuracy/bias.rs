@@ -1,8 +1,8 @@
 //! Bias of the pooled solution.
 //!
-//! Ratios and products of estimates are off in the mean by about c/n after n rays. Solved with each half of the rays, a
-//! scene is off by 2c/n in the mean of both: the difference to the whole is c/n (the jackknife in its simplest form: Quenouille,
-//! "Notes on Bias in Estimation", Biometrika 43, 1956).
+//! Ratios and products of estimates have a bias of about c/n after n rays. The mean of the two solutions with half of the rays
+//! each has a bias of 2c/n. The difference from the whole solution is therefore an estimate of the bias. This is the
+//! jackknife in its simplest form (Quenouille, "Notes on Bias in Estimation", Biometrika 43, 1956).
 
 use crate::{
     Progress, Result,
@@ -12,11 +12,11 @@ use crate::{
     trace::Tracer,
 };
 
-/// Of so many patches one half of the rays tells as much: sampling errors, which differ from half to half, average out.
+/// From this number of patches on, one half of the rays is enough: the sampling errors, which differ between the halves, average out.
 const ENOUGH: usize = 1 << 17;
 
-/// By how much the mean irradiance is expected to be too high, relative to itself: all channels together, weighted by area.
-/// `None` when the form factors were not sampled, or with too few rays to halve.
+/// The relative bias of the mean irradiance, over all channels and weighted by area. Positive if the mean is too high. `None` if the
+/// form factors were not sampled, or with too few rays to halve.
 ///
 /// # Errors
 /// As [`solve`](crate::solve::solve()).

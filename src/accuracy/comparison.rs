@@ -1,7 +1,7 @@
 //! Two independent estimates of the same irradiances, compared patch by patch.
 //!
-//! Where both are right, the differences divided by their combined standard errors are distributed like Student's t
-//! with mean 0; a wrong input shifts or spreads them.
+//! If both are right, the differences divided by their combined standard errors follow Student's t distribution with mean 0. An
+//! error in either shifts or spreads them.
 
 use serde::Serialize;
 
@@ -13,9 +13,9 @@ pub struct Estimates {
     pub irradiance: Vec<f64>,
     /// Its standard error.
     pub standard_error: Vec<f64>,
-    /// By how much it may be off for reasons that are no sampling: one standard deviation.
+    /// Standard deviation of all errors that do not come from sampling.
     pub allowance: Vec<f64>,
-    /// Area-weighted mean irradiance of each channel, with its standard error, allowance included.
+    /// Area-weighted mean irradiance of each channel. Its standard error includes the allowance.
     pub mean: Vec<(f64, f64)>,
 }
 
@@ -44,11 +44,11 @@ pub struct Worst {
     pub patch: usize,
     /// The channel.
     pub channel: usize,
-    /// The difference in standard errors.
+    /// The difference in units of its standard error.
     pub z: f64,
-    /// What the first estimate says, W/m².
+    /// The first estimate, W/m².
     pub first: f64,
-    /// What the second estimate says, W/m².
+    /// The second estimate, W/m².
     pub second: f64,
 }
 
@@ -58,34 +58,34 @@ pub struct Worst {
 pub struct Comparison {
     /// Area-weighted root mean square of the difference, relative to the mean irradiance.
     pub rms_relative: f64,
-    /// Difference of the area-weighted means, relative, of the channel where it is farthest out.
+    /// Relative difference of the area-weighted means, of the channel with the largest z-score.
     pub mean_relative: f64,
-    /// That difference in standard errors.
+    /// The same difference in units of its standard error.
     pub mean_z: f64,
     /// Mean of the patches' z-scores.
     pub z_mean: f64,
-    /// Root mean square of the patches' z-scores; about 1.07 where all is right, as the errors are estimates too.
+    /// Root mean square of the patches' z-scores. About 1.07 if both estimates are right, because standard errors are estimates too.
     pub z_spread: f64,
     /// Share of patches with |z| > 2: 4.6 % for normal errors, 6.4 % with 15 degrees of freedom.
     pub beyond_2: f64,
     /// Share of patches with |z| > 3: 0.3 % for normal errors, 0.9 % with 15 degrees of freedom.
     pub beyond_3: f64,
-    /// Values compared: patches times channels, less those where both estimates are exactly equal.
+    /// Number of compared values: patches times channels, without values that are exactly equal in both.
     pub compared: usize,
     /// The patches that differ most, worst first.
     #[serde(skip)]
     pub worst: Vec<Worst>,
 }
 
-/// How many of the worst patches are named.
+/// Number of the worst patches to report.
 const NAMED: usize = 10;
 
-/// |z| of the means up to which they agree: with about 15 degrees of freedom, 1 in 400 right answers is farther out.
+/// Largest |z| of the means. With about 15 degrees of freedom, 1 in 400 right answers exceeds it.
 const MEAN_LIMIT: f64 = 3.6;
-/// Spread of the z-scores up to which the patches agree. The errors of neighbouring patches are related, so that a
-/// thousand patches count like about a hundred; then 1.35 is four standard deviations above 1.07.
+/// Largest spread of the z-scores. The errors of neighbouring patches are correlated, so that a thousand patches count like about
+/// a hundred independent ones. Then 1.35 is four standard deviations above 1.07.
 const SPREAD_LIMIT: f64 = 1.35;
-/// Share of patches beyond three standard errors up to which the patches agree: three times what is expected.
+/// Largest share of patches beyond three standard errors: three times the expected share.
 const BEYOND_3_LIMIT: f64 = 0.03;
 
 impl Comparison {
@@ -154,20 +154,20 @@ impl Comparison {
         comparison
     }
 
-    /// What speaks against the two estimating the same thing, a sentence each; empty when they agree.
+    /// Reasons to believe that the two do not estimate the same quantity, one sentence each. Empty if they agree.
     pub fn objections(&self) -> Vec<String> {
         let mut objections = Vec::new();
-        // All negated, so that NaN objects.
+        // All conditions are negated, so that NaN fails.
         if !(self.mean_z.abs() <= MEAN_LIMIT) {
             objections.push(format!(
-                "the means differ by {:.2} %, which is {:.1} standard errors ({MEAN_LIMIT} allowed)",
+                "the means differ by {:.2} %, which is {:.1} standard errors ({MEAN_LIMIT} are allowed)",
                 100.0 * self.mean_relative,
                 self.mean_z
             ));
         }
         if !(self.z_spread <= SPREAD_LIMIT) {
             objections.push(format!(
-                "patches differ by {:.2} times what the error bars explain ({SPREAD_LIMIT} allowed)",
+                "the differences of patches are {:.2} times their standard errors ({SPREAD_LIMIT} are allowed)",
                 self.z_spread
             ));
         }

@@ -1,9 +1,9 @@
-//! What patches of finite size cost: radiosity is constant on each, while light is not.
+//! The discretisation error: radiosity is taken as constant on each patch, while light is not.
 //!
-//! The solution with patches of edge h is compared with that of their parents, edge 2h, whose form factors are sums of
-//! those at hand: no ray is cast for it, and both have the same sampling error, which cancels. The error falls like h
-//! where patches straddle the edges of shadows, as in most scenes; then what is left at h is as large as the change from
-//! 2h to h. Where light is smooth it falls like h², and the estimate is three times too large.
+//! The solution with patches of edge h is compared with that of their parents, edge 2h. The form factors of the parents are sums
+//! of those of the patches, so no ray is needed, and both have the same sampling error, which cancels. Where patches straddle
+//! the edges of shadows, as in most scenes, the error falls like h. Then the error at h is as large as the change from 2h to
+//! h. Where light is smooth the error falls like h², and the estimate is three times too large.
 
 use std::ops::Range;
 
@@ -32,8 +32,8 @@ pub struct Discretisation {
 }
 
 impl Discretisation {
-    /// Lets light bounce between patches twice as large and compares; `None` where more than half of the area is in triangles
-    /// that are patches as a whole, which have no parents.
+    /// Solves for patches twice as large and compares. `None` if more than half of the area is in patches that are whole triangles,
+    /// which have no parents.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -83,9 +83,9 @@ fn means(families: &[Range<usize>], areas: &[f64], values: &[f64], channels: usi
     families.iter().flat_map(of_family).collect()
 }
 
-/// The irradiance of every family were its patches one: B is the same on all of them. The form factors of parents are sums of their
-/// children's, so that no matrix of theirs is made; from what the children have, light bounces until the rest that is to come is
-/// small beside the change.
+/// The irradiance of every family if its patches were one, with the same B on all of them. The form factors of parents are sums
+/// of those of their children, so no matrix of parents is made. The iteration starts from the solution of the children and ends when
+/// the remaining terms are small beside the change.
 fn coarse_irradiance<const C: usize>(
     form_factors: &FormFactors,
     patches: &Patches,
@@ -122,7 +122,7 @@ fn coarse_irradiance<const C: usize>(
         let arrived: Vec<f64> = arriving.as_flattened().iter().map(|&e| unit * f64::from(e)).collect();
         irradiance = mean(&arrived);
         let step = distance(&irradiance, &last);
-        // What is to come is a geometric series.
+        // The remaining terms form a geometric series.
         let ratio = if before < f64::INFINITY { (step / before).min(1.0) } else { 1.0 };
         if step <= rounding || step * ratio <= ENOUGH * (1.0 - ratio) * distance(&irradiance, &fine) {
             break;

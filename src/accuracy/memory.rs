@@ -1,4 +1,4 @@
-//! How much memory a solution will take, before it is begun.
+//! A forecast of the memory that a solution will take.
 
 use crate::{
     form_factor::{Estimator, hemisphere::REPLICATES, lamp::MOST_LAMPS},
@@ -6,44 +6,44 @@ use crate::{
     solve::Solver,
 };
 
-/// The program, its threads, and what files are written through.
+/// The program, its threads, and the buffers of output files.
 const BASE: f64 = 16.0 * 1024.0 * 1024.0;
-/// A triangle, its normals and its share of the hierarchy while that is built: 498 bytes measured on 10⁶ triangles.
+/// A triangle, its normals and its share of the hierarchy during construction: 498 bytes measured on 10⁶ triangles.
 const TRIANGLE: f64 = 500.0;
 /// Entries of a matrix of whole rows: value and column.
 const ENTRY: f64 = 8.0;
-/// The same while they are made of a symmetric matrix: pairs are listed, and rows grow.
+/// The same while they are made from a symmetric matrix: pairs are listed, and rows grow.
 const UNFOLDED_ENTRY: f64 = 36.0;
-/// The same while they are made of columns. What was freed before does not fit.
+/// The same while they are made from columns. Memory freed earlier does not fit.
 const TRANSPOSED_ENTRY: f64 = 24.0;
-/// Entries of a dense matrix and of its factors, and of those of the channel before.
+/// Entries of a dense matrix and of its factors, and of the factors of the previous channel.
 const DENSE_ENTRY: f64 = 32.0;
 /// Entries of a row of a symmetric matrix, each half of a pair of 12 bytes at most.
 const SHARED_ENTRY: f64 = 6.0;
 /// A link: patch, kernel, index, kind.
 const LINK: f64 = 16.0;
 
-/// A patch that is solved without a matrix, whatever its rays: a channel's sums, batches, light and error, and what does not
-/// depend on channels; then the mesh that is written of it.
+/// A patch without a matrix, for any number of rays: sums, batches, light and error of a channel, and everything that does not
+/// depend on channels; then the mesh that is written.
 const SWEPT: f64 = 230.0;
 const SWEPT_CHANNEL: f64 = 160.0;
 
-/// Bytes that a solution without a matrix takes at most at any time, of a scene cut into so many patches, backs included.
+/// Peak number of bytes of a solution without a matrix, for a number of patches that includes backs.
 pub fn without_matrix(scene: &Scene, patches: f64) -> f64 {
     let of_patch = SWEPT + SWEPT_CHANNEL * scene.channels() as f64;
     BASE + TRIANGLE * scene.triangles.len() as f64 + of_patch * patches
 }
 
-/// Bytes that a solution with all its errors takes, by what takes them. The upper end of what is likely: were hits spread
-/// evenly, a row would have n (1 - exp(-r / n)) entries of r rays; in a real scene they crowd together and it has fewer.
-/// Backs, which only the rays find, are patches like others and have to be counted in.
+/// Number of bytes of a solution with all its errors, by purpose. This is an upper estimate: with evenly distributed hits, a row of r
+/// rays among n patches has n (1 - exp(-r / n)) entries; in a real scene hits crowd together and it has fewer. The number of
+/// patches must include backs, which rays find later.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Memory {
     /// The program, the scene and the hierarchy of its triangles.
     pub scene: f64,
-    /// Numbers kept for every patch.
+    /// Numbers stored for every patch.
     pub patches: f64,
-    /// What every ray met.
+    /// The hits of all rays.
     pub hits: f64,
     /// The form factors.
     pub matrix: f64,
@@ -58,7 +58,7 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Of a scene cut into so many patches, backs included, with so many rays each in the mean.
+    /// The forecast for a number of patches, backs included, and a mean number of rays per patch.
     pub fn of(scene: &Scene, patches: f64, rays: f64, estimator: Estimator, solver: Solver) -> Memory {
         let n = patches.max(1.0);
         let channels = scene.channels() as f64;
@@ -70,12 +70,12 @@ impl Memory {
         let (hemisphere, links) = match lamps.len() {
             _ if !pooled => (rays, 0.0),
             0..=MOST_LAMPS => (0.75 * rays, 0.25 * rays),
-            // At either end a source.
+            // Sources at either end.
             _ => (0.75 * rays, 0.25 * rays + 0.75 * rays * (1.0 - (1.0 - bright).powi(2))),
         };
-        // What each sends if nothing stands between, and how much of that samples saw.
+        // The unoccluded light of each lamp, and the share of it that samples saw.
         let of_lamps = if pooled && lamps.len() <= MOST_LAMPS { 24.0 * lamps.len() as f64 } else { 0.0 };
-        // Entries of a row that has so many samples among so many patches.
+        // Number of entries of a row with a number of samples among a number of patches.
         let row = |samples: f64, patches: f64| -patches * (-samples / patches).exp_m1();
         let both = if pooled { 2.0 } else { 1.0 };
         let hits = 4.0 * hemisphere + LINK * links + 100.0;
@@ -84,7 +84,7 @@ impl Memory {
         let factors = if pooled { 10.0 * entries + 8.0 * row(rays, n) } else { 2.0 * ENTRY * row(rays, n) };
         let half_entries = row(0.5 * both * rays, n);
         let half = entry * half_entries;
-        // Whole rows, unless they are kept so; columns, unless it is symmetric; a dense matrix.
+        // Whole rows, unless the matrix has them; columns, unless it is symmetric; a dense matrix.
         let (whole, columns) =
             if pooled { (UNFOLDED_ENTRY, UNFOLDED_ENTRY) } else { (0.0, TRANSPOSED_ENTRY) };
         let solver = |entries: f64| match solver {
@@ -101,13 +101,13 @@ impl Memory {
             matrix: n * entry * entries,
             calibration: n * factors,
             error_bars: n * REPLICATES as f64 * (sums + deviations),
-            // Copied into vectors that grow as they are filled.
+            // Copied into vectors that grow while they are filled.
             halves: n * (hits + 2.0 * half + solver(half_entries)),
             solver: n * solver(entries),
         }
     }
 
-    /// The most at any time.
+    /// The peak over time.
     pub fn peak(&self) -> f64 {
         let for_a_time = [self.calibration, self.error_bars, self.halves, self.solver];
         let kept = self.scene + self.patches + self.hits + self.matrix;

@@ -1,7 +1,7 @@
 //! Sampling in rounds, until the error is low enough or the time is up.
 //!
-//! Every round keeps all rays cast before, and sends more where they lower the error of irradiance most. How many more is
-//! told by [`Plan`]s, which look at the rounds so far and at no clock.
+//! Every round keeps all earlier rays and casts more where they reduce the error of irradiance most. A [`Plan`] decides how many
+//! more. It looks at the rounds so far and never at a clock.
 
 use std::{sync::Arc, time::Instant};
 
@@ -18,48 +18,48 @@ use crate::{
     trace::Tracer,
 };
 
-/// Rays a patch in the first round.
+/// Rays per patch in the first round.
 pub const FIRST_RAYS: f64 = 64.0;
-/// A round has at most this many times the rays of the one before,
+/// A round has at most this many times the rays of the previous one.
 const MOST_GROWTH: f64 = 4.0;
-/// and at least this many times, since each assembles and solves everything anew.
+/// A round has at least this many times the rays of the previous one, because each assembles and solves everything again.
 const LEAST_GROWTH: f64 = 1.2;
-/// Share of the target that is aimed at, so that luck does not call for one more round.
+/// The plan aims at this share of the target, so that chance does not cause one more round.
 const AIM: f64 = 0.97;
-/// The error falls with this power of the number of rays, at least and at most. Independent rays give 1/2, well stratified
-/// ones more.
+/// Smallest and largest power of the number of rays with which the error falls. Independent rays give 1/2, and stratified rays
+/// more.
 const RATES: (f64, f64) = (0.5, 0.8);
-/// What the power is taken to be after one round.
+/// The power that is assumed after one round.
 const USUAL_RATE: f64 = 0.65;
 
-/// Sweeps need so many times the time of a matrix to come further. For the same rays they are about twice as far off, and
-/// their error falls with a power of 0.6 of those: 2 of 4, and something to gain.
+/// Sweeps without a matrix need this many times the time that was spent with one to reach a smaller error. With the same rays their
+/// error is about twice as large, and it falls with the power 0.6 of the rays: a factor of 4 makes up for it, and 5 gains.
 const ANEW: f64 = 5.0;
 
 /// What a round reached.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Round {
-    /// Mean number of rays a patch, all rounds together.
+    /// Mean number of rays per patch, over all rounds.
     pub rays: f64,
     /// Estimated RMS error of irradiance from sampling, relative to its mean.
     pub error: f64,
-    /// Seconds that all rounds so far took together.
+    /// Seconds that all rounds so far took.
     pub elapsed: f64,
-    /// Seconds of this round that casting and assembling took.
+    /// Seconds that casting and assembling took in this round.
     pub casting: f64,
 }
 
-/// When to stop. Without any limit, after the first round.
+/// When to stop. Without any limit, sampling stops after the first round.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Plan {
     /// Stop when the error is at most this.
     pub error: Option<f64>,
-    /// Stop after so many seconds: the next round is begun only if it, and what comes after, should end by then.
+    /// Stop after this number of seconds. A round starts only if it, and everything after the last round, should end by then.
     pub seconds: Option<f64>,
-    /// How many times as long as the last round all takes that comes after it: zero where it is not known.
+    /// Duration of everything after the last round, relative to the last round. Zero if unknown.
     pub after: f64,
-    /// Never more rays a patch than this: what memory holds.
+    /// Largest number of rays per patch that memory holds.
     pub most_rays: Option<f64>,
 }
 
@@ -71,7 +71,7 @@ setters!(Plan {
 });
 
 impl Plan {
-    /// How many rays a patch there should be after the next round; `None` to stop.
+    /// The number of rays per patch after the next round, or `None` to stop.
     ///
     /// # Panics
     /// When there was no round yet.
@@ -85,7 +85,7 @@ impl Plan {
             growth = growth.min((last.error / (AIM * target)).powf(1.0 / rate(rounds)).max(LEAST_GROWTH));
         }
         if let Some(seconds) = self.seconds {
-            // A round costs about in proportion to the rays it ends with: it assembles and solves with all of them.
+            // The cost of a round is about proportional to all rays so far, because it assembles and solves with all of them.
             let before = rounds.len().checked_sub(2).map_or(0.0, |k| rounds[k].elapsed);
             let left = seconds - last.elapsed;
             growth = growth.min(left / ((1.0 + self.after) * (last.elapsed - before)).max(1e-9));
@@ -94,13 +94,13 @@ impl Plan {
         (rays >= LEAST_GROWTH * last.rays).then_some(rays)
     }
 
-    /// Whether to go on after this round, where one may stop at any time: with what takes so many seconds.
+    /// Whether to go on after this round, for a method that can stop at any time, if the next step takes this many seconds.
     pub fn goes_on(&self, last: &Round, seconds: f64) -> bool {
         self.wants_more(last) && self.seconds.is_none_or(|all| last.elapsed + seconds <= all)
     }
 
-    /// Whether, after the last round that memory holds, it is worth to start anew without a matrix: where the error was not
-    /// reached, and there is enough time for sweeps to come further.
+    /// Whether to start again without a matrix after the last round that memory holds: if the error was not reached and there is
+    /// enough time for sweeps to reach a smaller one.
     pub fn starts_anew(&self, rounds: &[Round]) -> bool {
         let Some(last) = rounds.last() else { return false };
         self.wants_more(last) && self.seconds.is_none_or(|all| all - last.elapsed > ANEW * last.elapsed)
@@ -114,22 +114,22 @@ impl Plan {
         }
     }
 
-    /// Rays a patch that the error will take, as far as the rounds tell.
+    /// Forecast of the number of rays per patch that the wanted error needs, from the rounds so far.
     pub fn forecast(&self, rounds: &[Round]) -> Option<f64> {
         let (target, last) = (self.error?, rounds.last()?);
         Some(last.rays * (last.error / target).max(1.0).powf(1.0 / rate(rounds)))
     }
 }
 
-/// The power of the number of rays that the error falls with.
+/// The power of the number of rays with which the error falls.
 fn rate(rounds: &[Round]) -> f64 {
     let [.., before, last] = rounds else { return USUAL_RATE };
     let observed = (before.error / last.error).ln() / (last.rays / before.rays).ln();
     if observed.is_finite() { observed.clamp(RATES.0, RATES.1) } else { RATES.0 }
 }
 
-/// Casts and solves the first round, with the rays of `cast`. What rays meet is kept in the checkpoint, if there is one, and
-/// taken from there where it is known; later rounds go on with it.
+/// Casts and solves the first round, with the rays of `cast`. If there is a checkpoint, known hits are taken from it and new ones
+/// are stored in it, also by later rounds.
 ///
 /// # Errors
 /// As [`FormFactors::cast_checkpointed`] and [`solve()`].
@@ -148,8 +148,8 @@ pub fn begin(
     round(start, 0.0, patches, form_factors, options, progress)
 }
 
-/// Goes on from the first round for as long as `next` says how many rays a patch there shall be after one more, which is told
-/// the solution and all rounds so far; returns the last solution. What `next` does counts to no round.
+/// Continues after the first round until `next` returns `None`, and returns the last solution. `next` gets the solution and all rounds so
+/// far, and returns the number of rays per patch after one more round. Its own time counts to no round.
 ///
 /// # Errors
 /// As [`solve()`], and what `next` returns.
@@ -173,7 +173,7 @@ pub fn refine(
     Ok((solved, rounds))
 }
 
-/// What comes after casting, in a round that began at `start`, `before` seconds after the first did.
+/// Everything after casting, in a round that began at `start`, `before` seconds after the first round began.
 fn round(
     start: Instant,
     before: f64,

@@ -1,4 +1,4 @@
-//! A scene solved, with all that its answer rests on.
+//! A solved scene, with everything that the solution was made from.
 
 use crate::{
     Progress, Result,
@@ -19,7 +19,7 @@ pub struct Solved {
     pub form_factors: FormFactors,
     /// The light.
     pub solution: Solution,
-    /// Its sampling errors.
+    /// Its standard errors.
     pub error_bars: ErrorBars,
 }
 
@@ -39,7 +39,7 @@ impl Solved {
         Self::of_patches(scene, tracer, Patches::subdivide(scene, subdivision), cast, options, progress)
     }
 
-    /// As [`Solved::new`], for patches at hand.
+    /// As [`Solved::new`], for given patches.
     ///
     /// # Errors
     /// As [`FormFactors::cast`] and [`solve()`].

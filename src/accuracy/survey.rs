@@ -1,4 +1,4 @@
-//! What surfaces see, told by a few rays before anything is computed: fronts, backs, or the outside.
+//! A survey by a few rays before anything is computed: whether surfaces see fronts, backs, or the outside.
 
 use std::time::Instant;
 
@@ -15,50 +15,50 @@ use crate::{
 /// Rays that a thread casts at a time.
 const BLOCK: u64 = 4096;
 
-/// What rays from some surfaces met, counted.
+/// Counts of what rays from some surfaces met.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Seen {
     /// Rays cast.
     pub rays: u64,
-    /// Of them, those that met the front of a surface,
+    /// Rays that met the front of a surface.
     pub fronts: u64,
-    /// its back,
+    /// Rays that met a back.
     pub backs: u64,
-    /// or nothing.
+    /// Rays that met nothing.
     pub escaped: u64,
 }
 
 impl Seen {
-    /// Share of the rays that met something, and met it from behind; 0 where nothing is met.
+    /// Share of backs among the hits. Zero without hits.
     pub fn back_share(&self) -> f64 {
         self.backs as f64 / (self.fronts + self.backs).max(1) as f64
     }
 
-    /// Share of the rays that left the scene.
+    /// Share of the rays that escaped.
     pub fn escaped_share(&self) -> f64 {
         self.escaped as f64 / self.rays.max(1) as f64
     }
 }
 
-/// What rays from the fronts of a scene meet.
+/// What rays from the fronts of a scene met.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Survey {
-    /// From all fronts, as many as an area deserves.
+    /// From all fronts, in proportion to the area.
     pub all: Seen,
     /// From the fronts that emit.
     pub lamps: Seen,
-    /// How many of all rays met the back of each material of the scene.
+    /// Number of rays that met the back of each material of the scene.
     pub backs_of: Vec<u64>,
-    /// Share of the area whose backs are seen, estimated: these will be patches too.
+    /// Estimated share of the area whose backs can be seen. These backs will be patches too.
     pub back_area: f64,
-    /// Time that all the rays took.
+    /// Seconds that all rays took.
     pub seconds: f64,
 }
 
 impl Survey {
-    /// Casts `rays` cosine-distributed rays from all fronts, and a quarter as many from those that emit. The same seed
-    /// gives the same counts for any number of threads.
+    /// Casts `rays` cosine-distributed rays from all fronts, and a quarter as many from emitting fronts. The same seed gives the
+    /// same counts for any number of threads.
     pub fn of(scene: &Scene, tracer: &Tracer, rays: u64, seed: u64) -> Survey {
         let all: Vec<usize> = (0..scene.triangles.len()).collect();
         let lamps: Vec<usize> = all.iter().copied().filter(|&t| scene.emits(t)).collect();
@@ -72,9 +72,8 @@ impl Survey {
     }
 }
 
-/// The share of the area that the triangles met from behind have, and those that more rays would meet: of a sample that
-/// holds f1 kinds once and f2 twice, at least f1² / 2 f2 kinds are missing (Chao, Scandinavian Journal of Statistics 11,
-/// 1984).
+/// The share of the area of all triangles whose back was met or would be met by more rays. If a sample contains f1 kinds once
+/// and f2 kinds twice, at least f1² / 2 f2 kinds are missing (Chao, Scandinavian Journal of Statistics 11, 1984).
 fn back_area(scene: &Scene, mut met: Vec<u32>) -> f64 {
     met.sort_unstable();
     let (mut area, mut kinds, mut once, mut twice) = (0.0, 0.0, 0.0, 0.0);
@@ -92,7 +91,7 @@ fn back_area(scene: &Scene, mut met: Vec<u32>) -> f64 {
     (area / total * (kinds + missing) / kinds).min(1.0)
 }
 
-/// What `rays` from these triangles met, and each triangle met from behind. Adds the time that they took.
+/// What `rays` from these triangles met, and the triangles whose back was met. Adds the time that the rays took.
 fn cast(
     scene: &Scene,
     tracer: &Tracer,

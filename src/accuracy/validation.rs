@@ -1,8 +1,8 @@
-//! Whether the answer can be trusted: radiosity against path tracing and light tracing.
+//! Validation of a solution: radiosity against path tracing and light tracing.
 //!
-//! An energy balance cannot tell a right answer from a wrong symmetric one; an estimate that shares no numerics with
-//! the solver can. What the patches of finite size add to the difference is not guessed: the scene is solved with
-//! edges half as long too, and the change tells.
+//! An energy balance cannot distinguish a right answer from a wrong symmetric one. An estimate that shares no numerics with the
+//! solver can. The discretisation error also contributes to the difference. To estimate it, the scene is solved with edges
+//! half as long, too.
 
 use crate::{
     Progress, Result,
@@ -20,19 +20,19 @@ use crate::{
     trace::Tracer,
 };
 
-/// How hard to look.
+/// The effort of a validation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ValidationOptions {
     /// The patches under test.
     pub subdivision: Subdivision,
-    /// Rays a patch for the solution under test; the finer one takes a quarter of it from each of its patches.
+    /// Rays per patch for the solution under test. The finer solution casts a quarter of it from each of its patches.
     pub rays: f64,
-    /// Paths a patch.
+    /// Paths per patch.
     pub paths: u32,
     /// Particles from the emitters.
     pub particles: u64,
-    /// How the systems are solved.
+    /// How the linear systems are solved.
     pub solve: SolveOptions,
     /// The same seed gives the same verdict.
     pub seed: u64,
@@ -48,7 +48,7 @@ setters!(ValidationOptions {
 });
 
 impl Default for ValidationOptions {
-    /// About 1000 patches, 1024 rays and 1024 paths each, 4 million particles: some seconds, errors near 1 %.
+    /// About 1000 patches, 1024 rays and 1024 paths each, 4 million particles. This takes some seconds, with errors near 1 %.
     fn default() -> Self {
         ValidationOptions {
             subdivision: Subdivision::Count(1000),
@@ -61,13 +61,13 @@ impl Default for ValidationOptions {
     }
 }
 
-/// Radiosity as one side of the comparison: estimates for the front patches of `coarse`, with allowances for their
-/// size from `fine`, the same scene with edges half as long.
+/// Radiosity as one side of the comparison: estimates for the front patches of `coarse`, with allowances for their discretisation
+/// error from `fine`, the same scene with edges half as long.
 ///
-/// From `fine` on the error still left is between a third (if it falls with the square of the edge) and all (if it
-/// falls with the edge) of the change between the two. A patch's own estimate stays as it is, and its allowance is
-/// twice the change, its own or its neighbours', so far as it exceeds what sampling explains. The mean, where a small bias matters, is
-/// extrapolated by two thirds of the change, give or take a third.
+/// The error of `fine` is between a third of the change between the two (if the error falls with the square of the edge) and all of
+/// it (if it falls with the edge). The estimate of a patch stays as it is. Its allowance is twice the change of the patch or of its
+/// neighbours, as far as sampling does not explain it. The mean, for which a small bias matters, is extrapolated by two thirds of
+/// the change, with an uncertainty of a third.
 pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
     let channels = coarse.solution.channels;
     let n = coarse.patches.fronts();
@@ -97,8 +97,8 @@ pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
     Estimates { irradiance, standard_error, allowance, mean }
 }
 
-/// Values of the patches of `fine`, interleaved channels each, averaged over the front patches of `coarse`, which are cut from the
-/// same triangles.
+/// Values of the patches of `fine`, with interleaved channels, averaged over the front patches of `coarse`. Both subdivide the same
+/// triangles.
 ///
 /// # Panics
 /// When the sizes disagree.
@@ -106,7 +106,7 @@ pub fn averaged(coarse: &Patches, fine: &Patches, values: &[f64]) -> Vec<f64> {
     weighted(coarse, fine, values, |share| share)
 }
 
-/// Standard errors of such averages, from those of the patches of `fine`, taken to be independent.
+/// Standard errors of such averages, from independent standard errors of the patches of `fine`.
 pub(super) fn averaged_errors(coarse: &Patches, fine: &Patches, errors: &[f64]) -> Vec<f64> {
     let variance: Vec<f64> = errors.iter().map(|e| e * e).collect();
     weighted(coarse, fine, &variance, |share| share * share).into_iter().map(f64::sqrt).collect()
@@ -143,7 +143,7 @@ pub fn path_traced(
     let effort = Effort { samples: options.paths, seed: options.seed, ..Effort::default() };
     let mut found = PathTracer::new(scene, tracer, PathOptions::default())
         .mean_irradiances(&regions, &effort, progress)?;
-    // Paths that begin on one of two faces at the same place do not know that light comes to the other.
+    // Of two faces at the same place only one is lit. Paths that start on the hidden one do not notice.
     for (i, found) in found.iter_mut().enumerate() {
         if is_hidden(tracer, patches, i) {
             *found = Estimate::default();
@@ -172,14 +172,14 @@ pub fn light_traced(
     Ok(from_monte_carlo(&transport.bins, patches, |i| 1.0 / patches.area(i)))
 }
 
-/// Standard errors no lower than the common one of a patch's block. Where light comes by rare paths, a patch that missed
-/// them has both too low a mean and too low an error; its neighbours know better.
+/// Standard errors, raised to the common standard error of the block of the patch where they are lower. Where light arrives by rare paths,
+/// a patch that missed them has a mean and a standard error that are both too low. Its neighbours correct the latter.
 fn share_luck(patches: &Patches, standard_error: &[f64]) -> Vec<f64> {
     let variance: Vec<f64> = standard_error.iter().map(|e| e * e).collect();
     at_least_common(patches, &variance).into_iter().map(f64::sqrt).collect()
 }
 
-/// Values no lower than their mean over the block of up to 16 patches, two levels up the quadtree, that a patch lies in.
+/// Values, raised to their mean over the block of up to 16 patches (two levels up the quadtree) where they are lower.
 fn at_least_common(patches: &Patches, values: &[f64]) -> Vec<f64> {
     let channels = patches.channels();
     let mut raised = values.to_vec();
@@ -210,7 +210,7 @@ fn from_monte_carlo(found: &[Estimate], patches: &Patches, factor: impl Fn(usize
     estimates
 }
 
-/// Everything that was looked at.
+/// The results of all checks.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Validation {
@@ -218,7 +218,7 @@ pub struct Validation {
     pub solved: Solved,
     /// Its energy ledger.
     pub energy: EnergyLedger,
-    /// Area-weighted root mean square of the allowance for patch size, relative to the mean irradiance.
+    /// Area-weighted root mean square of the allowance for the discretisation error, relative to the mean irradiance.
     pub discretisation_relative: f64,
     /// Radiosity against path tracing.
     pub path: Comparison,
@@ -229,7 +229,7 @@ pub struct Validation {
 }
 
 impl Validation {
-    /// Solves the scene at two patch sizes, traces it from both ends, and compares.
+    /// Solves the scene with two patch sizes, traces paths and particles, and compares.
     ///
     /// # Errors
     /// As [`Solved::new`] and [`light_traced`].
@@ -259,11 +259,11 @@ impl Validation {
         })
     }
 
-    /// Every check that failed, a sentence each; empty when the answer can be trusted.
+    /// The checks that failed, one sentence each. Empty if all passed.
     pub fn objections(&self) -> Vec<String> {
         let mut objections = Vec::new();
         let mut limit = |what: &str, value: f64, limit: f64| {
-            // Negated, so that NaN objects.
+            // The condition is negated, so that NaN fails.
             if !(value.abs() <= limit) {
                 objections.push(format!("{what} is {value:.2e}, {limit:.0e} is allowed"));
             }

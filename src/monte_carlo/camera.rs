@@ -67,7 +67,7 @@ impl Camera {
             return Err(Error::setting(
                 PLACES,
                 "the camera has coordinates that are not finite",
-                "give plain numbers",
+                "give finite numbers",
             ));
         }
         if !(fov > 0.0 && fov < 180.0) {
@@ -95,7 +95,7 @@ impl Camera {
         Ok(Camera { eye, look_at, up, fov, width, height })
     }
 
-    /// Where it stands.
+    /// Its position.
     pub fn eye(&self) -> DVec3 {
         self.eye
     }
@@ -151,7 +151,7 @@ impl Camera {
         })
     }
 
-    /// Whether a picture from here can show anything; the sentence is a warning for the user.
+    /// Checks whether the picture can show anything. The sentence is a warning for the user.
     ///
     /// # Errors
     /// [`Error::Setting`] when no ray of a grid over the picture meets the scene.
@@ -186,7 +186,7 @@ impl Camera {
     }
 }
 
-/// Directions along a side of the grid that tells whether a camera sees anything.
+/// Directions along a side of the grid that checks whether a camera sees anything.
 const GRID: usize = 32;
 
 impl Lens {
@@ -221,8 +221,8 @@ impl Lens {
         (self.forward + self.right * h + self.up * v).as_vec3a()
     }
 
-    /// The place of the picture in pixels where a point is seen, and the cosine of the angle to the optical axis;
-    /// `None` for a point behind the camera. The place may lie outside of the picture.
+    /// The position in the picture, in pixels, at which a point is seen, and the cosine of the angle to the optical axis. `None` for a
+    /// point behind the camera. The position may lie outside of the picture.
     #[inline]
     pub fn project(&self, point: Vec3A) -> Option<(f64, f64, f64)> {
         let to = (point - self.eye).as_dvec3();

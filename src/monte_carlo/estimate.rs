@@ -20,7 +20,7 @@ impl Estimate {
     /// Mean and standard error of replicates of equal weight.
     ///
     /// # Panics
-    /// With fewer than two replicates, which tell nothing about their spread.
+    /// With fewer than two replicates, which have no spread.
     pub fn of(replicates: &[[f64; 3]]) -> Estimate {
         let n = replicates.len() as f64;
         assert!(n >= 2.0, "a standard error needs two replicates");
@@ -57,7 +57,7 @@ impl Running {
         self.squares += before * (value - self.mean);
     }
 
-    /// What `n` replicates say.
+    /// The estimate from `n` replicates.
     pub(super) fn estimate(&self, n: u32) -> Estimate {
         let n = f64::from(n);
         let standard_error = (self.squares / (n * (n - 1.0))).to_array().map(f64::sqrt);
@@ -65,17 +65,17 @@ impl Running {
     }
 }
 
-/// How many samples to spend on each estimate.
+/// The number of samples of each estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Effort {
     /// Samples for each estimate, rounded up to a multiple of `replicates`. Default 4096. Powers of two suit the
     /// sequences best.
     pub samples: u32,
-    /// Independent scrambles the samples are divided over; their spread gives the standard error, which itself is
-    /// uncertain by about 1/√(2·replicates). Default 16.
+    /// Number of replicates, which are independent scrambles of the sequence. Their spread gives the standard error, which has a
+    /// relative uncertainty of about 1/√(2·replicates). Default 16.
     pub replicates: u32,
-    /// Everything is a function of it. Default 1.
+    /// Seed. Everything is a function of it. Default 1.
     pub seed: u64,
 }
 

@@ -1,4 +1,4 @@
-//! A camera for a scene nobody has described: rays tell a room from an object.
+//! A camera that frames any scene. Rays find out whether the scene is a room or an object.
 
 use glam::Vec3A;
 
@@ -9,9 +9,9 @@ use crate::{
     trace::{Tracer, sampling::mix},
 };
 
-/// Directions cast from each place.
+/// Number of directions from each place.
 const DIRECTIONS: usize = 192;
-/// Places tried inside the scene's box.
+/// Number of places to try inside the bounding box of the scene.
 const PLACES: u64 = 48;
 /// Angle of view from outside and from inside a room, degrees.
 const OUTSIDE: f64 = 40.0;
@@ -33,13 +33,13 @@ enum Kind {
     Closed,
     /// A room one of whose six sides is missing.
     OpenTowards(usize),
-    /// Things standing in the open.
+    /// Objects in the open.
     Object,
 }
 
 impl Camera {
-    /// A camera that shows any scene sensibly: a room with a missing side from outside through the opening, a closed
-    /// room from one of its corners, anything else from outside, diagonally.
+    /// A camera that shows the whole scene. It looks at a room with a missing side through the opening, at a closed room from one
+    /// of its corners, and at anything else diagonally from outside.
     ///
     /// Upwards is +y, except for a room that is open along y.
     ///
@@ -64,7 +64,7 @@ impl Camera {
                 let up = if axis.y != 0.0 { Vec3A::Z } else { Vec3A::Y };
                 let half = (high - low) * 0.5;
                 let across = half * (Vec3A::ONE - axis.abs() - up);
-                // The opening fills the picture but for a rim of 3 %.
+                // The opening fills the picture, with a margin of 3 %.
                 let distance = fit(half.dot(up).max(across.element_sum() / aspect as f32) * 1.03, OUTSIDE);
                 (centre + axis * (half.dot(axis.abs()) + distance), centre, up, OUTSIDE)
             }
@@ -140,8 +140,8 @@ fn kind(inside: &[Surroundings]) -> Kind {
     }
 }
 
-/// Eye and target inside a room: of places near the corners, a little above the middle, the one that sees furthest;
-/// places with no room around them do not count.
+/// Eye and target inside a room. The eye is a place near a corner, a little above the middle, with the longest view. Places that are
+/// too close to surfaces are left out.
 fn from_corner(tracer: &Tracer, low: Vec3A, high: Vec3A, inside: &[Surroundings]) -> (Vec3A, Vec3A) {
     let (centre, half) = ((low + high) * 0.5, (high - low) * 0.5);
     let needed = 0.1 * half.min_element();

@@ -1,4 +1,4 @@
-//! Pictures: made of radiance, and encoded for files.
+//! Pictures of radiance, and their encoding.
 
 use std::io::{self, Write};
 
@@ -25,9 +25,9 @@ pub struct Film {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RenderOptions {
-    /// Paths a pixel, spread over its square. Default 64; powers of two suit the sequences best.
+    /// Paths per pixel, spread over its square. Default 64. Powers of two suit the sequences best.
     pub samples: u32,
-    /// Everything is a function of it. Default 1.
+    /// Seed. Everything is a function of it. Default 1.
     pub seed: u64,
 }
 
@@ -54,13 +54,13 @@ pub enum PictureFormat {
 }
 
 impl PictureFormat {
-    /// The format that a file name's extension stands for.
+    /// The format with this file name extension.
     pub fn of_extension(extension: &str) -> Option<PictureFormat> {
         let all = [PictureFormat::Png, PictureFormat::Exr, PictureFormat::Hdr];
         all.into_iter().find(|format| extension.eq_ignore_ascii_case(format.extension()))
     }
 
-    /// The extension of its files' names.
+    /// The extension of its file names.
     pub fn extension(self) -> &'static str {
         match self {
             PictureFormat::Png => "png",
@@ -111,8 +111,8 @@ impl Film {
         })
     }
 
-    /// A picture whose pixels are means over their squares of the radiance that `radiance` samples, which arrives at
-    /// the eye against a direction (not of unit length).
+    /// A picture whose pixels are means over their squares. `radiance` samples the radiance that arrives at the eye from a direction,
+    /// which need not have unit length.
     ///
     /// The numbers of a sample depend on the seed, the pixel and the sample alone, so the bytes are the same for any
     /// number of threads.
@@ -157,8 +157,8 @@ impl Film {
         std::array::from_fn(|c| self.pixels.iter().map(|p| f64::from(p[c])).sum::<f64>() / n)
     }
 
-    /// The exposure that shows nine tenths of the pixels with any light below white: lamps in the picture may clip,
-    /// black surroundings do not count.
+    /// The exposure that shows nine tenths of the lit pixels below white. Lamps in the picture may clip, and black surroundings do not
+    /// count.
     pub fn automatic_exposure(&self) -> Exposure {
         Exposure::automatic(self.pixels.iter().map(|p| (luminance(p.map(f64::from)), 1.0)))
     }
@@ -171,7 +171,7 @@ impl Film {
     /// Writes the picture; only a PNG is exposed.
     ///
     /// # Errors
-    /// What the writer says; a radiance that single precision cannot hold.
+    /// Errors of the writer, and a radiance that single precision cannot hold.
     pub fn encode(
         &self,
         out: &mut (impl Write + ?Sized),

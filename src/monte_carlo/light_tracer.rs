@@ -41,9 +41,9 @@ pub struct LightOptions {
     pub particles: u64,
     /// Independent batches, whose spread gives the standard errors. Default 32.
     pub batches: u32,
-    /// Reflections before a particle may die; until then it is absorbed bit by bit. Default 3.
+    /// Reflections before a particle may die. Until then absorption is continuous. Default 3.
     pub continuous: u32,
-    /// Everything is a function of it. Default 1.
+    /// Seed. Everything is a function of it. Default 1.
     pub seed: u64,
 }
 
@@ -60,23 +60,23 @@ impl Default for LightOptions {
     }
 }
 
-/// The books of one particle, W: `emitted` = `absorbed` + `escaped` to rounding.
+/// The energy account of one particle, W: `emitted` = `absorbed` + `escaped` to rounding.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Particle {
-    /// Flux it set out with.
+    /// Flux at emission.
     pub emitted: [f64; 3],
-    /// Flux left on surfaces.
+    /// Flux absorbed by surfaces.
     pub absorbed: [f64; 3],
     /// Flux that left the scene.
     pub escaped: [f64; 3],
 }
 
-/// What light tracing found, W.
+/// The result of light tracing, W.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct LightTransport {
-    /// Flux that arrived in each bin; over the bin's area it is the irradiance.
+    /// Flux that arrived in each bin. Divided by the area of the bin it is the irradiance.
     pub bins: Vec<Estimate>,
     /// Flux emitted.
     pub emitted: Estimate,
@@ -110,7 +110,7 @@ pub struct LightTracer<'a> {
     options: LightOptions,
 }
 
-/// What one step of a particle gives to those who count.
+/// One event of a particle.
 enum Event<'h> {
     /// Flux arrives.
     Arrives(&'h Hit, DVec3),
@@ -118,7 +118,7 @@ enum Event<'h> {
     Leaves(Vec3A, Vec3A, &'h dyn Fn(Vec3A) -> DVec3),
 }
 
-/// Sums of one batch: counters of three channels, and the particles' books.
+/// Sums of one batch: bins of three channels, and the energy account.
 struct Batch {
     counters: Vec<[f64; 3]>,
     books: [[f64; 3]; 3],
@@ -137,7 +137,7 @@ impl<'a> LightTracer<'a> {
         LightTracer { glossy: true, ..self }
     }
 
-    /// Follows all particles; `bin` tells which of the `bins` counters a hit belongs to, if any.
+    /// Follows all particles. `bin` returns the index of the bin that a hit belongs to, if any.
     ///
     /// # Errors
     /// [`Error::Stopped`]; [`Error::NoEquilibrium`] when particles do not end.
@@ -156,7 +156,7 @@ impl<'a> LightTracer<'a> {
         })
     }
 
-    /// Follows all particles and shows every place they leave to the camera.
+    /// Follows all particles and connects every point that they leave to the camera.
     ///
     /// # Errors
     /// [`Error::Stopped`]; [`Error::NoEquilibrium`] when particles do not end.
@@ -314,7 +314,7 @@ impl<'a> LightTracer<'a> {
         Err(Error::NoEquilibrium)
     }
 
-    /// Adds what the eye sees of flux that leaves a point, as radiance of the pixel it is seen in.
+    /// Adds flux that leaves a point to the radiance of the pixel in which the camera sees it.
     ///
     /// A pixel is the mean of L over its square of the image plane at distance 1. Of that plane, the area dA at
     /// distance r covers dA cos θ / (r² cos³ θc), θc being the angle to the optical axis; and of flux Φ that arrives on dA L dA = f Φ

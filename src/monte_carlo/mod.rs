@@ -1,11 +1,11 @@
-//! The referee: path and light tracing, which share nothing with the solver but the rays.
+//! The referee: path tracing and light tracing. They share only the rays with the solver.
 //!
-//! No form factor, no patch and no linear system is used here, so an agreement with the solver is evidence. Rays run
-//! in unit space ([`crate::trace::Tracer`]); what is returned is in the file's units: irradiance and radiance do not
-//! depend on the unit of length, flux is in W for areas in the file's unit squared.
+//! No form factor, no patch and no linear system is used here, so an agreement with the solver is evidence. Rays run in unit
+//! space ([`crate::trace::Tracer`]), and results are in the units of the file. Irradiance and radiance do not depend on the
+//! unit of length. Flux is in W if areas are in m².
 //!
-//! Every estimate comes with a standard error, taken from independent replicates; everything is a function of the
-//! seed alone, whatever the number of threads.
+//! Every estimate has a standard error, computed from independent replicates. Everything is a function of the seed alone, for any
+//! number of threads.
 
 mod camera;
 mod emitters;

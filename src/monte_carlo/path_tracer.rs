@@ -18,25 +18,25 @@ use crate::{
     trace::{Hit, Tracer, sampling::square_to_triangle},
 };
 
-/// A path survives roulette with at most this probability, so that it ends even where nothing absorbs. Where surfaces reflect
-/// more than its square root, weights of long paths grow beyond any variance: with 0.98 a furnace of reflectance 0.999 was told
-/// less than half as bright as it is, with error bars of a few percent.
+/// Largest probability that a path survives roulette, so that paths end even if nothing absorbs. If reflectances exceed its square
+/// root, the variance of long paths is infinite: with 0.98, a furnace of reflectance 0.999 came out less than half as bright as it
+/// is, with error bars of a few percent.
 const MOST_LIKELY_SURVIVAL: f64 = 0.9999;
 
 /// How far from a surface, in unit space, a point can come to lie when its coordinates are printed with six digits.
 const NEAR: f32 = 4e-6;
 
-/// How paths are built. None of it changes the expectation but `max_bounces`.
+/// How paths are built. Only `max_bounces` changes the expectation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PathOptions {
-    /// Whether each vertex also looks at a point chosen on an emitter. Default true. Without it a path counts only
-    /// when it runs into an emitter: slow with small lamps, but with nothing to get wrong.
+    /// Next event estimation: whether each vertex also connects to a point on an emitter. Default true. Without it light counts only
+    /// if a path hits an emitter, which is slow with small lamps but simple enough to check the rest against.
     pub next_event: bool,
     /// Reflections after which a path is cut, which loses light. 0 keeps direct light only. Default none.
     pub max_bounces: Option<u32>,
-    /// Reflections before Russian roulette may end a path. Default 3. `u32::MAX` plays none, and then `max_bounces`
-    /// must be given.
+    /// Reflections before Russian roulette may end a path. Default 3. `u32::MAX` means no roulette, and then `max_bounces` is
+    /// required.
     pub roulette_after: u32,
 }
 
@@ -68,8 +68,8 @@ impl Receiver {
         Receiver { position: shape.point(barycentric.map(|b| b as f32)), normal: shape.side_normal(front) }
     }
 
-    /// A point in the file's coordinates, which need not lie on a surface. One that lies on a surface but for the
-    /// rounding of its printed coordinates is taken to be on it: just below it would be dark.
+    /// A point in the coordinates of the file. It need not lie on a surface. A point that lies on a surface up to the rounding of
+    /// printed coordinates is moved onto it, because just below the surface it would be dark.
     ///
     /// # Panics
     /// When the normal is zero or not finite.
@@ -86,7 +86,7 @@ impl Receiver {
         }
     }
 
-    /// Where a hit is, seen from the side that was hit.
+    /// The place of a hit, on the side that was hit.
     #[inline]
     pub fn of_hit(tracer: &Tracer, hit: &Hit) -> Receiver {
         let shape = &tracer.triangles()[hit.triangle as usize];
@@ -121,7 +121,7 @@ impl<'a> PathTracer<'a> {
     /// Prepares the emitters of the scene.
     ///
     /// # Panics
-    /// When the options forbid both roulette and a limit: such a path never ends.
+    /// If the options allow neither roulette nor a limit, because such a path never ends.
     pub fn new(scene: &'a Scene, tracer: &'a Tracer, options: PathOptions) -> Self {
         assert!(
             options.max_bounces.is_some() || options.roulette_after != u32::MAX,
@@ -138,7 +138,7 @@ impl<'a> PathTracer<'a> {
         PathTracer { glossy: true, ..self }
     }
 
-    /// The scene's rays.
+    /// The ray tracer of the scene.
     pub fn tracer(&self) -> &'a Tracer {
         self.tracer
     }

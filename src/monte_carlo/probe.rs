@@ -1,4 +1,4 @@
-//! Irradiance at places that the user names.
+//! Points at which the user wants the irradiance, and their files.
 
 use std::{io::Write, path::Path};
 
@@ -7,20 +7,20 @@ use glam::DVec3;
 use super::Estimate;
 use crate::{Error, Result, scene::direction};
 
-/// A place and the direction it faces, in the file's coordinates.
+/// A point and its normal, in the coordinates of the scene file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Probe {
     /// The point.
     pub point: DVec3,
-    /// The direction it faces; not zero, of any length.
+    /// The normal, of any length above zero.
     pub normal: DVec3,
 }
 
-/// Reads a file of probes: each line `x y z nx ny nz`, with blanks, tabs, commas or semicolons between the numbers. Blank lines
-/// and what follows `#` do not count, nor does a first line of names without any number, as tables have.
+/// Reads a file of probes. Each line is `x y z nx ny nz`, with blanks, tabs, commas or semicolons between the numbers. Blank
+/// lines and everything after `#` are ignored. A table may begin with one line of names without a number.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] with the line that cannot be understood.
+/// [`Error::Io`] if the file cannot be read; [`Error::Input`] with the number of a line that is not understood.
 pub fn read_probes(path: &Path) -> Result<Vec<Probe>> {
     let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
     let text = String::from_utf8_lossy(&bytes);
@@ -75,10 +75,10 @@ fn parse(line: &str) -> std::result::Result<Probe, String> {
 /// Writes a line `x y z nx ny nz Er Eg Eb SEr SEg SEb` for each probe.
 ///
 /// # Errors
-/// What the writer says.
+/// Errors of the writer.
 ///
 /// # Panics
-/// When there are not as many estimates as probes.
+/// If the numbers of probes and estimates differ.
 pub fn write_probes(out: &mut impl Write, probes: &[Probe], estimates: &[Estimate]) -> std::io::Result<()> {
     assert_eq!(probes.len(), estimates.len(), "an estimate for each probe");
     for (probe, estimate) in probes.iter().zip(estimates) {

@@ -7,10 +7,10 @@ use crate::{
     trace::sampling::{mix, sobol_4d},
 };
 
-/// Samples between two looks at the progress.
+/// Number of samples between two checks of the progress.
 const STRETCH: u32 = 1024;
 
-/// Takes so many samples in order and counts them, for as long as nobody wants to stop.
+/// Takes a number of samples in order and counts them, unless the computation is stopped.
 #[inline]
 pub(super) fn take(count: u32, progress: &Progress, mut sample: impl FnMut(u32) -> Result<()>) -> Result<()> {
     for start in (0..count).step_by(STRETCH as usize) {
@@ -26,7 +26,7 @@ pub(super) fn take(count: u32, progress: &Progress, mut sample: impl FnMut(u32) 
 /// direction, point on a lamp, second direction) carry most of the variance; later ones gain nothing measurable.
 const SOBOL_GROUPS: u32 = 2;
 
-/// Tells the seed of branches from that of paths.
+/// Distinguishes the seed of branches from that of paths.
 const BRANCH: u64 = 0x6272_616e_6368;
 
 /// The random numbers of one path: scrambled Sobol points first, then a pseudo-random stream.
@@ -50,8 +50,8 @@ impl Samples {
         Samples { index, seed, group: 0, spare: None, stream }
     }
 
-    /// Numbers for the `k`-th of `of` branches of this path. Over all paths of the point set they are one sequence of
-    /// their own, so branches stratify across paths too.
+    /// Numbers for the `k`-th of `of` branches of this path. The branches of all paths of the point set form one sequence, so that
+    /// they are stratified across paths too.
     #[inline]
     pub fn branch(&self, k: u32, of: u32) -> Samples {
         // Sequences wrap: past their end another scramble would begin anyway.

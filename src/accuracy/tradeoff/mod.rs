@@ -1,11 +1,9 @@
-//! Speed against accuracy on one scene: what rays, patches, tolerance, solver and estimator buy, and what path tracing
-//! gives for the same time.
+//! Error over time on one scene, for rays, patches, tolerances, solvers, estimators and path tracing.
 //!
-//! What is compared is the mean irradiance of *common patches*, the coarsest subdivision of the sweep, so that coarse and
-//! fine solutions and path tracing answer one question. The truth is known by two independent reference solutions r1 and
-//! r2, with patches finer and rays more numerous than of any point. The mean of (x - r1)(x - r2) is free of their noise in
-//! expectation; what their patches' size and their noise may still add is [`Reference::error`], and no error below that
-//! is believed.
+//! All methods are compared by the mean irradiance of *common patches*, the coarsest subdivision of the sweep. The truth is
+//! estimated by two independent reference solutions r1 and r2, with finer patches and more rays than any point. The mean of
+//! (x - r1)(x - r2) is free of their noise in expectation. [`Reference::error`] is what their discretisation error and their
+//! noise may still add, and smaller errors are marked as not believed.
 
 mod sweep;
 
@@ -18,24 +16,24 @@ use crate::{
 };
 use sweep::Sweep;
 
-/// Rays a patch at the start of every line.
+/// Rays per patch at the start of every line.
 const FIRST_RAYS: f64 = 16.0;
 /// Every line has edges half as long as the one before.
 const LINES: i32 = 3;
-/// The coarsest line reaches at least this many rays a patch, however many triangles the scene has.
+/// The coarsest line reaches at least this many rays per patch, for any number of triangles.
 const LEAST_MOST_RAYS: f64 = 64.0;
 /// Each of the two references casts this many times the rays of the largest point.
 const REFERENCE_RAYS: f64 = 4.0;
 
-/// How far to go.
+/// The extent of a sweep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct TradeoffOptions {
-    /// About how many common patches.
+    /// Approximate number of common patches.
     pub patches: usize,
-    /// Rays of the largest point, all patches together. Time and memory grow in proportion.
+    /// Number of rays of the largest point, over all patches. Time and memory are proportional to it.
     pub rays: f64,
-    /// The same seed gives the same errors; times are never the same.
+    /// The same seed gives the same errors. Times differ.
     pub seed: u64,
 }
 
@@ -46,24 +44,24 @@ setters!(TradeoffOptions {
 });
 
 impl Default for TradeoffOptions {
-    /// 1000 common patches and 2²¹ rays: as many as the preset [`Quality::MEDIUM`] has.
+    /// 1000 common patches and 2²¹ rays, as many as the preset [`Quality::MEDIUM`].
     fn default() -> Self {
         TradeoffOptions { patches: Quality::DRAFT.patches, rays: f64::from(1 << 21), seed: 0 }
     }
 }
 
-/// What a point was made to show.
+/// What a point belongs to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Series {
-    /// More and more rays with the patches of one line, which is numbered from the coarsest.
+    /// Increasing numbers of rays on the patches of one line. Lines are numbered from the coarsest.
     Rays(usize),
     /// A preset, by its name.
     Preset(&'static str),
-    /// Another way from rays to form factors, by its name.
+    /// An estimator of form factors, by its name.
     Estimator(&'static str),
-    /// Another solver or tolerance, on form factors cast once for all of them.
+    /// A solver and a tolerance, on form factors that are cast once for all of them.
     Solver,
-    /// Path tracing of the common patches with next event.
+    /// Path tracing of the common patches, with next event estimation.
     PathTracing,
 }
 
@@ -86,78 +84,78 @@ impl Times {
     }
 }
 
-/// What one choice costs and gives. Errors are RMS by area over the common patches, relative to the mean irradiance.
+/// The time and the errors of one choice. Errors are area-weighted RMS errors over the common patches, relative to the mean irradiance.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Point {
-    /// What it was made to show.
+    /// What it belongs to.
     pub series: Series,
     /// Patches, those on backs included.
     pub patches: usize,
-    /// Mean rays a patch, or paths a patch.
+    /// Mean number of rays or paths per patch.
     pub rays: f64,
     /// The solver that ran; `None` for path tracing.
     pub solver: Option<Solver>,
-    /// The tolerance that it was given.
+    /// The tolerance of the solver.
     pub tolerance: f64,
     /// Its iterations.
     pub iterations: usize,
-    /// The true error; zero where the noise of the references outweighs it.
+    /// The true error. Zero if the noise of the references outweighs it.
     pub error: f64,
-    /// Whether the true error is above what is known of the references.
+    /// Whether the true error exceeds the error of the references.
     pub believed: bool,
-    /// The error that sampling is estimated to cause, from the point's own error bars.
+    /// The sampling error as estimated by the error bars of the point.
     pub estimated_sampling: f64,
-    /// The error that the size of its patches is estimated to cause; `None` where it cannot be told.
+    /// The estimated discretisation error. `None` if unknown.
     pub estimated_discretisation: Option<f64>,
     /// The median of its runs, stage by stage.
     pub seconds: Times,
-    /// How often it was run, with different seeds; the squares of the errors are averaged.
+    /// Number of runs with different seeds. The squares of the errors are averaged.
     pub runs: usize,
-    /// Bytes of form factors and hits; of path tracing, its estimates.
+    /// Bytes of form factors and hits. For path tracing, bytes of the estimates.
     pub bytes: usize,
 }
 
 impl Point {
-    /// The error that the point itself would tell its user: sampling and the size of patches together.
+    /// The error that the point itself would report: sampling and discretisation together.
     pub fn estimated(&self) -> f64 {
         self.estimated_sampling.hypot(self.estimated_discretisation.unwrap_or(0.0))
     }
 }
 
-/// What the truth is taken from.
+/// The references.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Reference {
-    /// Patches of each of the two.
+    /// Number of patches of each of the two.
     pub patches: usize,
-    /// Mean rays a patch of each.
+    /// Mean number of rays per patch of each.
     pub rays: f64,
     /// Standard error of their mean, from their difference.
     pub sampling: f64,
-    /// Change of their irradiance from edges twice as long: what is left where the error falls with the edge, three times
-    /// too much where it falls with its square.
+    /// Change of their irradiance from edges twice as long. It equals the remaining error if the error falls with the edge, and is three
+    /// times as large if the error falls with its square.
     pub discretisation: f64,
 }
 
 impl Reference {
-    /// Both parts together: no error below is believed.
+    /// Both parts together. Errors below this are not believed.
     pub fn error(&self) -> f64 {
         self.sampling.hypot(self.discretisation)
     }
 }
 
-/// Speed against accuracy.
+/// The result of a sweep.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Tradeoff {
-    /// How many patches errors are taken over.
+    /// Number of common patches.
     pub common_patches: usize,
-    /// What the truth is taken from.
+    /// The references.
     pub reference: Reference,
     /// The points, by series.
     pub points: Vec<Point>,
-    /// What was asked of the sweep and could not be had, a sentence each.
+    /// What was left out of the sweep, one sentence each.
     pub left_out: Vec<String>,
 }
 
@@ -169,14 +167,14 @@ pub struct Extent {
     pub edge: f64,
     /// Rays of the largest point.
     pub rays: f64,
-    /// Patches of a reference, but for backs.
+    /// Number of patches of a reference, without backs.
     pub reference_patches: f64,
-    /// Mean rays a patch of a reference.
+    /// Mean number of rays per patch of a reference.
     pub reference_rays: f64,
 }
 
 impl Extent {
-    /// How far a sweep will go.
+    /// The extent of a sweep on a scene.
     pub fn of(scene: &Scene, options: &TradeoffOptions) -> Extent {
         let common = Patches::subdivide(scene, &Subdivision::Count(options.patches));
         let rays = options.rays.max(LEAST_MOST_RAYS * common.len() as f64);
@@ -192,8 +190,8 @@ impl Tradeoff {
     /// Runs the sweep.
     ///
     /// # Errors
-    /// As [`crate::form_factor::FormFactors::cast`] and [`crate::solve::solve`]; but a solver that does not converge is only
-    /// left out.
+    /// As [`crate::form_factor::FormFactors::cast`] and [`crate::solve::solve`], except that a solver that does not converge is left
+    /// out.
     pub fn of(
         scene: &Scene,
         tracer: &Tracer,

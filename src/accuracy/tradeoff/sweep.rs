@@ -19,20 +19,20 @@ use crate::{
     trace::Tracer,
 };
 
-/// Each point of a line has this many times the rays of the one before.
+/// Each point of a line has this many times the rays of the previous point.
 const STEP: f64 = 4.0;
-/// Estimators, and solvers, are compared with at most this share of the rays of the largest point.
+/// Estimators and solvers are compared with at most this share of the rays of the largest point.
 const SHORT: f64 = 1.0 / 15.0;
-/// Each point is run so often.
+/// Number of runs of each point.
 const REPEATS: u64 = 3;
-/// A path takes about as long as this many rays of radiosity, which become form factors besides.
+/// A path takes about as long as this many rays of radiosity, including their form factors.
 const RAYS_A_PATH: f64 = 2.0;
-/// Tolerances of the solvers that are compared, the loosest first.
+/// Tolerances of the compared solvers, the loosest first.
 const TOLERANCES: [f64; 4] = [1e-1, 1e-2, 1e-4, 1e-10];
-/// A dense matrix is not worth the wait beyond so many patches.
+/// With more patches than this, a dense matrix takes too long.
 const MOST_DIRECT: usize = 1500;
 
-/// The scene, and the truth about it.
+/// The scene, and its references.
 pub(super) struct Sweep<'a> {
     scene: &'a Scene,
     tracer: &'a Tracer,
@@ -46,7 +46,7 @@ pub(super) struct Sweep<'a> {
     pub(super) reference: Reference,
 }
 
-/// What a run found out about the common patches, and what it took.
+/// The result of a run for the common patches, and its cost.
 struct Run {
     point: Point,
     square: f64,
@@ -63,7 +63,7 @@ impl<'a> Sweep<'a> {
         let common = Patches::subdivide(scene, &Subdivision::Edge(extent.edge));
         let areas: Vec<f64> = (0..common.len()).map(|i| common.area(i)).collect();
         let solved = |k: u64| -> Result<Solved> {
-            // Far from the seeds of the points.
+            // Different from the seeds of all points.
             let seed = options.seed.wrapping_add((1 << 32) + k);
             let cast = CastOptions { rays: extent.reference_rays, seed, ..CastOptions::default() };
             let finest = Subdivision::Edge(extent.edge * 0.5f64.powi(LINES));
@@ -89,7 +89,7 @@ impl<'a> Sweep<'a> {
         Ok(Sweep { scene, tracer, progress, seed, extent, common, areas, truth, reference })
     }
 
-    /// More and more rays at each size of patches: points, and the patches and rays a patch that were asked for.
+    /// Increasing numbers of rays for each size of patches: the points, and the numbers of patches and rays per patch asked for.
     pub(super) fn lines(&self) -> Result<Vec<([f64; 2], Point)>> {
         let mut points = Vec::new();
         for line in 0..LINES {
@@ -106,7 +106,7 @@ impl<'a> Sweep<'a> {
         Ok(points)
     }
 
-    /// The presets that are not beyond the sweep.
+    /// The presets within the extent of the sweep.
     pub(super) fn presets(&self, lines: &[([f64; 2], Point)]) -> Result<Vec<Point>> {
         let mut points = Vec::new();
         for (name, quality) in Quality::PRESETS {
@@ -114,7 +114,7 @@ impl<'a> Sweep<'a> {
             let rays = f64::from(quality.rays);
             let edge = Patches::subdivide(self.scene, &subdivision).edge();
             let count = Patches::forecast(self.scene, &subdivision);
-            // The names are of about so many patches: a scene may need more.
+            // A preset has an approximate number of patches, and a scene may need more.
             let nominal = count.min(quality.patches as f64);
             let within = edge <= self.extent.edge && edge > self.extent.edge * 0.5f64.powi(LINES);
             if within && nominal * rays <= self.extent.rays {
@@ -129,7 +129,7 @@ impl<'a> Sweep<'a> {
         Ok(points)
     }
 
-    /// Patches and rays that all estimators, and all solvers, are compared at.
+    /// Numbers of patches and rays at which all estimators and all solvers are compared.
     fn common_ground(&self) -> (Subdivision, CastOptions) {
         // A power of two, which all estimators can cast exactly.
         let rays =
@@ -138,7 +138,7 @@ impl<'a> Sweep<'a> {
         (Subdivision::Edge(self.extent.edge), cast)
     }
 
-    /// The ways from rays to form factors, each with as many rays.
+    /// The estimators of form factors, each with the same number of rays.
     pub(super) fn estimators(&self) -> Result<Vec<Point>> {
         let (subdivision, pooled) = self.common_ground();
         let evenly = CastOptions { by_variance: false, ..pooled };
@@ -153,7 +153,7 @@ impl<'a> Sweep<'a> {
         .collect()
     }
 
-    /// Every solver to every tolerance, and what did not converge.
+    /// Every solver with every tolerance, and the solvers that did not converge.
     pub(super) fn solvers(&self) -> Result<(Vec<Point>, Vec<String>)> {
         let (subdivision, cast) = self.common_ground();
         let cast = CastOptions { seed: self.seed, ..cast };
@@ -170,10 +170,10 @@ impl<'a> Sweep<'a> {
             Solver::Direct,
         ] {
             if solver == Solver::Direct && patches.len() > MOST_DIRECT {
-                left_out.push(format!("direct: {} patches are too many for it", patches.len()));
+                left_out.push(format!("direct: {} patches are too many", patches.len()));
                 continue;
             }
-            // It knows no tolerance: the last will do.
+            // The direct solver has no tolerance.
             let from = if solver == Solver::Direct { TOLERANCES.len() - 1 } else { 0 };
             for &tolerance in &TOLERANCES[from..] {
                 let options = SolveOptions { solver, tolerance, ..SolveOptions::default() };
@@ -198,7 +198,7 @@ impl<'a> Sweep<'a> {
         Ok((points, left_out))
     }
 
-    /// Path tracing with more and more paths.
+    /// Path tracing with increasing numbers of paths.
     pub(super) fn path_tracing(&self) -> Result<Vec<Point>> {
         let region = |i| Region {
             triangle: self.common.triangle(i),
@@ -264,7 +264,7 @@ impl<'a> Sweep<'a> {
         Ok(self.summed_up(runs).expect("there is at least one run"))
     }
 
-    /// Solves what took `casting` seconds to cast.
+    /// Solves with form factors that took `casting` seconds to cast.
     fn solved(
         &self,
         patches: &Patches,
@@ -300,7 +300,7 @@ impl<'a> Sweep<'a> {
         Ok(Run { square: self.square(&averaged(&self.common, patches, &solution.irradiance)), point })
     }
 
-    /// The squared error relative to the mean, free of the references' noise in expectation.
+    /// The squared error relative to the mean. In expectation it is free of the noise of the references.
     fn square(&self, irradiance: &[f64]) -> f64 {
         let [one, two] = &self.truth;
         let channels = self.common.channels();
@@ -348,7 +348,7 @@ impl<'a> Sweep<'a> {
     }
 }
 
-/// Mean number of rays a patch that were cast.
+/// Mean number of rays per patch.
 fn rays_a_patch(form_factors: &FormFactors) -> f64 {
     form_factors.rays() as f64 / form_factors.len() as f64
 }
