@@ -10,31 +10,31 @@ use radiosity::{
 
 use super::{options::point, watch::Watch};
 
-/// The camera. What is not given is chosen so that the picture frames the scene.
+/// The camera. Everything that is not given is chosen so that the picture frames the scene.
 #[derive(Args)]
 pub struct CameraArgs {
-    /// Pixels in a row
+    /// Width of the picture
     #[arg(long, value_name = "PIXELS", default_value_t = 640)]
     width: usize,
-    /// Rows of pixels
+    /// Height of the picture
     #[arg(long, value_name = "PIXELS", default_value_t = 480)]
     height: usize,
-    /// Where the camera stands, in the scene's unit [default: frames the scene]
+    /// Position of the camera, in the unit of the scene [default: frames the scene]
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     eye: Option<DVec3>,
-    /// The point in the middle of the picture [default: frames the scene]
+    /// Point in the middle of the picture [default: frames the scene]
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     look_at: Option<DVec3>,
-    /// The direction that is upwards in the picture [default: 0,1,0, or what suits the scene]
+    /// Direction that points upwards in the picture [default: 0,1,0, or 0,0,1 if the scene is open along y]
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     up: Option<DVec3>,
-    /// Vertical angle of view [default: frames the scene]
+    /// Vertical angle of view in degrees [default: frames the scene]
     #[arg(long, value_name = "DEG")]
     fov: Option<f64>,
 }
 
 impl CameraArgs {
-    /// The camera as given, completed by the one that frames the scene.
+    /// The camera as given. Missing values are taken from the camera that frames the scene.
     pub fn camera(&self, scene: &Scene, tracer: &Tracer) -> Result<Camera> {
         let framed = Camera::frame(scene, tracer, self.width, self.height)?;
         Camera::new(
@@ -48,7 +48,7 @@ impl CameraArgs {
     }
 }
 
-/// Refuses a camera that sees nothing, or only backs that no light reaches; warns of one that sees only backs.
+/// Refuses a camera that sees nothing, or only backs without light. Warns if it sees only backs.
 pub fn check(
     args: &CameraArgs,
     camera: &Camera,

@@ -1,4 +1,4 @@
-//! What a computation will need, before it starts, and what it may.
+//! The memory that a computation will need, and the memory that it may use.
 
 use radiosity::{
     Error, Result, Scene,
@@ -13,64 +13,64 @@ use super::summary;
 
 /// Patches are numbered with 31 bits.
 const MOST_PATCHES: f64 = (1u64 << 31) as f64;
-/// More than this is worth a word.
+/// More than this causes a warning.
 const MUCH: f64 = (1u64 << 30) as f64;
 
 /// Bytes that a computation may take.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limit {
     bytes: f64,
-    /// Whether someone said so, or it is all that there is.
+    /// Whether `--memory` was given. Otherwise the limit is the memory of the machine.
     given: bool,
 }
 
-/// A computation by its patches and its mean number of rays each.
+/// A computation, described by its number of patches and its mean number of rays per patch.
 pub struct Work<'a> {
     pub scene: &'a Scene,
     pub patches: f64,
     pub rays: f64,
-    /// Bytes for other numbers of these.
+    /// Bytes for given numbers of patches and rays.
     pub bytes: &'a dyn Fn(f64, f64) -> f64,
-    /// The options that say how many there are.
+    /// The options that set these numbers.
     pub options: [&'static str; 2],
 }
 
-/// Rays that tell how much of the scene is seen from behind.
+/// Rays that estimate how much of the scene is seen from behind.
 const LOOKING: u64 = 10_000;
 
-/// How many times the patches of the fronts those are that the rays will find, backs too.
+/// The number of all patches relative to those of fronts: rays will find backs, which need patches too.
 pub fn with_backs(scene: &Scene, tracer: &Tracer, seed: u64) -> f64 {
     1.0 + Survey::of(scene, tracer, LOOKING, seed).back_area
 }
 
-/// The options that say how many patches and rays there are, for most commands.
+/// The options that set the numbers of patches and rays in most commands.
 pub const USUAL: [&str; 2] = ["--patches", "--rays"];
 
-/// Bytes for one solution, of patches with all backs counted in.
+/// Bytes for one solution. The number of patches includes backs.
 pub fn bytes(scene: &Scene, estimator: Estimator, solver: Solver) -> impl Fn(f64, f64) -> f64 {
     move |patches, rays| Memory::of(scene, patches, rays, estimator, solver).peak()
 }
 
 impl Limit {
-    /// What was given, else what this machine has; no limit where that is not known.
+    /// The given limit, or else the memory of this machine. There is no limit if that is unknown.
     pub fn new(given: Option<f64>) -> Limit {
         let bytes = given.or_else(machine).unwrap_or(f64::INFINITY);
         Limit { bytes, given: given.is_some() }
     }
 
-    /// What stands in the way of so many bytes, if anything.
+    /// Why this number of bytes is refused, if it is.
     fn objection(self, bytes: f64) -> Option<String> {
         let owner = if self.given { "--memory allows" } else { "this machine has" };
         let [need, limit] = [bytes, self.bytes].map(summary::memory);
         (!(bytes <= self.bytes)).then(|| format!("about {need} of memory, {owner} {limit}"))
     }
 
-    /// Whether so much is allowed.
+    /// Whether this number of bytes is allowed.
     pub fn allows(self, bytes: f64) -> bool {
         self.objection(bytes).is_none()
     }
 
-    /// Refuses what may not be held, and says what could be; returns a warning when it is much.
+    /// Refuses work that needs too much memory, and says what would fit. Returns a warning if it needs much.
     pub fn check(self, work: &Work) -> Result<Option<String>> {
         let &Work { patches, rays, bytes, options: [many_patches, many_rays], .. } = work;
         if patches >= MOST_PATCHES {
@@ -90,14 +90,14 @@ impl Limit {
             let cast = if rays > 0.0 { format!(" with {rays:.0} rays each") } else { String::new() };
             return Err(Error::Usage {
                 message: format!("{} patches{cast} need {objection}", count(patches)),
-                hint: Some(format!("it takes {}", ways.join(", or "))),
+                hint: Some(format!("use {}", ways.join(", or "))),
             });
         }
         let warning = || format!("this may take up to {} of memory", summary::memory(need));
         Ok((need > MUCH).then(warning))
     }
 
-    /// A number of patches to ask for that may be held with the same rays.
+    /// A number of patches that fits with the same rays.
     fn patches(self, work: &Work) -> Option<u64> {
         let least = work.scene.triangles.len() as f64;
         let mut wanted = work.patches;
@@ -106,7 +106,7 @@ impl Limit {
             if wanted < least {
                 return None;
             }
-            // As many as it will be, not as were asked for.
+            // The number that there will be, which may be larger than the number asked for.
             let made = Patches::forecast(work.scene, &Subdivision::Count(wanted as usize));
             if self.allows((work.bytes)(made.max(wanted), work.rays)) {
                 return Some(wanted as u64);
@@ -114,13 +114,13 @@ impl Limit {
         }
     }
 
-    /// A number of rays that may be held with the same patches.
+    /// A number of rays that fits with the same patches.
     fn rays(self, work: &Work) -> Option<u64> {
         let rays = round_down(self.most_rays(work.patches, work.bytes));
         (rays >= 16.0 && rays < work.rays).then_some(rays as u64)
     }
 
-    /// The most rays a patch that may be held for so many patches.
+    /// The largest number of rays per patch that fits for a number of patches.
     pub fn most_rays(self, patches: f64, bytes: impl Fn(f64, f64) -> f64) -> f64 {
         if self.bytes == f64::INFINITY {
             return f64::INFINITY;
@@ -133,24 +133,24 @@ impl Limit {
         few
     }
 
-    /// Refuses a picture that may not be held.
+    /// Refuses a picture that needs too much memory.
     pub fn check_picture(self, pixels: f64, by_particles: bool) -> Result<()> {
-        // The film, what automatic exposure sorts, the encoded picture; by particles a sum for each thread and an estimate
-        // a pixel too.
+        // The film, the values that automatic exposure sorts, and the encoded picture. Light tracing adds a sum for each thread
+        // and an estimate per pixel.
         let threads = rayon::current_num_threads() as f64;
         let a_pixel = if by_particles { 200.0 + 24.0 * threads } else { 60.0 };
         self.check_image("picture", "pixels", pixels, a_pixel, "a smaller --width and --height")
     }
 
-    /// Refuses a lightmap that may not be held.
+    /// Refuses a lightmap that needs too much memory.
     pub fn check_map(self, texels: f64) -> Result<()> {
-        // Pieces of surface, two signals with their errors before and after denoising, the image and what files need.
+        // Pieces of surface, two signals with their errors before and after denoising, the image and the encoded files.
         self.check_image("map", "texels", texels, 300.0, "a longer --texel or a smaller --resolution")
     }
 
-    /// Refuses view factors between so many polygons that may not be held.
+    /// Refuses view factors between a number of polygons if they need too much memory.
     pub fn check_polygons(self, polygons: usize) -> Result<()> {
-        // Pairs while they are collected, in the worst case all; then the matrix and its standard errors.
+        // The collected pairs, in the worst case all of them. Then the matrix and its standard errors.
         let need = 70.0 * (polygons as f64).powi(2) / 2.0;
         match self.objection(need) {
             None => Ok(()),
@@ -172,7 +172,7 @@ impl Limit {
     }
 }
 
-/// A number that can be read.
+/// A number as people read it.
 fn count(x: f64) -> String {
     if x < 1e7 { format!("{x:.0}") } else { format!("{x:.2e}") }
 }
@@ -183,7 +183,7 @@ fn round_down(x: f64) -> f64 {
     (x / unit).floor() * unit
 }
 
-/// As `--memory` reads it, not less.
+/// A size as `--memory` reads it, rounded up.
 pub fn exact(bytes: f64) -> String {
     format!("{}MiB", (bytes / f64::from(1 << 20)).ceil())
 }
@@ -192,7 +192,7 @@ pub fn exact(bytes: f64) -> String {
 pub fn size(text: &str) -> std::result::Result<f64, String> {
     let text = text.trim();
     let digits = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
-    // An exponent is no unit.
+    // An exponent is not a unit.
     let (number, unit) = match text.parse::<f64>() {
         Ok(_) => (text, ""),
         Err(_) => text.split_at(digits),
@@ -207,10 +207,10 @@ pub fn size(text: &str) -> std::result::Result<f64, String> {
         _ => None,
     };
     let bytes = factor.and_then(|factor| Some(factor * number.trim().parse::<f64>().ok()?));
-    bytes.filter(|b| b.is_finite() && *b >= 1.0).ok_or("a size like 500MB or 4GiB is wanted".into())
+    bytes.filter(|b| b.is_finite() && *b >= 1.0).ok_or("expected a size like 500MB or 4GiB".into())
 }
 
-/// Memory and swap space of this machine, as Linux tells, or what its control group leaves of it.
+/// Memory and swap space of this machine as Linux reports them, or the limit of the control group if that is smaller.
 fn machine() -> Option<f64> {
     let info = std::fs::read_to_string("/proc/meminfo").ok()?;
     let kibibytes = |name: &str| -> Option<f64> {
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_refused_could_be_done_as_the_hint_says() {
+    fn a_hint_gives_numbers_that_fit() {
         let scene = triangle();
         let bytes = bytes(&scene, Estimator::Pooled, Solver::Auto);
         for (memory, patches, rays) in [(1e8, 1e5, 64.0), (1e9, 4096.0, 1e6), (4e9, 1e7, 1e3)] {
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn much_memory_is_told_and_too_much_is_refused() {
+    fn much_memory_is_warned_of_and_too_much_is_refused() {
         let scene = triangle();
         let bytes = bytes(&scene, Estimator::Pooled, Solver::Auto);
         let work = |patches, rays| Work { scene: &scene, patches, rays, bytes: &bytes, options: USUAL };

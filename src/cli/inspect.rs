@@ -1,4 +1,4 @@
-//! `radiosity inspect`: what is in a scene and what will go wrong, before anything is computed.
+//! `radiosity inspect`: the contents and the problems of a scene, before anything is computed.
 
 use std::{fmt::Write, path::PathBuf, time::Instant};
 
@@ -23,11 +23,12 @@ use super::{
     Common, Outcome, forecast, options::SceneArgs, outputs, pipeline, summary, to_stdout, watch::Watch,
 };
 
-/// Tell what is in a scene and what will go wrong, before computing
+/// Check a scene before you compute: its contents, its problems, and the cost of each quality
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity inspect room.obj --report room.json\n\n\
-    Loads the scene, looks at how its faces join, casts some rays to see which sides are seen, and tells what each\n\
-    quality would take. Exit status 0 for every scene that can be loaded, with or without a lamp.")]
+    Loads the scene, examines how its faces join, casts some rays to find out which sides can be seen, and estimates \
+    patches, memory and time for each quality. The exit status is 0 for every scene that can be loaded, even if \
+    nothing in it emits light.")]
 pub struct InspectArgs {
     #[command(flatten)]
     scene: SceneArgs,
@@ -38,7 +39,7 @@ pub struct InspectArgs {
     common: Common,
 }
 
-/// Rays for the look round: some ten milliseconds, and shares to half a per cent.
+/// Rays for the survey. They take some ten milliseconds and give shares to half a per cent.
 const RAYS: u64 = 1 << 17;
 
 /// Runs the command.
@@ -73,8 +74,8 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Seconds that a ray costs on this machine beyond its way through the scene: hits become form factors, these a
-/// solution with error bars. Measured on a room of which the tracing is known.
+/// Seconds per ray on this machine for everything except tracing: form factors, solution and error bars. Measured on a room
+/// whose tracing time is measured too.
 fn bookkeeping(progress: &Progress) -> Result<f64> {
     let at = |k: u32| DVec3::new(f64::from(k & 1), f64::from(k >> 1 & 1), f64::from(k >> 2));
     let walls = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
@@ -111,7 +112,7 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
     );
     let size: Vec<String> =
         std::iter::zip(scene.bounds_min, scene.bounds_max).map(|(a, b)| format!("{:.6}", b - a)).collect();
-    let unit = scene.unit_guess.map_or("in no likely unit of length".into(), |unit| format!("likely {unit}"));
+    let unit = scene.unit_guess.map_or("unit of length unknown".into(), |unit| format!("probably in {unit}"));
     row("size", format!("{}, {unit}", size.join(" x ")));
     let edges = &report.edges.count;
     let closed = if report.edges.closed { "closed" } else { "not closed" };
@@ -131,12 +132,12 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
     );
     let seen = &report.seen;
     let mut sights = format!(
-        "{:.2} % of what is seen are backs, {:.2} % of the rays leave",
+        "{:.2} % of the hits are backs, {:.2} % of the rays escape",
         100.0 * seen.back_share,
         100.0 * seen.escaped_share
     );
     if let Some(share) = seen.lamp_escaped_share {
-        let _ = write!(sights, ", of the lamps' {:.2} %", 100.0 * share);
+        let _ = write!(sights, ", {:.2} % of the rays from lamps", 100.0 * share);
     }
     row("rays", sights);
     let (shown, hidden) = worth_showing(&report.materials);
@@ -162,7 +163,7 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
                 f.patches,
                 f.rays,
                 summary::memory(f.bytes),
-                if limit.allows(f.bytes) { "" } else { ", more than is allowed" },
+                if limit.allows(f.bytes) { "" } else { " (more than allowed)" },
                 time(f.seconds)
             ),
         );
@@ -174,7 +175,7 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
     text
 }
 
-/// The lamps, and the materials that cover most, in the scene's order; and how many that leaves out.
+/// The lamps and the materials with the largest areas, in the order of the scene, and the number of the others.
 fn worth_showing(materials: &[MaterialReport]) -> (Vec<&MaterialUse>, usize) {
     const MOST: usize = 12;
     let mut order: Vec<usize> = (0..materials.len()).collect();
@@ -208,7 +209,7 @@ fn material(m: &MaterialUse, total: f64) -> String {
     text
 }
 
-/// A time that is an estimate: two digits.
+/// An estimated time, with two digits.
 fn time(seconds: f64) -> String {
     match seconds {
         s if s < 1.0 => format!("{s:.2} s"),

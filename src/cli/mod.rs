@@ -1,4 +1,4 @@
-//! Commands, and what they tell the shell.
+//! The commands, and their exit status.
 //!
 //! Results go to files, a short summary to stdout, progress, warnings and errors to stderr. Exit status: 0 done; 1
 //! computed, but a demanded check failed; 2 bad usage or input; 130 stopped by a signal.
@@ -34,14 +34,15 @@ use std::{
 use clap::{Arg, Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
 use radiosity::{Error, Result, Setting};
 
-/// Computes how light spreads between diffuse surfaces, and how right its answer is.
+/// Compute how light spreads between diffuse surfaces, with error bars
 #[derive(Parser)]
 #[command(
     name = "radiosity",
     version,
     propagate_version = true,
+    max_term_width = 80,
     after_help = "Example:\n  radiosity solve room.obj -o room.ply --report room.json\n\n\
-        Exit status: 0 done; 1 computed, but a check failed; 2 bad usage or input; 130 stopped."
+        Exit status: 0 done; 1 computed, but a check failed; 2 bad usage or input; 130 stopped by a signal."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -60,20 +61,20 @@ enum Command {
     ViewFactors(view_factors::ViewFactorsArgs),
 }
 
-/// Threads that may be asked for whatever the machine: of many more than processors each waits for the others.
+/// Largest `--threads` on a machine with fewer processors. More threads than processors gain nothing.
 const MOST_THREADS: usize = 256;
 
 /// Options of every command.
 #[derive(Args)]
 struct Common {
-    /// Print no summary and no progress; warnings and errors remain
+    /// Print no summary and no progress. Warnings and errors remain
     #[arg(long)]
     quiet: bool,
-    /// Use N threads; by default all processors. The result is the same for any number
+    /// Number of threads [default: all processors]. The result does not depend on it
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
-    /// Refuse at once what would take more memory, as in 500MB or 4GiB; what `solve` has no room for a matrix for, it solves
-    /// without one [default: what this machine has]
+    /// Largest amount of memory to use, for example 500MB or 4GiB. A computation that needs more is refused before it starts;
+    /// `solve` can go on without a matrix [default: the memory of this machine]
     #[arg(long, value_name = "SIZE", value_parser = forecast::size)]
     memory: Option<f64>,
 }
@@ -89,8 +90,10 @@ impl Common {
         let most = MOST_THREADS.max(processors);
         if threads.get() > most {
             return Err(Error::Usage {
-                message: format!("--threads {threads} is more than {most}"),
-                hint: Some(format!("this machine has {processors} processors: more threads gain nothing")),
+                message: format!("--threads {threads} is too large: at most {most} are allowed"),
+                hint: Some(format!(
+                    "this machine has {processors} processors, and more threads gain nothing"
+                )),
             });
         }
         rayon::ThreadPoolBuilder::new().num_threads(threads.get()).build_global().map_err(|e| Error::Usage {
@@ -100,10 +103,10 @@ impl Common {
     }
 }
 
-/// How a computation that ended with a result went.
+/// How a computation ended that gave a result.
 enum Outcome {
     Done,
-    /// A demanded check failed: this one.
+    /// A check failed. The sentence says which.
     CheckFailed(String),
 }
 
@@ -169,8 +172,8 @@ fn option(setting: Setting) -> Option<&'static str> {
     })
 }
 
-/// The commands as clap knows them. What looks like a negative number is taken for the value of an option: its own words say
-/// better what is wrong with it than clap's advice to put `--` before it.
+/// The commands as clap knows them. A word like `-1` is read as the value of an option, so that the option can say what is wrong
+/// with it; clap would advise to put `--` before it.
 fn command() -> clap::Command {
     let is_number = |arg: &Arg| {
         let names_a_file = arg.get_value_parser().type_id() == TypeId::of::<PathBuf>();
@@ -180,7 +183,7 @@ fn command() -> clap::Command {
     Cli::command().mut_subcommands(|command| command.mut_args(numbers))
 }
 
-/// Tells what clap says in the form that all errors have. Help and version are no errors.
+/// Prints an error of clap in the form of all other errors. Help and version are not errors.
 fn usage_error(error: &clap::Error) -> ExitCode {
     if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let _ = error.print();
@@ -208,12 +211,12 @@ fn say_error(what: &dyn Display) {
     to_stderr(format_args!("error: {what}"));
 }
 
-/// Prints a line, and one whatever names of files hold. Nobody reading is no reason to panic, which `eprintln!` would.
+/// Prints one line, even if a file name contains line breaks. A closed stderr is no reason to panic, as `eprintln!` would.
 fn to_stderr(line: impl Display) {
     let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()).replace('\n', "\\n"));
 }
 
-/// Prints text that ends its own lines. That nobody reads on is no error; a full disk behind stdout is.
+/// Prints text that contains its own line ends. A reader that went away is not an error. A full disk behind stdout is.
 fn to_stdout(text: &str) -> Result<()> {
     let mut out = io::stdout().lock();
     match out.write_all(printable(text).as_bytes()).and_then(|()| out.flush()) {
@@ -222,7 +225,7 @@ fn to_stdout(text: &str) -> Result<()> {
     }
 }
 
-/// The text with control characters spelt out. Names come from files, and a terminal would obey them.
+/// The text with control characters escaped. Names come from files, and a terminal would obey their control characters.
 fn printable(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     for c in text.chars() {
@@ -240,8 +243,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn terminals_are_not_told_what_to_do_by_names_in_files() {
+    fn control_characters_in_names_do_not_reach_the_terminal() {
         assert_eq!(printable("a\u{1b}[31mé\tb\n\0\u{9b}"), "a\\u{1b}[31mé\\tb\n\\u{0}\\u{9b}");
+    }
+
+    #[test]
+    fn help_fits_into_80_columns() {
+        let mut cli = command();
+        cli.build();
+        for command in cli.get_subcommands_mut() {
+            for help in [command.render_help(), command.render_long_help()] {
+                let text = help.to_string();
+                let widest = text.lines().max_by_key(|line| line.chars().count()).unwrap();
+                assert!(widest.chars().count() <= 80, "{}: {widest}", command.get_name());
+            }
+        }
     }
 
     #[test]

@@ -19,13 +19,13 @@ pub struct SceneArgs {
     /// The scene: Wavefront .obj with its .mtl beside it, .ply, .gltf or .glb
     #[arg(value_name = "SCENE")]
     pub path: PathBuf,
-    /// Reflectance of a material, whatever the file says, as in 0.6@wall or 0.6,0.5,0.4@wall; without @ that of surfaces that
-    /// the file gives none [default: 0.5], and of those that have but colours at vertices or on faces. May be given several
-    /// times
+    /// Reflectance of a material, whatever the file says, for example 0.6@wall or 0.6,0.5,0.4@wall. Without @ it is the
+    /// reflectance of surfaces without one in the file [default: 0.5], and of surfaces that only have colours at vertices or
+    /// on faces. May be repeated
     #[arg(long, value_name = "R[,G,B][@MATERIAL]", allow_hyphen_values = true, value_parser = reflectance)]
     reflectance: Vec<Reflectance>,
-    /// Let a material emit radiance, W/(m2 sr), as in 10@lamp or 9,8,5@lamp; without @ all of them. A .ply names its
-    /// materials by their colours, as in 10@#ffcc00. May be given several times
+    /// Let a material emit this radiance in W/(m2 sr), for example 10@lamp or 9,8,5@lamp. Without @ all materials emit. The
+    /// materials of a .ply are named by their colours, for example 10@#ffcc00. May be repeated
     #[arg(long, value_name = "L[,M,N][@MATERIAL]", allow_hyphen_values = true, value_parser = emission)]
     emit: Vec<Emission>,
     /// Let surfaces that a glTF file calls unlit emit their colour, instead of reflecting by it
@@ -49,14 +49,14 @@ enum SpecularName {
     Diffuse,
 }
 
-/// What shall reflect how much.
+/// A reflectance, and the material that has it.
 #[derive(Debug, Clone, PartialEq)]
 struct Reflectance {
     share: [f64; 3],
     material: Option<String>,
 }
 
-/// Who shall emit what.
+/// A radiance, and the material that emits it.
 #[derive(Debug, Clone, PartialEq)]
 struct Emission {
     radiance: [f64; 3],
@@ -112,19 +112,19 @@ impl SceneArgs {
     }
 }
 
-/// How finely to cut the scene and how many rays to cast: options of every command that solves for radiosity.
+/// The number of patches and rays: options of every command that solves for radiosity.
 #[derive(Args)]
 pub struct CastArgs {
-    /// A preset of patches and rays [default: medium]
+    /// Preset of the numbers of patches and rays [default: medium]
     #[arg(long, value_enum)]
     quality: Option<QualityName>,
-    /// Largest edge of a patch in the scene's unit; `inf` leaves the triangles whole
+    /// Largest edge of a patch, in the unit of the scene. `inf` makes each triangle one patch
     #[arg(long, value_name = "LENGTH", value_parser = positive)]
     patch_size: Option<f64>,
-    /// About how many patches; at least one a triangle
+    /// Approximate number of patches. There is at least one per triangle
     #[arg(long, value_name = "N", conflicts_with = "patch_size", value_parser = clap::value_parser!(u32).range(1..))]
     patches: Option<u32>,
-    /// Rays a patch, hemisphere and shadow rays together; there are never fewer than 16 of the first
+    /// Mean number of rays per patch, hemisphere and shadow rays together. At least 16 are hemisphere rays
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     rays: Option<u32>,
 }
@@ -155,7 +155,7 @@ impl CastArgs {
         }
     }
 
-    /// How to cut the scene, and a word on who chose that.
+    /// How to cut the scene into patches, and where that choice came from.
     pub fn subdivision(&self) -> (Subdivision, String) {
         if let Some(edge) = self.patch_size {
             return (Subdivision::Edge(edge), format!("--patch-size {edge}"));
@@ -168,27 +168,27 @@ impl CastArgs {
         (Subdivision::Count(patches), format!("about {patches} for quality {name}"))
     }
 
-    /// Rays a patch.
+    /// Rays per patch.
     pub fn rays(&self) -> u32 {
         self.rays.unwrap_or(self.quality().rays)
     }
 
-    /// How to cut the scene, where that was said.
+    /// How to cut the scene into patches, if an option says so.
     pub fn given_subdivision(&self) -> Option<Subdivision> {
         self.given_patches().map(|_| self.subdivision().0)
     }
 
-    /// Rays a patch, where that was said.
+    /// Rays per patch, if an option says so.
     pub fn given_rays(&self) -> Option<u32> {
         (self.quality.is_some() || self.rays.is_some()).then(|| self.rays())
     }
 
-    /// The option that said how to cut the scene, if any.
+    /// The option that determines the patches, if one was given.
     pub fn given_patches(&self) -> Option<&'static str> {
         self.given().filter(|&option| option != "--rays")
     }
 
-    /// The first of these options that was given: for commands that solve only sometimes.
+    /// The first of these options that was given. Some commands solve only with some of their methods.
     pub fn given(&self) -> Option<&'static str> {
         [
             (self.patch_size.is_some(), "--patch-size"),
@@ -202,35 +202,35 @@ impl CastArgs {
 }
 
 pub fn positive(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0, "a length above 0, or inf, is wanted")
+    parse(text, |x| x > 0.0, "expected a length above 0, or inf")
 }
 
 pub fn finite_length(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0 && x.is_finite(), "a finite length above 0 is wanted")
+    parse(text, |x| x > 0.0 && x.is_finite(), "expected a finite length above 0")
 }
 
 pub fn below_one(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0 && x < 1.0, "a number between 0 and 1 is wanted")
+    parse(text, |x| x > 0.0 && x < 1.0, "expected a number between 0 and 1")
 }
 
 pub fn percent(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0 && x <= 100.0, "a percentage above 0, at most 100, is wanted")
+    parse(text, |x| x > 0.0 && x <= 100.0, "expected a percentage above 0 and at most 100")
 }
 
 pub fn seconds_given(text: &str) -> Result<f64, String> {
-    parse(text, |x| x > 0.0 && x.is_finite(), "a finite number of seconds above 0 is wanted")
+    parse(text, |x| x > 0.0 && x.is_finite(), "expected a finite number of seconds above 0")
 }
 
 pub fn stops(text: &str) -> Result<f64, String> {
-    parse(text, |x| x.abs() <= 100.0, "a number between -100 and 100 is wanted")
+    parse(text, |x| x.abs() <= 100.0, "expected a number between -100 and 100")
 }
 
-/// A radiance whose inverse is finite too.
+/// A radiance with a finite inverse.
 pub fn white(text: &str) -> Result<f64, String> {
-    parse(text, |x| (1e-100..=1e100).contains(&x), "a radiance from 1e-100 to 1e100 is wanted")
+    parse(text, |x| (1e-100..=1e100).contains(&x), "expected a radiance from 1e-100 to 1e100")
 }
 
-/// One number, which stands for three, or three.
+/// Three numbers, or one that counts for all three.
 fn colour(text: &str) -> Option<[f64; 3]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|word| word.trim().parse().ok()).collect();
     match numbers.as_deref() {
@@ -248,7 +248,10 @@ fn reflectance(text: &str) -> Result<Reflectance, String> {
     let good = |c: &[f64; 3]| c.iter().all(|r| (0.0..=1.0).contains(r));
     match colour(share).filter(good) {
         Some(share) => Ok(Reflectance { share, material }),
-        None => Err("one number or three, R,G,B, between 0 and 1 are wanted, then perhaps @ and the name of a material".into()),
+        None => Err(
+            "expected one number or three (R,G,B) between 0 and 1, then perhaps @ and the name of a material"
+                .into(),
+        ),
     }
 }
 
@@ -261,7 +264,7 @@ fn emission(text: &str) -> Result<Emission, String> {
     match colour(radiance).filter(good) {
         Some(radiance) => Ok(Emission { radiance, material }),
         None => Err(format!(
-            "one number or three from 0 to {MOST_RADIANCE:e} are wanted, then perhaps @ and the name of a material"
+            "expected one number or three from 0 to {MOST_RADIANCE:e}, optionally followed by @ and the name of a material"
         )),
     }
 }
@@ -272,7 +275,7 @@ pub fn point(text: &str) -> Result<DVec3, String> {
         text.split(',').map(|word| word.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();
     match numbers.as_deref() {
         Some(&[x, y, z]) => Ok(DVec3::new(x, y, z)),
-        _ => Err("three numbers x,y,z without blanks are wanted".into()),
+        _ => Err("expected three numbers x,y,z without blanks".into()),
     }
 }
 
@@ -285,7 +288,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn emission_is_radiance_and_perhaps_a_name() {
+    fn emission_is_a_radiance_and_an_optional_name() {
         let of = |radiance, name: Option<&str>| Ok(Emission { radiance, material: name.map(String::from) });
         assert_eq!(emission("10"), of([10.0; 3], None));
         assert_eq!(emission("1,0,2.5@my lamp@2"), of([1.0, 0.0, 2.5], Some("my lamp@2")));

@@ -1,4 +1,4 @@
-//! The files that a command writes: checked before the work, written after it, together.
+//! The files that a command writes. They are checked before the work, and all written together after it.
 
 use std::{
     fs,
@@ -9,12 +9,12 @@ use std::{
 
 use radiosity::{Error, Result, monte_carlo::PictureFormat, output::file::OutputFile};
 
-/// Kinds of files that scenes are made of. No text takes the place of one: it might be of another scene. Those of this
-/// scene are compared with each output once they are known (`pipeline::read`).
+/// Kinds of files that scenes consist of. A text output may not have such a name, because the file might belong to another scene.
+/// The files of this scene are compared with each output once they are known (`pipeline::read`).
 const INPUT_KINDS: [&str; 13] =
     ["obj", "mtl", "gltf", "glb", "bin", "png", "jpg", "jpeg", "tga", "bmp", "exr", "hdr", "dds"];
 
-/// Where a mesh can be written to.
+/// The output file of a mesh.
 pub fn mesh(path: &Path, scene: &Path) -> Result<OutputFile> {
     let output = OutputFile::new(path, &[scene])?;
     let is_ply = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"));
@@ -48,28 +48,28 @@ pub fn beside_glb(glb: &Path, name: &str, scene: &Path) -> Result<OutputFile> {
     OutputFile::new(&path, &[scene])
 }
 
-/// Where a picture can be written to, and its format.
+/// The output file of a picture, and its format.
 pub fn picture(path: &Path, scene: &Path) -> Result<(OutputFile, PictureFormat)> {
     let output = OutputFile::new(path, &[scene])?;
     let extension = path.extension().map(|e| e.to_string_lossy());
     match extension.and_then(|e| PictureFormat::of_extension(&e)) {
         Some(format) => Ok((output, format)),
         None if is_device(path) => Ok((output, PictureFormat::Png)),
-        None => Err(usage(path, "unknown kind of picture", "end the name in .png, .exr or .hdr")),
+        None => Err(usage(path, "unknown kind of picture", "use a name that ends in .png, .exr or .hdr")),
     }
 }
 
-/// Where a report can be written to.
+/// The output file of a report.
 pub fn report(path: &Path, scene: &Path) -> Result<OutputFile> {
     text(path, &[scene], "a report")
 }
 
-/// Where text can be written to; `what` it is.
+/// The output file of a text; `what` names its contents in messages.
 pub fn text(path: &Path, inputs: &[&Path], what: &str) -> Result<OutputFile> {
     no_scene(path, inputs, what, "give it a name that ends in .json or .txt")
 }
 
-/// Where a checkpoint can be kept.
+/// The file of a checkpoint.
 pub fn checkpoint(path: &Path, scene: &Path) -> Result<OutputFile> {
     no_scene(path, &[scene], "a checkpoint", "give it a name that ends in .checkpoint")
 }
@@ -78,23 +78,23 @@ fn no_scene(path: &Path, inputs: &[&Path], what: &str, hint: &str) -> Result<Out
     let output = OutputFile::new(path, inputs)?;
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
     if extension.is_some_and(|e| INPUT_KINDS.contains(&e.as_str())) {
-        let message = format!("{what} may not take the name of a scene, material or texture");
+        let message = format!("{what} may not have the name of a scene, material or texture");
         return Err(usage(path, &message, hint));
     }
     Ok(output)
 }
 
-/// The directories made in this run, outermost first. Here, since who insists on a stop gets out without dropping anything.
+/// The directories made in this run, outermost first. Static, because a second Ctrl-C exits without dropping anything.
 static MADE: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// Removes what directories were made, but for those that hold something.
+/// Removes the directories that were made and are still empty.
 pub fn remove_made() {
-    // Held until all are gone: who gets out meanwhile waits for it.
+    // The lock is held until all are removed, so that a concurrent exit waits.
     let mut made = MADE.lock().expect("no thread panics holding it");
     made.drain(..).rev().for_each(|path| drop(fs::remove_dir(path)));
 }
 
-/// A directory for the files of a command. One that was made here, and in which nothing was written, goes again.
+/// A directory for the files of a command. It is removed again if it was made here and nothing was written into it.
 #[derive(Debug)]
 pub struct Directory {
     path: PathBuf,
@@ -144,7 +144,7 @@ impl Drop for Directory {
     }
 }
 
-/// Refuses two outputs that are one file.
+/// Refuses two outputs that are the same file.
 pub fn check_distinct(outputs: &[&OutputFile]) -> Result<()> {
     for (i, output) in outputs.iter().enumerate() {
         if outputs[..i].iter().any(|other| output.is_same(other)) {
@@ -163,7 +163,7 @@ fn usage(path: &Path, message: &str, hint: &str) -> Error {
     Error::Usage { message: format!("{}: {message}", path.display()), hint: Some(hint.into()) }
 }
 
-/// Names of files for a summary.
+/// The names of the written files, for a summary.
 pub fn names(paths: &[&Option<PathBuf>]) -> String {
     let names: Vec<_> = paths.iter().filter_map(|p| p.as_ref()).map(|p| p.display().to_string()).collect();
     if names.is_empty() { "nothing: no -o and no --report".into() } else { names.join(", ") }

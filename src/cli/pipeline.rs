@@ -45,8 +45,8 @@ pub fn load_as_given(
         watch.warn(&format!("{}: left out {} triangles without area", path.display(), scene.degenerate));
     }
     if !scene.has_emitter() {
-        return Err(Error::input(path, None, "nothing emits light: there is nothing to compute").with_hint(
-            "give a material an emitted radiance, by --emit or a line like `Ke 10 10 10` in the .mtl file",
+        return Err(Error::input(path, None, "nothing emits light, so there is nothing to compute").with_hint(
+            "give a material an emitted radiance with --emit, or with a line like `Ke 10 10 10` in the .mtl file",
         ));
     }
     (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
@@ -88,9 +88,9 @@ pub fn read(args: &SceneArgs, outputs: &[&OutputFile], watch: &Watch) -> Result<
     Ok(scene)
 }
 
-/// How commands that need a solution on their way to something else get it.
+/// How commands that need a solution for something else compute it.
 pub struct Job<'a> {
-    /// The scene's file, for messages.
+    /// The file of the scene, for messages.
     pub file: &'a Path,
     pub cast: &'a CastArgs,
     pub seed: u64,
@@ -106,7 +106,7 @@ pub struct Solved {
 }
 
 impl Job<'_> {
-    /// Refuses what cannot be held in memory; warns of what is much.
+    /// Refuses a computation that needs too much memory, and warns if it needs much.
     pub fn check(&self, scene: &Scene, watch: &Watch) -> Result<()> {
         let (subdivision, _) = self.cast.subdivision();
         let bytes = forecast::bytes(scene, Estimator::Pooled, Solver::Auto);
@@ -147,7 +147,7 @@ impl Job<'_> {
     }
 }
 
-/// Names the scene where the scene is to blame.
+/// Adds the name of the scene to an error that the scene causes.
 pub fn blame(file: &Path, error: Error) -> Error {
     match (&error, error.hint()) {
         (Error::NoEquilibrium, Some(hint)) => Error::input(file, None, error.to_string()).with_hint(hint),

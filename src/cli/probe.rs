@@ -30,12 +30,13 @@ use super::{
 /// Compute the irradiance at given points, with its standard error
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity probe room.obj --points desk.txt -o desk-light.txt\n\n\
-    A line of the points holds `x y z nx ny nz`, a line of the result `x y z nx ny nz Er Eg Eb SEr SEg SEb`: irradiance \
-    and its standard error in W/m2. By radiosity that is the error of the last bounce, not of the solution it reads.")]
+    Each line of the points is `x y z nx ny nz`. Each line of the result is `x y z nx ny nz Er Eg Eb SEr SEg SEb`: the \
+    irradiance and its standard error in W/m2. With --method radiosity the standard error covers the last bounce \
+    only, and not the solution.")]
 pub struct ProbeArgs {
     #[command(flatten)]
     scene: SceneArgs,
-    /// The points and the directions they face, a line `x y z nx ny nz` each
+    /// Points and their normals, one line `x y z nx ny nz` each
     #[arg(long, value_name = "FILE")]
     points: PathBuf,
     /// Write the result here instead of to stdout
@@ -44,17 +45,17 @@ pub struct ProbeArgs {
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
-    /// How light is followed
+    /// Method
     #[arg(long, value_enum, default_value_t = Method::Path)]
     method: Method,
-    /// Samples a point
+    /// Samples per point
     #[arg(long, value_name = "N", default_value_t = Effort::default().samples,
         value_parser = clap::value_parser!(u32).range(1..=1 << 30))]
     spp: u32,
-    /// Path tracing without looking at emitters: light counts only where a path runs into it
+    /// Path tracing without next event estimation: light counts only if a path hits an emitter
     #[arg(long)]
     no_next_event: bool,
-    /// Another seed casts other rays; the same gives the same bytes
+    /// Seed of the random numbers. The same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     #[command(flatten)]
@@ -65,9 +66,9 @@ pub struct ProbeArgs {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Method {
-    /// Paths from the points to the light
+    /// Path tracing from the points to the emitters
     Path,
-    /// A last bounce, gathered from the radiosity of patches
+    /// A radiosity solution, with the last bounce gathered by rays
     Radiosity,
 }
 
@@ -78,7 +79,7 @@ impl Method {
 }
 
 impl ProbeArgs {
-    /// Refuses options that the method has no use for.
+    /// Refuses options that have no effect with this method.
     fn check(&self) -> Result<()> {
         let foreign = match self.method {
             Method::Path => self.cast.given(),
@@ -87,7 +88,7 @@ impl ProbeArgs {
         let Some(option) = foreign else { return Ok(()) };
         let other = if self.method == Method::Path { "radiosity" } else { "path" };
         Err(Error::Usage {
-            message: format!("{option} is not for --method {}", self.method.name()),
+            message: format!("{option} has no effect with --method {}", self.method.name()),
             hint: Some(format!("leave it out, or use --method {other}")),
         })
     }
@@ -152,10 +153,10 @@ pub fn run(args: &ProbeArgs) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Rays of the last bounce, a sample: samples are many, and each sees another direction.
+/// Rays of the last bounce per sample. One is enough, because there are many samples and each takes another direction.
 const GATHER: u32 = 1;
 
-/// The irradiance of the probes, and how many patches it took.
+/// The irradiance of the probes, and the number of patches of the solution.
 fn estimate(
     args: &ProbeArgs,
     probes: &[Probe],

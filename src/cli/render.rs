@@ -32,38 +32,38 @@ use super::{
 /// Make a picture of a scene, by path tracing, light tracing or radiosity
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity render room.obj -o room.png --method path --spp 256\n\n\
-    In a .png radiance is multiplied by the exposure, clipped at white and encoded as sRGB; there is no other curve, \
-    and the same --white makes pictures comparable. A .exr or .hdr holds the radiance itself, W/(m2 sr).")]
+    In a .png the radiance is multiplied by the exposure, clipped at white and encoded as sRGB. There is no other tone \
+    curve, so pictures with the same --white are comparable. A .exr or .hdr holds the radiance itself in W/(m2 sr).")]
 pub struct RenderArgs {
     #[command(flatten)]
     scene: SceneArgs,
-    /// Write the picture: .png, .exr or .hdr
+    /// Write the picture to this file: .png, .exr or .hdr
     #[arg(short, long, value_name = "OUT.png|.exr|.hdr")]
     output: PathBuf,
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
-    /// How light is followed
+    /// Method
     #[arg(long, value_enum, default_value_t = Method::Path)]
     method: Method,
-    /// Samples a pixel: paths, or particles on average
+    /// Samples per pixel: paths, or the mean number of particles
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
     spp: u32,
-    /// Path tracing without looking at emitters: light counts only where a path runs into it
+    /// Path tracing without next event estimation: light counts only if a path hits an emitter
     #[arg(long)]
     no_next_event: bool,
-    /// With --method radiosity: gather the last bounce by N rays a sample, instead of smoothing the patches
+    /// With --method radiosity: gather the last bounce with N rays per sample, instead of interpolating between patches
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65536))]
     final_gather: Option<u32>,
     #[command(flatten)]
     camera: CameraArgs,
-    /// Make the picture brighter, by stops; negative is darker
+    /// Make the picture brighter by this number of stops. Negative is darker
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
-    /// Radiance to show as white, W/(m2 sr) [default: chosen by the picture]
+    /// Radiance that is shown as white, in W/(m2 sr) [default: automatic]
     #[arg(long, value_name = "RADIANCE", value_parser = white)]
     white: Option<f64>,
-    /// Another seed casts other rays; the same gives the same bytes
+    /// Seed of the random numbers. The same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     #[command(flatten)]
@@ -74,11 +74,11 @@ pub struct RenderArgs {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Method {
-    /// Paths from the camera to the light
+    /// Path tracing from the camera to the emitters
     Path,
-    /// Particles from the light to the camera
+    /// Light tracing from the emitters to the camera
     Light,
-    /// The radiosity of patches
+    /// A radiosity solution
     Radiosity,
 }
 
@@ -92,15 +92,16 @@ impl Method {
     }
 }
 
-/// Particles that a run of light tracing can number.
+/// Largest number of particles in a run of light tracing.
 const MOST_PARTICLES: u64 = 1 << 36;
 
 impl RenderArgs {
-    /// Refuses options that the method has no use for.
+    /// Refuses options that have no effect with this method.
     fn check(&self) -> Result<()> {
         let usage = |message: String, hint: &str| Err(Error::Usage { message, hint: Some(hint.into()) });
         if self.no_next_event && self.method == Method::Light {
-            let message = "light tracing needs next event estimation: no particle ever meets a pinhole";
+            let message =
+                "light tracing needs next event estimation, because no particle ever hits a pinhole";
             return usage(message.into(), "leave --no-next-event out, or use --method path");
         }
         let foreign = match self.method {
@@ -108,20 +109,23 @@ impl RenderArgs {
             _ => self.final_gather.map(|_| "--final-gather").or(self.cast.given()),
         };
         if let Some(option) = foreign {
-            let message = format!("{option} is not for --method {}", self.method.name());
+            let message = format!("{option} has no effect with --method {}", self.method.name());
             let other = if self.method == Method::Radiosity { "path" } else { "radiosity" };
             return usage(message, &format!("leave it out, or use --method {other}"));
         }
         Ok(())
     }
 
-    /// Refuses an exposure of a picture that holds radiance.
+    /// Refuses an exposure for a picture that holds radiance.
     fn check_exposure(&self, format: PictureFormat) -> Result<()> {
         let given = self.white.map(|_| "--white").or((self.exposure != 0.0).then_some("--exposure"));
         match given.filter(|_| format != PictureFormat::Png) {
             None => Ok(()),
             Some(option) => Err(Error::Usage {
-                message: format!("{option} is for .png: {} holds the radiance itself", self.output.display()),
+                message: format!(
+                    "{option} is for .png only: {} holds the radiance itself",
+                    self.output.display()
+                ),
                 hint: Some(format!("leave {option} out, or end the name in .png")),
             }),
         }
@@ -131,7 +135,7 @@ impl RenderArgs {
         Job { file: &self.scene.path, cast: &self.cast, seed: self.seed, limit: self.common.limit() }
     }
 
-    /// Refuses pictures that neither memory nor a day's work can hold.
+    /// Refuses pictures that need too much memory or too many particles.
     fn check_size(&self, camera: &Camera) -> Result<()> {
         let pixels = (camera.width() * camera.height()) as u64;
         self.common.limit().check_picture(pixels as f64, self.method == Method::Light)?;
@@ -144,7 +148,7 @@ impl RenderArgs {
         Ok(())
     }
 
-    /// What the picture's white is.
+    /// The exposure of the picture.
     fn exposure(&self, film: &Film) -> Exposure {
         self.white.map_or_else(|| film.automatic_exposure(), Exposure::of_white).brighter(self.exposure)
     }
@@ -214,7 +218,7 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// The picture, and how many patches it took.
+/// The picture, and the number of patches of the solution.
 fn picture(
     args: &RenderArgs,
     scene: &Scene,

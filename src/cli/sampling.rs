@@ -11,6 +11,7 @@ use radiosity::{
         solved::Solved,
     },
     form_factor::{CastOptions, Checkpoint, Estimator},
+    monte_carlo::Camera,
     output::{
         ply::{self, PlyOptions},
         report::Seconds,
@@ -23,24 +24,24 @@ use radiosity::{
 use super::{
     forecast::{self, Work},
     pipeline::blame,
-    solve::{Errors, SolveArgs},
+    solve::{Errors, SolveArgs, view},
     watch::Watch,
 };
 
-/// Patches to start with, where nobody chose any.
+/// Patches to start with, if no option sets their number.
 const FIRST_PATCHES: usize = 500;
-/// Patches that suffice where a time is given: more rays do more then. Half as many as preset, since they are small where light
-/// varies.
+/// Patches that are enough for `--time`: beyond these, more rays gain more. Half as many as the preset, because they are small
+/// where light varies.
 const ENOUGH_PATCHES: usize = 4000;
-/// Share of the time that may go by until they are known.
+/// Share of `--time` that may pass until the patches are chosen.
 const LATE: f64 = 0.2;
-/// Share of a wanted error that the patches' size may take; as errors add up by squares, the rays may take 0.87 of it.
+/// Share of `--error` that the discretisation error may take. Errors add up by squares, so sampling may take 0.87 of it.
 const OF_PATCHES: f64 = 0.5;
-/// Patches are made smaller so often at most: some are doubled each time.
+/// Largest number of times that the patches are refined.
 const MOST_CUTS: usize = 16;
-/// What they cost falls about with this power of their number where they are small where light varies.
+/// The discretisation error falls about with this power of the number of patches, if they are small where light varies.
 const RATE: f64 = 0.75;
-/// They grow in number at least so much each time.
+/// Their number grows at least by this factor each time.
 const LEAST_GROWTH: f64 = 1.2;
 
 /// A scene about to be sampled.
@@ -48,18 +49,20 @@ pub struct Sampling<'a> {
     pub args: &'a SolveArgs,
     pub scene: &'a Scene,
     pub tracer: &'a Tracer,
+    /// That of the picture, where one is wanted.
+    pub camera: Option<&'a Camera>,
     pub watch: &'a Watch,
-    /// Where rays are kept.
+    /// The store of rays.
     pub checkpoint: Option<Arc<Checkpoint>>,
-    /// How many patches there will be for one of a front.
+    /// Number of all patches relative to those of fronts.
     pub with_backs: f64,
 }
 
 /// The light, with its sampling errors.
 pub enum Answer {
-    /// By a matrix, with what that tells besides.
+    /// Found with a matrix, which also gives these errors.
     Matrix(Box<Solved>, Box<Errors>),
-    /// Without one.
+    /// Found without a matrix.
     Sweeps(Box<Patches>, Box<StochasticSolution>),
 }
 
@@ -78,7 +81,7 @@ impl Answer {
         }
     }
 
-    /// Of irradiance.
+    /// Standard error of irradiance.
     pub fn standard_error(&self) -> &[f64] {
         match self {
             Answer::Matrix(solved, _) => &solved.error_bars.standard_error,
@@ -86,7 +89,7 @@ impl Answer {
         }
     }
 
-    /// What only a matrix tells.
+    /// The errors that only a matrix gives.
     pub fn errors(&self) -> Option<&Errors> {
         match self {
             Answer::Matrix(_, errors) => Some(errors),
@@ -95,22 +98,22 @@ impl Answer {
     }
 }
 
-/// Patches that were chosen by the light,
+/// Patches that were refined where light varies.
 struct SmallPatches {
     patches: Patches,
-    /// the error that they leave, where that can be told,
+    /// Their discretisation error, if it is known.
     floor: Option<f64>,
-    /// and the first round with them.
+    /// The first round with them.
     first: Option<(Solved, Round)>,
 }
 
-/// What came of it.
+/// The result of the sampling.
 pub struct Sampled {
     pub answer: Answer,
     pub rounds: Vec<Round>,
-    /// Who chose the patches.
+    /// Where the choice of the patches came from.
     pub chosen: String,
-    /// The error that they leave, where the light chose them and that could be told.
+    /// Their discretisation error, if they were refined where light varies and if it is known.
     pub floor: Option<f64>,
 }
 
@@ -130,8 +133,7 @@ impl Sampling<'_> {
             (SmallPatches { patches: small, floor, first }, searching) =
                 self.watch.stage("patches", || self.small_enough(wanted, start))?;
             let adaptive = small.is_restricted();
-            chosen =
-                if adaptive { "smaller where light varies" } else { "as small as they should be" }.into();
+            chosen = if adaptive { "smaller where light varies" } else { "as small as needed" }.into();
             adapted = Some(small);
         }
         if let (Some(wanted), true) = (wanted, adapted.is_some()) {
@@ -148,7 +150,7 @@ impl Sampling<'_> {
             CastOptions::default().with_rays(rays).with_estimator(args.estimator()).with_seed(args.seed);
         let usable = with_matrix && cast.estimator == Estimator::Pooled;
         let first = first.filter(|_| usable);
-        // A round that is gone on from counts as one.
+        // A first round that is continued counts as a round.
         let kept = first.as_ref().map_or(0.0, |(_, round)| round.elapsed);
         times.subdivide = searching - kept + subdivide;
         let before = start.elapsed().as_secs_f64() - kept;
@@ -157,15 +159,15 @@ impl Sampling<'_> {
             .with_seconds(args.time.map(|seconds| seconds - before))
             .with_most_rays((in_rounds && with_matrix).then(|| args.common.limit().most_rays(count, &bytes)));
         let (answer, rounds) = match with_matrix {
-            // Where the patches were chosen by the light, it was said what they leave.
+            // If the patches were refined, their discretisation error has been reported already.
             true => self.by_matrix(patches, first, &cast, plan, wanted.filter(|_| floor.is_none()), times)?,
             false => self.sweep(patches, rays, &plan, times)?,
         };
         Ok(Sampled { answer, rounds, chosen, floor })
     }
 
-    /// Casts and solves for as long as the plan says, from the first round if there is one. Says if the patches are too large for
-    /// an error of `wanted`.
+    /// Casts and solves until the plan is fulfilled, continuing the first round if there is one. Warns if the patches are too large
+    /// for an error of `wanted`.
     fn by_matrix(
         &self,
         patches: Patches,
@@ -204,7 +206,7 @@ impl Sampling<'_> {
             times.solve += seconds;
             return Ok((Answer::Matrix(Box::new(solved), Box::new(errors)), rounds));
         }
-        // What was cast cannot be used: sweeps meet other light.
+        // The rays cannot be used again, because sweeps carry other light.
         let Solved { patches, .. } = solved;
         let plan = plan.with_most_rays(None).with_seconds(plan.seconds.map(|seconds| seconds - all));
         let swept = self.sweep(patches, FIRST_RAYS, &plan, times)?;
@@ -212,7 +214,7 @@ impl Sampling<'_> {
         Ok(swept)
     }
 
-    /// Bytes with a matrix for so many patches of fronts.
+    /// Bytes with a matrix, for a number of patches of fronts.
     fn bytes(&self, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
         let (bytes, with_backs) =
             (forecast::bytes(self.scene, estimator, self.args.solve_options().solver), self.with_backs);
@@ -237,10 +239,14 @@ impl Sampling<'_> {
         blame(&self.args.scene.path, error)
     }
 
-    /// How long all takes that comes after the last round, were this the last: it is done for once.
+    /// Seconds for everything after the last round, measured by doing it once.
     fn seconds_after(&self, solved: &Solved) -> Result<f64> {
         let start = Instant::now();
         self.errors(solved)?;
+        if let Some(camera) = self.camera {
+            let light = (&solved.patches, (&solved.solution).into());
+            view(camera, (self.scene, self.tracer), light, self.watch.progress())?;
+        }
         if let Some(path) = &self.args.output {
             let (patches, light) = (&solved.patches, &solved.solution);
             let options = PlyOptions::default().with_standard_errors(Some(&solved.error_bars.standard_error));
@@ -250,7 +256,7 @@ impl Sampling<'_> {
         Ok(start.elapsed().as_secs_f64())
     }
 
-    /// Patches small enough for a wanted error, or for the time there is, smaller where light varies.
+    /// Patches that are small enough for the wanted error or the given time, smaller where light varies.
     fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<SmallPatches> {
         let cast = CastOptions::default().with_rays(FIRST_RAYS).with_seed(self.args.seed);
         let progress = self.watch.progress();
@@ -258,7 +264,7 @@ impl Sampling<'_> {
         let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
         let mut floor = None;
         if !limit.allows(bytes(patches.fronts() as f64, FIRST_RAYS)) {
-            // Not even to look where light varies.
+            // Memory is too small even to find out where light varies.
             return Ok(SmallPatches { patches, floor: None, first: None });
         }
         let mut first = None;
@@ -277,7 +283,7 @@ impl Sampling<'_> {
             }
             let finer = match floor {
                 Some(_) => adaptive::finer(self.scene, solved, solution, growth.max(LEAST_GROWTH)),
-                // Whole triangles do not tell where light varies.
+                // One patch per triangle does not show where light varies.
                 None => Patches::subdivide(self.scene, &Subdivision::Count(4 * patches.fronts())),
             };
             let grown = finer.fronts() > patches.fronts();
@@ -292,7 +298,7 @@ impl Sampling<'_> {
             && floor > wanted
         {
             self.watch.warn(&format!(
-                "{:.2} % is out of reach: the smallest patches that can be held leave about {:.2} % themselves",
+                "{:.2} % is out of reach: the smallest patches that fit into memory have a discretisation error of about {:.2} %",
                 100.0 * wanted,
                 100.0 * floor
             ));
@@ -300,13 +306,13 @@ impl Sampling<'_> {
         Ok(SmallPatches { patches, floor, first })
     }
 
-    /// Says that the patches someone chose are too large for the error that he wants.
+    /// Warns if the patches that the options chose are too large for the wanted error.
     fn warn_of_patches(&self, solved: &Solved, wanted: f64) -> Result<()> {
         let Solved { patches, form_factors, solution, .. } = solved;
         let found = Discretisation::of(form_factors, patches, solution, self.watch.progress())?;
         if let Some(found) = found.filter(|d| d.relative > wanted) {
             self.watch.warn(&format!(
-                "patches of this size leave about {:.2} % themselves, which no ray lowers: leave {} out",
+                "patches of this size have a discretisation error of about {:.2} %, which more rays do not reduce: leave {} out",
                 100.0 * found.relative,
                 self.args.cast.given().unwrap_or("--patches")
             ));
@@ -314,11 +320,11 @@ impl Sampling<'_> {
         Ok(())
     }
 
-    /// Tells how far a round came.
+    /// Prints what a round reached.
     pub fn tell(&self, plan: &Plan, rounds: &[Round]) {
         let [.., round] = rounds else { return };
         let mut line = format!(
-            "round {}: {:.0} rays a patch, error {:.3} %, {:.2} s",
+            "round {}: {:.0} rays per patch, error {:.3} %, {:.2} s",
             rounds.len(),
             round.rays,
             100.0 * round.error,
@@ -327,7 +333,8 @@ impl Sampling<'_> {
         let target = plan.error.filter(|&target| round.error > target);
         if let (Some(target), Some(rays)) = (target, plan.forecast(rounds)) {
             let left = round.elapsed * (rays / round.rays - 1.0);
-            line += &format!("; {:.3} % needs about {rays:.0} rays, {left:.1} s more", 100.0 * target);
+            line +=
+                &format!("; {:.3} % needs about {rays:.0} rays per patch, {left:.1} s more", 100.0 * target);
             if plan.most_rays.is_some_and(|most| rays > most) {
                 line += ": out of reach of memory";
             }

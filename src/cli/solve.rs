@@ -1,6 +1,7 @@
 //! `radiosity solve`: radiosity of every patch.
 
 use std::{
+    f64::consts::PI,
     path::{Path, PathBuf},
     sync::Arc,
     time::Instant,
@@ -14,14 +15,16 @@ use radiosity::{
     },
     energy::EnergyLedger,
     form_factor::{Checkpoint, Estimator},
+    monte_carlo::{Camera, Film, RenderOptions},
     output::{
         exposure,
         file::{OutputFile, Pending},
-        gltf,
+        gltf, picture,
         ply::{self, PlyOptions},
         report::{ErrorReport, OptionsReport, RoundReport, Seconds, SolveReport, peak_bytes, seconds},
     },
-    solve::{SolveOptions, Solver, stochastic_jacobi},
+    patch::Patches,
+    solve::{Light, SolveOptions, Solver, stochastic_jacobi},
     tone::Exposure,
     trace::Tracer,
 };
@@ -38,16 +41,27 @@ use super::{
 /// Share of the emitted power that rounding may lose in the sums of the energy ledger.
 const ROUNDING: f64 = 1e-9;
 
+/// Pixels of `--picture`, as `render` has them by default.
+const PICTURE_WIDTH: usize = 640;
+const PICTURE_HEIGHT: usize = 480;
+/// Samples of each. They smooth the edges; the light itself is free of noise.
+const PICTURE_SAMPLES: u32 = 8;
+
 /// Compute the radiosity of every patch of a scene
 #[derive(Args)]
-#[command(after_help = "Example:\n  radiosity solve room.obj -o room.ply --report room.json --quality high")]
+#[command(
+    after_help = "Example:\n  radiosity solve room.obj -o room.ply --picture room.png --report room.json"
+)]
 pub struct SolveArgs {
     #[command(flatten)]
     pub scene: SceneArgs,
     /// Write a coloured mesh: binary PLY with all figures, or glTF with colours at its vertices
     #[arg(short, long, value_name = "OUT.ply|.glb")]
     pub output: Option<PathBuf>,
-    /// Write both sides of each patch that rays met on both, not only the side that has more light
+    /// Write a picture of the solution that frames the scene; `render` has a camera and a final gather
+    #[arg(long, value_name = "OUT.png|.exr|.hdr")]
+    pub picture: Option<PathBuf>,
+    /// Write both sides of each patch to the mesh. Without this option, the side with more light is written
     #[arg(long, requires = "output")]
     backs: bool,
     /// Write all figures as JSON
@@ -55,31 +69,32 @@ pub struct SolveArgs {
     report: Option<PathBuf>,
     #[command(flatten)]
     pub cast: CastArgs,
-    /// Algorithm for the linear system; auto takes cg for pooled form factors, else gauss-seidel, and stochastic-jacobi, with a
-    /// warning, where memory does not hold a matrix: it casts new rays for each iteration and needs none
+    /// Solver of the linear system. `auto` takes cg for pooled form factors and gauss-seidel for one-way ones. If the matrix does
+    /// not fit into memory, it warns and takes stochastic-jacobi, which casts new rays in each iteration instead
     #[arg(long, value_enum, default_value_t = SolverName::Auto)]
     solver: SolverName,
     /// Relative residual to reach [default: 1e-10]
     #[arg(long, value_name = "T", value_parser = below_one)]
     tolerance: Option<f64>,
-    /// Form factors from the rays of both patches, reciprocal and closed, or from the rays of one: the baseline
+    /// `pooled` form factors use the rays of both patches of a pair; they are reciprocal and closed. `one-way` form factors use the
+    /// rays of one patch; they are a baseline for comparison
     #[arg(long, value_enum, default_value_t = EstimatorName::Pooled)]
     estimator: EstimatorName,
-    /// Make vertex colours brighter than automatic exposure does, by stops; negative is darker
+    /// Make vertex colours and the picture brighter by this number of stops. Negative is darker
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
-    /// Keep sampling until the estimated RMS error of irradiance is at most so many percent of its mean; unless patches are
-    /// chosen too, they are made small enough for it
+    /// Sample until the estimated RMS error of irradiance is at most this percentage of its mean. Patches are made small enough
+    /// too, unless an option sets them
     #[arg(long, value_name = "PERCENT", value_parser = percent, conflicts_with = "rays")]
     pub error: Option<f64>,
-    /// Sample for as many seconds as this, and give the best answer by then
+    /// Sample for this number of seconds, and give the best answer by then
     #[arg(long, value_name = "SECONDS", value_parser = seconds_given, conflicts_with = "rays")]
     pub time: Option<f64>,
-    /// Keep what rays meet in this file as they are cast. After a stop or a kill the same command goes on from it, to the same
-    /// result. The file stays: more --rays or a lower --error go on from it too
+    /// Keep the hits of all rays in this file. After an interruption, the same command continues from it and reaches the same
+    /// result. The file also serves a run with more --rays or a lower --error
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Another seed casts other rays; the same gives the same bytes
+    /// Seed of the random numbers. The same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub seed: u64,
     #[command(flatten)]
@@ -111,7 +126,7 @@ impl SolveArgs {
         }
     }
 
-    /// How to solve where there is a matrix.
+    /// How to solve with a matrix.
     pub fn solve_options(&self) -> SolveOptions {
         let solver = match self.solver {
             SolverName::Auto | SolverName::StochasticJacobi => Solver::Auto,
@@ -125,12 +140,12 @@ impl SolveArgs {
         default.with_solver(solver).with_tolerance(self.tolerance.unwrap_or(default.tolerance))
     }
 
-    /// Whether no matrix is wanted.
+    /// Whether the solver without a matrix was chosen.
     pub fn without_matrix(&self) -> bool {
         matches!(self.solver, SolverName::StochasticJacobi)
     }
 
-    /// The first of the options given that nothing but a matrix can honour.
+    /// The first of the given options that needs a matrix.
     pub fn needs_matrix(&self) -> Option<&'static str> {
         [
             (!matches!(self.solver, SolverName::Auto | SolverName::StochasticJacobi), "--solver"),
@@ -142,7 +157,7 @@ impl SolveArgs {
         .find_map(|(given, name)| given.then_some(name))
     }
 
-    /// What lowers errors, on top of what was asked for.
+    /// Which options would reduce the errors further.
     fn advice(&self) -> summary::Advice {
         let sampling = match (self.error, self.time) {
             (_, Some(_)) => "a longer --time",
@@ -157,7 +172,7 @@ impl SolveArgs {
         summary::Advice { sampling, patches }
     }
 
-    /// Refuses combinations that would only fail after hours.
+    /// Refuses combinations of options that would fail only after the work.
     fn check(&self) -> Result<()> {
         if matches!((self.solver, self.estimator), (SolverName::Cg, EstimatorName::OneWay)) {
             return Err(Error::Usage {
@@ -169,22 +184,33 @@ impl SolveArgs {
             None => Ok(()),
             Some(option) => Err(Error::Usage {
                 message: format!(
-                    "{option} is of no use with --solver {}: it keeps no form factors",
+                    "{option} has no effect with --solver {}, which stores no form factors",
                     stochastic_jacobi::NAME
                 ),
-                hint: Some(format!("leave out {option}, or take another solver")),
+                hint: Some(format!("leave {option} out, or use another solver")),
             }),
         }
     }
 }
 
-/// What was computed.
+/// The solution, and everything that belongs to it.
 struct Computed {
     scene: Scene,
+    tracer: Tracer,
+    /// For the picture, where one is wanted.
+    camera: Option<Camera>,
     answer: Answer,
     rounds: Vec<Round>,
     chosen: String,
     error: ErrorReport,
+}
+
+impl Computed {
+    fn view(&self, progress: &Progress) -> Result<Option<Film>> {
+        let light = (self.answer.patches(), self.answer.light());
+        let scene = (&self.scene, &self.tracer);
+        self.camera.as_ref().map(|camera| view(camera, scene, light, progress)).transpose()
+    }
 }
 
 /// Runs the command.
@@ -193,7 +219,7 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
     match &args.checkpoint {
         Some(path) if matches!(result, Err(Error::Stopped)) && path.exists() => {
             to_stderr(format_args!(
-                "{} keeps what was cast: the same command goes on from there",
+                "{} holds the rays cast so far: the same command continues from there",
                 path.display()
             ));
         }
@@ -206,10 +232,15 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     let start = Instant::now();
     args.check()?;
     let mesh = args.output.as_ref().map(|path| outputs::mesh(path, &args.scene.path)).transpose()?;
+    let picture = args.picture.as_ref().map(|path| outputs::picture(path, &args.scene.path)).transpose()?;
     let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
     let checkpoint =
         args.checkpoint.as_ref().map(|path| outputs::checkpoint(path, &args.scene.path)).transpose()?;
-    let files: Vec<_> = [&mesh, &report_file, &checkpoint].into_iter().flatten().collect();
+    let picture_file = picture.as_ref().map(|(file, _)| file);
+    let files: Vec<_> = [mesh.as_ref(), picture_file, report_file.as_ref(), checkpoint.as_ref()]
+        .into_iter()
+        .flatten()
+        .collect();
     outputs::check_distinct(&files)?;
     args.common.start_threads()?;
 
@@ -218,12 +249,21 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     let computed = compute(args, &files, &watch, start, &mut times)?;
     let (patches, light) = (computed.answer.patches(), computed.answer.light());
     let exposure = exposure::of_radiosity(patches, light.radiosity).brighter(args.exposure);
+    let (film, drawing) = watch.stage("picture", || computed.view(watch.progress()))?;
     watch.begin_writing();
     let mut pending = Vec::new();
     let written;
-    (written, times.output) = watch
-        .stage("writing", || mesh.map(|file| write_mesh(args, file, &computed, exposure)).transpose())?;
+    (written, times.output) = watch.stage("writing", || {
+        let picture = picture.zip(film).map(|((file, format), film)| {
+            // Radiance is radiosity over π: the same white as in the mesh.
+            let exposure = Exposure::of_white(exposure.white() / PI);
+            file.write(|out| film.encode(out, format, exposure))
+        });
+        let mesh = mesh.map(|file| write_mesh(args, file, &computed, exposure));
+        picture.into_iter().chain(mesh).collect::<Result<Vec<_>>>()
+    })?;
     pending.extend(written);
+    times.output += drawing;
 
     let mut report = report_of(args, &computed, exposure);
     times.total = seconds(start.elapsed());
@@ -232,11 +272,11 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     pending.extend(report_file.map(|file| file.write(|out| report.write(out))).transpose()?);
 
     watch.progress().check()?;
-    // All is on the disk already: from here only names change.
+    // Everything is on the disk already. From here on only names change.
     Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
-        let names = outputs::names(&[&args.output, &args.report]);
+        let names = outputs::names(&[&args.output, &args.picture, &args.report]);
         to_stdout(&summary::table(&report, patches, &computed.chosen, args.advice(), args.exposure, &names))?;
     }
     Ok(verdict(args, &report, &computed))
@@ -250,9 +290,18 @@ fn compute(
     times: &mut Seconds,
 ) -> Result<Computed> {
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
+    let camera = args.picture.as_ref().map(|_| camera(&scene, &tracer, watch)).transpose()?;
     let checkpoint = args.checkpoint.as_ref().map(|path| open(path, &scene, args, watch)).transpose()?;
     let with_backs = forecast::with_backs(&scene, &tracer, args.seed);
-    let sampling = Sampling { args, scene: &scene, tracer: &tracer, watch, checkpoint, with_backs };
+    let sampling = Sampling {
+        args,
+        scene: &scene,
+        tracer: &tracer,
+        camera: camera.as_ref(),
+        watch,
+        checkpoint,
+        with_backs,
+    };
     let Sampled { answer, rounds, chosen, floor } = sampling.run(start, times)?;
     let told = answer.errors();
     let error = ErrorReport {
@@ -266,13 +315,34 @@ fn compute(
         solver_relative: told.and_then(|errors| errors.solver),
         ..ErrorReport::default()
     };
-    Ok(Computed { scene, answer, rounds, chosen, error })
+    Ok(Computed { scene, tracer, camera, answer, rounds, chosen, error })
 }
 
-/// What is told of a solution once no more rays are cast.
+/// The camera that frames the scene. One that sees nothing is refused before the work.
+fn camera(scene: &Scene, tracer: &Tracer, watch: &Watch) -> Result<Camera> {
+    let camera = Camera::frame(scene, tracer, PICTURE_WIDTH, PICTURE_HEIGHT)?;
+    let hint = "leave --picture out, and give `render` an --eye and --look-at";
+    if let Some(warning) = camera.check(tracer).map_err(|error| error.with_hint(hint))? {
+        watch.warn(&warning);
+    }
+    Ok(camera)
+}
+
+/// A picture of a solution.
+pub fn view(
+    camera: &Camera,
+    (scene, tracer): (&Scene, &Tracer),
+    light: (&Patches, Light),
+    progress: &Progress,
+) -> Result<Film> {
+    let options = RenderOptions::default().with_samples(PICTURE_SAMPLES);
+    picture::smooth(scene, tracer, light, camera, &options, progress)
+}
+
+/// The errors that are computed once all rays are cast.
 pub struct Errors {
     energy: EnergyLedger,
-    /// Relative to the mean irradiance, as is the bound on what the solver left.
+    /// Relative to the mean irradiance, as is the bound on the error of the solver.
     bias: Option<f64>,
     solver: Option<f64>,
     discretisation: Option<Discretisation>,
@@ -287,7 +357,7 @@ impl Errors {
     ) -> Result<Errors> {
         let Solved { patches, form_factors, solution, .. } = solved;
         let unit = vec![1.0; solution.irradiance.len()];
-        // One W/m2 relative to the mean irradiance; zero in the dark.
+        // One W/m2 relative to the mean irradiance. Zero if nothing is lit.
         let unit = relative_rms(&unit, &solution.irradiance, form_factors.areas());
         Ok(Errors {
             energy: EnergyLedger::of(form_factors, patches, solution),
@@ -298,7 +368,7 @@ impl Errors {
     }
 }
 
-/// All figures but times and memory.
+/// All figures except times and memory.
 fn report_of(args: &SolveArgs, computed: &Computed, exposure: Exposure) -> SolveReport {
     let Computed { scene, answer, rounds, .. } = computed;
     let mut options = OptionsReport {
@@ -324,12 +394,12 @@ fn report_of(args: &SolveArgs, computed: &Computed, exposure: Exposure) -> Solve
     report
 }
 
-/// Opens a checkpoint and says what is in it.
+/// Opens a checkpoint and prints what it holds.
 fn open(path: &Path, scene: &Scene, args: &SolveArgs, watch: &Watch) -> Result<Arc<Checkpoint>> {
     let checkpoint = Checkpoint::open(path, scene, args.seed)?;
     if checkpoint.torn() > 0 {
         watch.warn(&format!(
-            "{}: cut off the last {} bytes, which the end of an earlier run left incomplete",
+            "{}: removed the last {} bytes, which an interrupted run left incomplete",
             path.display(),
             checkpoint.torn()
         ));
@@ -365,15 +435,15 @@ fn write_mesh(
     file.write(|out| ply::encode(out, scene, answer.patches(), answer.light(), &options))
 }
 
-/// Whether form factors are shares, and the energy balances. Form factors from one side never do: that is what they are there to show.
-/// Without a matrix what the rays miss has to be within its error.
+/// Checks that form factors lie in 0 to 1 and that the energy balances. One-way form factors are exempt from the balance: as a
+/// baseline they show what happens without reciprocity. Without a matrix the imbalance must be within its standard error.
 fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outcome {
     let rounding = computed.answer.errors().map_or(0.0, |errors| errors.energy.rounding());
     let allowed = ROUNDING + args.solve_options().tolerance + 64.0 * rounding;
     let (imbalance, strays) = (report.energy.imbalance, report.form_factors.out_of_range);
     match args.estimator {
         _ if !report.solve.converged => Outcome::CheckFailed(format!(
-            "{}: the energy does not balance: rays miss {} of what is emitted, with a standard error of {}",
+            "{}: the energy does not balance: {} of the emitted power is missing, with a standard error of {}",
             report.scene.file,
             summary::small(report.energy.sampled_imbalance),
             summary::small(report.energy.sampled_imbalance_error)
@@ -384,7 +454,7 @@ fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outco
         // Also true of NaN.
         EstimatorName::Pooled if imbalance.abs().partial_cmp(&allowed).is_none_or(|o| o.is_gt()) => {
             Outcome::CheckFailed(format!(
-                "{}: the energy does not balance: {imbalance:.3e} of what is emitted is missing, {allowed:.1e} is allowed",
+                "{}: the energy does not balance: {imbalance:.3e} of the emitted power is missing, {allowed:.1e} is allowed",
                 report.scene.file
             ))
         }
@@ -392,17 +462,17 @@ fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outco
     }
 }
 
-/// Whether the error that was asked for was reached: by the rays, and by the patches unless someone chose those.
+/// Checks whether `--error` was reached: by the sampling error, and by the discretisation error unless an option sets the patches.
 fn target_verdict(args: &SolveArgs, report: &SolveReport) -> Outcome {
     let ErrorReport { target: Some(target), rms_relative, discretisation_relative, .. } = report.error else {
         return Outcome::Done;
     };
     let of_patches = discretisation_relative.filter(|_| args.cast.given_patches().is_none());
-    let parts = [("sampling error", rms_relative), ("error of the patches' size", of_patches)];
+    let parts = [("sampling error", rms_relative), ("discretisation error", of_patches)];
     let missed = parts.into_iter().find_map(|(name, error)| Some((name, error.filter(|e| !(*e <= target))?)));
     missed.map_or(Outcome::Done, |(name, error)| {
         let (error, target) = (100.0 * error, 100.0 * target);
         let file = &report.scene.file;
-        Outcome::CheckFailed(format!("{file}: the {name} is {error:.2} %, {target:.2} % was asked for"))
+        Outcome::CheckFailed(format!("{file}: the {name} is {error:.2} %, but {target:.2} % was wanted"))
     })
 }

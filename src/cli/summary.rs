@@ -1,4 +1,4 @@
-//! The short table on stdout.
+//! The summary on stdout.
 
 use std::fmt::Write;
 
@@ -11,13 +11,13 @@ use radiosity::{
     patch::Patches,
 };
 
-/// What lowers an error, after what was asked for.
+/// Which options reduce an error, given the options in use.
 pub struct Advice {
     pub sampling: &'static str,
     pub patches: &'static str,
 }
 
-/// The figures of a solution that people want to see.
+/// The main figures of a solution.
 pub fn table(
     report: &SolveReport,
     patches: &Patches,
@@ -42,8 +42,8 @@ pub fn table(
     );
     let mean = factors.rays as f64 / scene.patches as f64;
     let escaped = 100.0 * factors.escaped_fraction;
-    row("rays", format!("{} ({mean:.0} a patch), {escaped:.2} % escaped", factors.rays));
-    // Sweeps are both.
+    row("rays", format!("{} ({mean:.0} per patch), {escaped:.2} % escaped", factors.rays));
+    // Without a matrix, casting and solving are one.
     let casting = seconds.form_factors + if solve.residual.is_none() { seconds.solve } else { 0.0 };
     let (bytes, rate) = (memory(factors.bytes as f64), factors.rays as f64 / casting.max(1e-6));
     match solve.residual {
@@ -52,7 +52,7 @@ pub fn table(
             let non_zeros = factors.non_zeros;
             row("form factors", format!("{non_zeros} non-zeros, {bytes}, {estimator}, {rate:.2e} rays/s"));
             let bound =
-                solve.error_bound.map_or("without a bound".into(), |b| format!("within {b:.1e} W/m2"));
+                solve.error_bound.map_or("no error bound".into(), |b| format!("error below {b:.1e} W/m2"));
             row(
                 "solver",
                 format!(
@@ -63,7 +63,7 @@ pub fn table(
             );
         }
         None => {
-            row("form factors", format!("none kept, {rate:.2e} rays/s"));
+            row("form factors", format!("not stored, {rate:.2e} rays/s"));
             row("solver", format!("{}, {} without a matrix", solve.solver, count(solve.iterations, "sweep")));
         }
     }
@@ -80,27 +80,27 @@ pub fn table(
         (Some(sampled), Some(error)) => format!("{sampled:+.1e} as sampled, standard error {error:.1e}"),
         _ => format!("solver {}, reciprocity {}", small(energy.solver_part), small(energy.reciprocity_part)),
     };
-    row("imbalance", format!("{} of what is emitted: {parts}", small(Some(energy.imbalance))));
+    row("imbalance", format!("{} of the emitted power: {parts}", small(Some(energy.imbalance))));
     let ErrorReport { rms_relative, bias_relative, discretisation_relative, solver_relative, .. } =
         report.error;
     let percent = |x: Option<f64>| x.map_or("unknown".into(), |x| format!("{:.2} %", rounded(100.0 * x, 2)));
     row(
         "error",
         format!(
-            "sampling {} (RMS; bias {}), patches {}, solver {}: estimates, of the mean irradiance",
+            "sampling {} (RMS; bias {}), discretisation {}, solver {}; estimates relative to the mean irradiance",
             percent(rms_relative),
             percent(bias_relative),
             percent(discretisation_relative),
             solver_relative.map_or("unknown".into(), |x| format!("{x:.0e}")),
         ),
     );
-    // Beside one that is not known none is the largest.
+    // If one is unknown, the largest is unknown too.
     if let (Some(sampling), Some(size), Some(left)) = (rms_relative, discretisation_relative, solver_relative)
     {
         let parts = [
-            (sampling, format!("sampling: {} lowers it", advice.sampling)),
-            (size, format!("that of the patches: {} lowers it", advice.patches)),
-            (left, "the solver's: a lower --tolerance lowers it".into()),
+            (sampling, format!("sampling: {} reduces it", advice.sampling)),
+            (size, format!("discretisation: {} reduces it", advice.patches)),
+            (left, "solver: a lower --tolerance reduces it".into()),
         ];
         let largest = parts.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
         largest.into_iter().for_each(|(_, what)| row("largest error", what));
@@ -120,7 +120,7 @@ fn times(s: &Seconds) -> String {
 
 /// The figures of a picture.
 pub fn picture(report: &SamplingReport, fixed: bool, stops: f64, written: &str) -> String {
-    let mut text = sampled(report, "a pixel");
+    let mut text = sampled(report, "per pixel");
     if let Some(picture) = &report.picture {
         let [eye, look_at, up] =
             [picture.eye, picture.look_at, picture.up].map(|p| p.map(|x| format!("{x:.6}")).join(","));
@@ -140,7 +140,7 @@ pub fn picture(report: &SamplingReport, fixed: bool, stops: f64, written: &str) 
 
 /// The figures of probes.
 pub fn probes(report: &SamplingReport, written: &str) -> String {
-    let mut text = sampled(report, "a point");
+    let mut text = sampled(report, "per point");
     if let Some(probes) = &report.probes {
         let [r, g, b] = probes.mean_irradiance;
         let error = 100.0 * probes.rms_relative;
@@ -164,8 +164,8 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
         format!("{}: {}, {} patches", scene.file, count(scene.triangles, "triangle"), scene.patches),
     );
     let whose = match &atlas.refused {
-        None => "the file's texture coordinates".to_owned(),
-        Some(why) => format!("new texture coordinates (the file's: {why})"),
+        None => "texture coordinates of the file".to_owned(),
+        Some(why) => format!("new texture coordinates (those of the file: {why})"),
     };
     row(
         "map",
@@ -190,13 +190,13 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
     row(
         "flux",
         format!(
-            "{:+.4} % from the solver's, standard error {sampling:.4} %",
+            "differs by {:+.4} % from the solution, standard error {sampling:.4} %",
             rounded(100.0 * flux.relative_difference, 4)
         ),
     );
     if let Some(error) = report.rms_relative {
         let rays = options.map.final_gather;
-        row("error", format!("{:.2} % RMS a texel from {rays} rays of the final gather", 100.0 * error));
+        row("error", format!("{:.2} % RMS per texel, with {rays} rays of the final gather", 100.0 * error));
     }
     for step in &report.steps {
         row(step.name, format!("changed the flux by {:+.4} %", rounded(100.0 * step.relative, 4)));
@@ -243,7 +243,7 @@ fn sampled(report: &SamplingReport, each: &str) -> String {
         let _ = write!(method, ", {patches} patches");
     }
     if let Some(rays) = report.final_gather {
-        let _ = write!(method, ", final gather of {rays} rays a sample");
+        let _ = write!(method, ", final gather of {rays} rays per sample");
     }
     row(&mut text, "method", &method);
     text
@@ -261,24 +261,24 @@ fn finish(mut text: String, report: &SamplingReport, written: &str) -> String {
     text
 }
 
-/// A figure by its order of magnitude.
+/// A figure with two digits and its order of magnitude.
 pub fn small(x: Option<f64>) -> String {
-    // Zero has no sign.
+    // Adding zero removes the sign of -0.
     x.map_or("unknown".into(), |x| format!("{:.1e}", x + 0.0))
 }
 
-/// Rounded to so many decimals, so that what is shown as zero has no sign.
+/// Rounded to a number of decimals. A value that is shown as zero has no sign.
 pub fn rounded(x: f64, decimals: i32) -> f64 {
     let unit = 10f64.powi(decimals);
     (x * unit).round() / unit + 0.0
 }
 
-/// So many of these.
+/// A number and its noun, in singular or plural.
 pub fn count(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
 
-/// A number of bytes for people.
+/// A number of bytes with a unit.
 pub fn memory(bytes: f64) -> String {
     let units = ["bytes", "KiB", "MiB", "GiB", "TiB"];
     let mut unit = 0;
@@ -293,7 +293,7 @@ pub fn memory(bytes: f64) -> String {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn memory_is_told_in_the_unit_that_fits() {
+    fn memory_is_shown_in_a_fitting_unit() {
         assert_eq!(super::memory(1000.0), "1000 bytes");
         assert_eq!(super::memory(1536.0), "1.5 KiB");
         assert_eq!(super::memory(3.0 * 1024f64.powi(3)), "3.0 GiB");

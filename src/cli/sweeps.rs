@@ -1,4 +1,4 @@
-//! `solve` without a matrix, where none fits or none is wanted.
+//! `solve` without a matrix, if none fits into memory or none is wanted.
 
 use std::time::Instant;
 
@@ -22,8 +22,8 @@ use super::{
 };
 
 impl Sampling<'_> {
-    /// Whether the matrix of this work may be held and is wanted; `false` where it is done without. Refuses what can be done
-    /// neither way, and what fits only without a matrix where an option wants one.
+    /// Whether to solve with a matrix. Refuses work that fits in neither way, and work that fits only without a matrix if an
+    /// option needs one.
     pub fn holds_matrix(&self, work: &Work) -> Result<bool> {
         let (limit, args) = (self.args.common.limit(), self.args);
         let without = self.bytes_without_matrix();
@@ -41,7 +41,7 @@ impl Sampling<'_> {
         let Some(option) = args.needs_matrix() else {
             limit.check(&swept).map_err(even_without)?;
             let bytes = summary::memory(bytes);
-            self.watch.warn(&format!("{refusal}: solving without a matrix, which takes about {bytes}"));
+            self.watch.warn(&format!("{refusal}; solving without a matrix, which takes about {bytes}"));
             return Ok(false);
         };
         if !limit.allows(bytes) {
@@ -53,23 +53,23 @@ impl Sampling<'_> {
         Err(refusal.with_hint(hint))
     }
 
-    /// Bytes without a matrix for so many patches of fronts.
+    /// Bytes without a matrix, for a number of patches of fronts.
     fn bytes_without_matrix(&self) -> impl Fn(f64, f64) -> f64 {
         move |fronts, _| without_matrix(self.scene, self.with_backs * fronts)
     }
 
-    /// Whether what no matrix in memory reaches is worth starting anew without one.
+    /// Whether to start again without a matrix, because memory holds no matrix of enough rays.
     pub fn goes_on_without_matrix(&self, plan: &Plan, rounds: &[Round], fronts: f64) -> bool {
         let goes_on = plan.starts_anew(rounds)
             && self.args.needs_matrix().is_none()
             && self.args.common.limit().allows(self.bytes_without_matrix()(fronts, 0.0));
         if goes_on {
-            self.watch.warn("memory holds no matrix of more rays: starting again without one");
+            self.watch.warn("memory holds no matrix of more rays; starting again without one");
         }
         goes_on
     }
 
-    /// Solves without a matrix, with `rays` a patch and for as long as the plan says.
+    /// Solves without a matrix, with `rays` per patch, until the plan is fulfilled.
     pub fn sweep(
         &self,
         mut patches: Patches,
@@ -85,7 +85,7 @@ impl Sampling<'_> {
             let elapsed = start.elapsed().as_secs_f64();
             let round = Round { rays: reached.rays, error: reached.error, elapsed, casting: elapsed };
             let goes_on = plan.goes_on(&round, reached.next * elapsed);
-            // A round is told when there are twice as many rays, or no more to come.
+            // A round is reported when the number of rays has doubled, and at the end.
             if !goes_on || rounds.last().is_none_or(|last| round.rays >= 2.0 * last.rays) {
                 rounds.push(round);
                 if in_rounds {

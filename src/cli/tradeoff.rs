@@ -29,30 +29,30 @@ use super::{
     watch::Watch,
 };
 
-/// Measure speed against accuracy: rays, patch size, tolerance, solver, estimator, and path tracing beside them
+/// Measure the error over time for rays, patch sizes, tolerances, solvers, estimators and path tracing
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity tradeoff room.obj -o tradeoff\n\n\
-    Writes tradeoff.json, tradeoff.csv and tradeoff.svg into the directory. Every point is compared with two reference\n\
-    solutions of finer patches and more rays; errors below what is known of these are marked. Takes some ten seconds and\n\
-    grows in proportion to --most-rays. An existing file that no earlier tradeoff wrote is never replaced.")]
+    Writes tradeoff.json, tradeoff.csv and tradeoff.svg into the directory. Every point is compared with two reference \
+    solutions of finer patches and more rays. Errors below the error of the references are marked. The command takes \
+    some ten seconds, in proportion to --most-rays. It never replaces a file that no earlier tradeoff wrote.")]
 pub struct TradeoffArgs {
     #[command(flatten)]
     scene: SceneArgs,
-    /// Write into this directory, which is made where there is none
+    /// Write into this directory, which is created if it is missing
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Write the JSON here too
+    /// Write the JSON to this file too
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
-    /// About how many patches the coarsest solutions have; errors are of the mean irradiance of these
+    /// Approximate number of patches of the coarsest solution. Errors refer to the mean irradiance of these patches
     #[arg(long, value_name = "N", default_value_t = TradeoffOptions::default().patches as u32,
         value_parser = clap::value_parser!(u32).range(1..))]
     patches: u32,
-    /// Rays of the largest point, all patches together
+    /// Number of rays of the largest solution, all patches together
     #[arg(long, value_name = "N", default_value_t = TradeoffOptions::default().rays as u64,
         value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
     most_rays: u64,
-    /// Another seed casts other rays; the same gives the same errors
+    /// Seed of the random numbers. The same seed gives the same errors
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     #[command(flatten)]
@@ -60,19 +60,19 @@ pub struct TradeoffArgs {
 }
 
 const JSON: &str = "tradeoff.json";
-/// First, as it tells a later run that the files are its own kind's.
+/// A later run recognises by this file that the directory is its own.
 const CSV: &str = "tradeoff.csv";
 const SVG: &str = "tradeoff.svg";
 
 /// Runs the command.
 pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     args.common.start_threads()?;
-    // A signal that nobody listens to would leave the directory behind.
+    // Before the directory is made: a signal would otherwise leave it behind.
     let watch = Watch::new(args.common.quiet);
     let directory = Directory::new(&args.output, "tradeoff", (CSV, CSV_NAMES))?;
     let file = |name: &str| directory.file(name, &[&args.scene.path]);
     let (csv, json, svg) = (file(CSV)?, file(JSON)?, file(SVG)?);
-    // The one in the output directory is written anyway.
+    // The report in the output directory is written anyway.
     let elsewhere = args.report.as_ref().filter(|path| **path != args.output.join(JSON));
     let report_file = elsewhere.map(|path| outputs::report(path, &args.scene.path)).transpose()?;
     let all: Vec<&OutputFile> = [&csv, &json, &svg].into_iter().chain(&report_file).collect();
@@ -82,7 +82,7 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
         .with_patches(args.patches as usize)
         .with_rays(args.most_rays as f64)
         .with_seed(args.seed);
-    // What could not be cut is told before it is.
+    // Refused before the patches are made.
     let bytes = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let work = |patches: f64, rays: f64| Work {
         scene: &scene,
@@ -94,8 +94,8 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     let limit = args.common.limit();
     limit.check(&work(Patches::forecast(&scene, &Subdivision::Count(options.patches)), 0.0))?;
     let extent = Extent::of(&scene, &options);
-    // References have more patches than were asked for.
-    let fewer = "choose fewer --patches or fewer --most-rays, or allow more --memory";
+    // The references have more patches than --patches.
+    let fewer = "use fewer --patches or --most-rays, or allow more --memory";
     let checked = limit.check(&work(extent.reference_patches, extent.reference_rays));
     if let Some(warning) = checked.map_err(|error| error.with_hint(fewer))? {
         watch.warn(&warning);
@@ -129,7 +129,7 @@ fn table(tradeoff: &Tradeoff, directory: &Path, report: Option<&Path>) -> String
     let _ = writeln!(
         text,
         "errors: RMS of the irradiance of {} patches, relative to its mean\n\
-         reference: {} patches, {:.0} rays each, twice; its own error {:.2} %; errors below that are in brackets\n\n\
+         reference: {} patches with {:.0} rays each, twice; its own error is {:.2} %, and smaller errors are in brackets\n\n\
          {:<36} {:>8} {:>7} {:>9} {:>10} {:>9} {:>9}",
         tradeoff.common_patches,
         reference.patches,
@@ -148,7 +148,7 @@ fn table(tradeoff: &Tradeoff, directory: &Path, report: Option<&Path>) -> String
             (Series::Rays(_), _) => "rays".into(),
             (Series::Preset(name), _) => format!("preset {name}"),
             (Series::Estimator(name), _) => name.into(),
-            (Series::PathTracing, _) => "path tracing (paths a patch)".into(),
+            (Series::PathTracing, _) => "path tracing (paths per patch)".into(),
             (Series::Solver, solver) => {
                 format!("{} to {:.0e}", solver.map_or("", |s| s.name()), p.tolerance)
             }

@@ -1,4 +1,4 @@
-//! `radiosity validate`: whether the answer can be trusted.
+//! `radiosity validate`: checks of the answer by independent methods.
 
 use std::{fmt::Write, path::PathBuf};
 
@@ -30,12 +30,11 @@ use super::{
     watch::Watch,
 };
 
-/// Check whether the answer can be trusted: energy ledger, closure, reciprocity, and radiosity against path tracing and
-/// light tracing
+/// Check the answer: energy ledger, closure, reciprocity, and radiosity against path tracing and light tracing
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity validate room.obj --report validation.json\n\n\
-    Solves the scene at two patch sizes, follows light from both ends, and compares the irradiance of every patch in\n\
-    units of the combined standard errors. Exit status 1 when a check fails.")]
+    Solves the scene with two patch sizes, traces paths and particles, and compares the irradiance of every patch in \
+    units of the combined standard errors. The exit status is 1 if a check fails.")]
 pub struct ValidateArgs {
     #[command(flatten)]
     scene: SceneArgs,
@@ -44,7 +43,7 @@ pub struct ValidateArgs {
     report: Option<PathBuf>,
     #[command(flatten)]
     cast: CastArgs,
-    /// Paths a patch
+    /// Paths per patch
     #[arg(long, value_name = "N", default_value_t = ValidationOptions::default().paths,
         value_parser = clap::value_parser!(u32).range(16..=1 << 24))]
     paths: u32,
@@ -84,7 +83,7 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         .with_paths(args.paths)
         .with_particles(args.particles)
         .with_seed(args.seed);
-    // It solves with edges half as long, too, and compares.
+    // It also solves with edges half as long.
     let one = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let bytes = |patches: f64, rays: f64| one(patches, rays) + one(4.0 * patches, rays);
     let work = Work {
@@ -170,13 +169,13 @@ fn table(report: &ValidationReport) -> String {
         line(
             name,
             format!(
-                "off by {} as cast, {} repaired",
+                "off by {} as cast, {} after closure",
                 summary::small(deviation.before),
                 summary::small(deviation.after)
             ),
         );
     }
-    line("allowance for patch size", format!("{:.2} % RMS", 100.0 * report.discretisation_relative));
+    line("discretisation error", format!("{:.2} % RMS", 100.0 * report.discretisation_relative));
     for ComparisonReport { what, figures: c, .. } in &report.comparisons {
         line(
             what,

@@ -1,4 +1,4 @@
-//! The progress bar, and the wish to stop.
+//! The progress bar, and Ctrl-C.
 
 use std::{
     io::{self, IsTerminal},
@@ -29,15 +29,15 @@ struct Shared {
 }
 
 impl Watch {
-    /// Listens for Ctrl-C; draws a bar where stderr is a terminal, unless told to be quiet.
+    /// Listens for Ctrl-C. Draws a progress bar if stderr is a terminal and `quiet` is false.
     pub fn new(quiet: bool) -> Watch {
         let shared = Arc::new(Shared::default());
         let handled = Arc::clone(&shared);
-        // Only a second handler or an exhausted system can fail here: then Ctrl-C kills, which is no worse.
+        // This fails only for a second handler or on an exhausted system. Then Ctrl-C kills the program, which is acceptable.
         let _ = ctrlc::set_handler(move || {
-            // Not every stage looks for the wish to stop. Who insists gets out at once, except that neither temporary files
-            // nor empty directories must stay behind; writing takes seconds at most. One Ctrl-C can be two signals: timeout(1)
-            // sends its own to the program and to its group.
+            // Not every stage checks whether it should stop. A second Ctrl-C exits at once, except while files are written, which
+            // takes seconds at most: temporary files and empty directories must not stay behind. One Ctrl-C can be two
+            // signals, because timeout(1) signals the program and its group.
             if handled.progress.is_stopped() && !handled.writing.load(Ordering::Relaxed) {
                 super::outputs::remove_made();
                 std::process::exit(super::STOPPED.into());
@@ -53,12 +53,12 @@ impl Watch {
         Watch { shared, bar }
     }
 
-    /// What the computation counts in.
+    /// The counter of the computation.
     pub fn progress(&self) -> &Progress {
         &self.shared.progress
     }
 
-    /// Does a stage of the work and tells how many seconds it took.
+    /// Runs a stage of the work, and returns its result and its duration in seconds.
     pub fn stage<T>(&self, name: &'static str, work: impl FnOnce() -> Result<T>) -> Result<(T, f64)> {
         self.progress().check()?;
         self.progress().begin(name, 0);
@@ -104,7 +104,7 @@ fn draw(bar: &ProgressBar, shared: &Shared) {
         let stage = shared.progress.stage();
         let total = shared.progress.total();
         if (stage, total) != shown {
-            // Rate and time left are of one stage; backs that rays find make it longer as it goes.
+            // Rate and time left refer to one stage. A stage grows while it runs, because rays find backs.
             if stage != shown.0 {
                 bar.reset();
             }

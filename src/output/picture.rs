@@ -12,7 +12,7 @@ use crate::{
     monte_carlo::{Camera, Film, RenderOptions},
     patch::Patches,
     scene::Scene,
-    solve::Solution,
+    solve::{Light, Solution},
     trace::{Hit, Tracer},
 };
 
@@ -29,14 +29,14 @@ pub struct SmoothSurface<'a> {
 }
 
 impl<'a> SmoothSurface<'a> {
-    /// Averages the solution at the vertices.
+    /// Averages the irradiance of the patches at the vertices.
     ///
     /// # Panics
-    /// When the solution is not one of these patches.
-    pub fn new(scene: &'a Scene, patches: &'a Patches, solution: &Solution) -> Self {
+    /// When the light is not that of these patches.
+    pub fn new<'l>(scene: &'a Scene, patches: &'a Patches, light: impl Into<Light<'l>>) -> Self {
         let mesh = PatchMesh::new(scene, patches, CREASE);
-        let values = at_vertices(scene, patches, &mesh, &solution.irradiance);
-        SmoothSurface { scene, patches, mesh, irradiance: positive(&values, solution.channels) }
+        let values = at_vertices(scene, patches, &mesh, light.into().irradiance);
+        SmoothSurface { scene, patches, mesh, irradiance: positive(&values, patches.channels()) }
     }
 
     /// Radiance that leaves the point that a ray hit: none from backs that no ray of the solution met.
@@ -66,21 +66,38 @@ pub fn render(
     options: &RenderOptions,
     progress: &Progress,
 ) -> Result<Film> {
-    let lens = camera.lens(tracer);
     match gather {
         Some(rays) => {
+            let lens = camera.lens(tracer);
             let gather = FinalGather::new(scene, tracer, patches, solution, rays);
             Film::sample(&lens, options, progress, |direction, samples| {
                 gather.radiance(lens.eye(), direction, samples)
             })
         }
-        None => {
-            let surface = SmoothSurface::new(scene, patches, solution);
-            Film::sample(&lens, options, progress, |direction, _| {
-                tracer.closest(lens.eye(), direction).map_or([0.0; 3], |hit| surface.radiance(&hit))
-            })
-        }
+        None => smooth(scene, tracer, (patches, solution.into()), camera, options, progress),
     }
+}
+
+/// A picture of the light on patches, linear over each patch ([`SmoothSurface`]).
+///
+/// # Errors
+/// [`Error::Stopped`](crate::Error::Stopped).
+///
+/// # Panics
+/// When the light is not that of these patches.
+pub fn smooth(
+    scene: &Scene,
+    tracer: &Tracer,
+    (patches, light): (&Patches, Light),
+    camera: &Camera,
+    options: &RenderOptions,
+    progress: &Progress,
+) -> Result<Film> {
+    let lens = camera.lens(tracer);
+    let surface = SmoothSurface::new(scene, patches, light);
+    Film::sample(&lens, options, progress, |direction, _| {
+        tracer.closest(lens.eye(), direction).map_or([0.0; 3], |hit| surface.radiance(&hit))
+    })
 }
 
 #[cfg(test)]

@@ -90,7 +90,7 @@ fn survive(here: &Here, options: &str, shares: &[f64]) -> u32 {
     }
     let output = here.run(&format!("{command} --threads 1"));
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    assert!(stderr(&output).lines().all(|l| l.starts_with("warning: rays: cut off")), "{}", stderr(&output));
+    assert!(stderr(&output).lines().all(|l| l.starts_with("warning: rays: removed")), "{}", stderr(&output));
     assert!((here.read("out.ply"), report(here)) == truth, "{options}");
     assert_eq!(size(here, "rays"), all, "{options}: rays are missing, or there twice");
     assert_eq!(here.names(), ["out.ply", "r.json", "rays", "scene.mtl", "scene.obj"]);
@@ -153,7 +153,7 @@ fn stopped_it_says_how_to_go_on() {
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(130));
     let said = stderr(&output);
-    assert_eq!(said, "rays keeps what was cast: the same command goes on from there\nstopped\n");
+    assert_eq!(said, "rays holds the rays cast so far: the same command continues from there\nstopped\n");
     assert_eq!(here.names(), ["rays", "scene.mtl", "scene.obj"]);
     let kept = size(&here, "rays");
     let output = here.run(&command.replace("--quiet", ""));
@@ -196,8 +196,8 @@ fn a_checkpoint_takes_the_place_of_nothing() {
         .unwrap();
     for (options, said) in [
         ("--checkpoint scene.obj", "replace the input"),
-        ("--checkpoint ./scene.mtl", "may not take the name"),
-        ("--checkpoint room.mtl", "may not take the name"),
+        ("--checkpoint ./scene.mtl", "may not have the name"),
+        ("--checkpoint room.mtl", "may not have the name"),
         ("-o out.ply --checkpoint out.ply", "the same file"),
         ("--report rays --checkpoint rays", "the same file"),
         ("--checkpoint notes", "error: notes: this file is not a checkpoint"),

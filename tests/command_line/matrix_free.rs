@@ -140,10 +140,7 @@ fn an_error_that_patches_leave_is_not_reached() {
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("warning: 1.00 % is out of reach"), "{said}");
-    assert!(
-        said.contains("the error of the patches' size is") && said.contains("1.00 % was asked for"),
-        "{said}"
-    );
+    assert!(said.contains("the discretisation error is") && said.contains("1.00 % was wanted"), "{said}");
     let error = &here.json("r.json")["error"];
     let [sampling, patches] = ["rms_relative", "discretisation_relative"].map(|e| number(&error[e]));
     assert!(sampling <= 0.01 && patches > 0.01, "{sampling}, {patches}");
@@ -157,7 +154,7 @@ fn what_sweeps_cannot_do_is_refused_with_a_way_out() {
         let named = option.split(' ').next().unwrap();
         let errors = here.fails(&format!("solve {scene} --solver stochastic-jacobi {option}"), 2);
         assert!(
-            errors.contains(named) && errors.contains("of no use with --solver stochastic-jacobi"),
+            errors.contains(named) && errors.contains("has no effect with --solver stochastic-jacobi"),
             "{errors}"
         );
         // Not chosen, but needed.

@@ -49,7 +49,7 @@ fn no_output_replaces_an_input() {
         (PROBE, &["textured.obj", "textured.mtl", "checkerboard.png", "points"]),
     ] {
         for input in inputs {
-            let why = ["replace the input", "must end in .ply", "may not take the name"];
+            let why = ["replace the input", "must end in .ply", "may not have the name"];
             refused(&here, &format!("{command} -o {input}"), input, &why);
         }
     }
@@ -57,7 +57,7 @@ fn no_output_replaces_an_input() {
         [SOLVE, VALIDATE, "inspect textured.obj", &format!("{RENDER} -o out.png"), &format!("{BAKE} -o lit")]
     {
         for input in ["textured.obj", "textured.mtl", "checkerboard.png"] {
-            let why = ["replace the input", "may not take the name"];
+            let why = ["replace the input", "may not have the name"];
             refused(&here, &format!("{command} --report {input}"), input, &why);
         }
     }
@@ -100,7 +100,7 @@ fn two_outputs_are_two_files() {
         (format!("{RENDER} -o out.exr --report out.exr"), "out.exr"),
         (format!("{PROBE} -o out.txt --report out.txt"), "out.txt"),
     ] {
-        refused(&here, &command, place, &["the same file", "may not take the name"]);
+        refused(&here, &command, place, &["the same file", "may not have the name"]);
     }
 }
 

@@ -138,11 +138,14 @@ fn bad_points_are_told_with_file_and_line() {
         ("--points none", "error: none: "),
         ("--points good -o good", "replace the input"),
         ("--points good -o scene.obj", "replace the input"),
-        ("--points good -o scene.mtl", "may not take the name"),
+        ("--points good -o scene.mtl", "may not have the name"),
         ("--points good -o a --report a", "the same file"),
         ("--points good --spp 0", "--spp"),
-        ("--points good --patches 9", "--patches is not for --method path"),
-        ("--points good --method radiosity --no-next-event", "--no-next-event is not for --method radiosity"),
+        ("--points good --patches 9", "--patches has no effect with --method path"),
+        (
+            "--points good --method radiosity --no-next-event",
+            "--no-next-event has no effect with --method radiosity",
+        ),
         ("", "--points"),
     ] {
         let errors = here.fails(&format!("probe scene.obj {options}"), 2);

@@ -222,16 +222,19 @@ fn bad_usage_is_told_and_leaves_no_file() {
         ("-o out.png --eye 278,273,2000 --look-at 278,273,0", "no light gets there"),
         ("-o out.png --method light --no-next-event", "pinhole"),
         ("-o out.png --method light --spp 4000000000", "too many"),
-        ("-o out.png --method radiosity --no-next-event", "--no-next-event is not for --method radiosity"),
-        ("-o out.png --final-gather 4", "--final-gather is not for --method path"),
-        ("-o out.png --method light --rays 4", "--rays is not for --method light"),
+        (
+            "-o out.png --method radiosity --no-next-event",
+            "--no-next-event has no effect with --method radiosity",
+        ),
+        ("-o out.png --final-gather 4", "--final-gather has no effect with --method path"),
+        ("-o out.png --method light --rays 4", "--rays has no effect with --method light"),
         ("-o out.png --method radiosity --patches 10 --patch-size 1", "cannot be used with"),
         ("-o out.png --white 0", "a radiance from 1e-100"),
         ("-o out.exr --white 1", "--white is for .png"),
         ("-o out.hdr --exposure -1", "--exposure is for .png"),
         ("-o out.gif", ".png, .exr or .hdr"),
         ("-o nowhere/out.png", "nowhere/out.png"),
-        ("-o out.png --report out.png", "may not take the name"),
+        ("-o out.png --report out.png", "may not have the name"),
         ("", "--output"),
     ] {
         let errors = here.fails(&format!("render {cornell} {options}"), 2);

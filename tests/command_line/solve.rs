@@ -1,6 +1,6 @@
 //! The program as the shell sees it.
 
-use std::{collections::BTreeMap, fs, path::Path, process::Command};
+use std::{collections::BTreeMap, f64::consts::PI, fs, path::Path, process::Command};
 
 use ply_rs::{
     parser::Parser,
@@ -16,6 +16,27 @@ v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1
 f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n";
 const GLOW: &str =
     "newmtl wall\nKd 0.5 0.5 0.5\nKe 0.31830988618379067 0.31830988618379067 0.31830988618379067\n";
+
+/// Every pixel of `--picture` sees a wall of radiosity 2 W/m², so its radiance is 2/π. The mesh and the report come from the same
+/// run, and a solution without a matrix can be seen as well.
+#[test]
+fn the_picture_of_a_solution_shows_its_radiance() {
+    let here = Here::new(FURNACE, GLOW);
+    for (solver, tolerance) in [("auto", 1e-5), ("stochastic-jacobi", 0.05)] {
+        let options = format!("--solver {solver} --patches 200 --rays 64");
+        let output = here.run(&format!("solve scene.obj -o out.ply --picture out.exr {options}"));
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        assert_eq!(here.names(), ["out.exr", "out.ply", "scene.mtl", "scene.obj"]);
+        let bytes = here.read("out.exr");
+        let picture =
+            image::load_from_memory_with_format(&bytes, image::ImageFormat::OpenExr).unwrap().to_rgb32f();
+        assert_eq!(picture.dimensions(), (640, 480));
+        let off = picture.iter().map(|&l| (f64::from(l) * PI / 2.0 - 1.0).abs()).fold(0.0, f64::max);
+        assert!(off < tolerance, "{solver}: a pixel is {off} off");
+    }
+    here.fails("solve scene.obj -o out.ply --picture out.gif", 2);
+    here.fails("solve scene.obj --picture out.png --report out.png", 2);
+}
 
 /// The same cube, of which one side is a lamp and the others have a colour.
 fn lamp() -> Here {
@@ -256,9 +277,9 @@ fn bad_usage_is_told_before_any_work_and_exits_with_two() {
         ("solve scene.obj --patches 10 --patch-size 1", "cannot be used with"),
         ("solve scene.obj --tolerance 0", "between 0 and 1"),
         ("solve scene.obj --exposure inf", "between -100 and 100"),
-        ("solve scene.obj --emit 1e308", "from 0 to 1e100 are wanted"),
+        ("solve scene.obj --emit 1e308", "from 0 to 1e100"),
         ("solve scene.obj --threads 0", "--threads"),
-        ("solve scene.obj --threads 100000", "--threads 100000 is more than"),
+        ("solve scene.obj --threads 100000", "--threads 100000 is too large"),
         ("solve scene.obj --solver magic", "possible values"),
         ("solve scene.obj --solver cg --estimator one-way", "reciprocal"),
         ("solve scene.obj -o out.stl", "must end in .ply"),

@@ -398,7 +398,7 @@ fn what_cannot_be_done_is_refused_with_nothing_left_behind() {
         ("missing.obj -o out.csv", "error: missing.obj: "),
         ("bad.obj -o out.csv", "error: bad.obj:4: "),
         ("scene.obj -o scene.obj", "replace the input"),
-        ("scene.obj -o other.mtl", "may not take the name"),
+        ("scene.obj -o other.mtl", "may not have the name"),
         ("scene.obj -o a.csv --pairs a.csv", "the same file"),
         ("scene.obj -o nowhere/a.csv", "nowhere/a.csv"),
         ("scene.obj --error 0", "between 1e-7 and 0.1"),
