@@ -1,10 +1,91 @@
-//! How light spreads between Lambertian surfaces, and how right the answer is.
+//! Computes how light spreads between Lambertian surfaces, and how accurate the result is.
 //!
-//! The way from a scene to its light, each step a plain value: [`Scene::load`] → [`trace::Tracer`] →
-//! [`patch::Patches`] → [`form_factor::FormFactors`] → [`solve::Solution`] → [`energy::EnergyLedger`],
-//! [`accuracy::error_bars::ErrorBars`] and the files of [`output`]. [`monte_carlo`] is the referee: it follows light
-//! without form factors, and [`accuracy::validation`] compares. The README, whose example is tested with the
-//! documentation, shows it in ten lines.
+//! The radiosity method cuts surfaces into patches of constant brightness. A form factor F_ij is the share of the light
+//! leaving patch i that arrives at patch j. Rays estimate the form factors. A linear system then gives the radiosity B of
+//! every patch, the light that leaves it per area: B = Be + ρ F B, with emission Be and reflectance ρ.
+//!
+//! # From a file to radiosity
+//!
+//! ```
+//! use radiosity::{Progress, Scene, energy::EnergyLedger, form_factor::*, patch::*, solve::*, trace::Tracer};
+//!
+//! let scene = Scene::load("meshes/cornell-box.obj")?;
+//! let tracer = Tracer::new(&scene);
+//! let progress = Progress::new();
+//!
+//! let mut patches = Patches::subdivide(&scene, &Subdivision::Count(1000));
+//! let options = CastOptions::default().with_rays(64.0).with_seed(1);
+//! let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &progress)?;
+//! let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress)?;
+//!
+//! let brightest = (0..patches.len()).max_by(|&i, &j| solution.rgb(i)[1].total_cmp(&solution.rgb(j)[1])).unwrap();
+//! println!("brightest at {}: {:?} W/m²", patches.centroid(&scene, brightest), solution.rgb(brightest));
+//! assert_eq!(scene.material(patches.triangle(brightest)).name, "light");
+//!
+//! // All light that is emitted is absorbed or escapes.
+//! let ledger = EnergyLedger::of(&form_factors, &patches, &solution);
+//! assert!(ledger.imbalance().abs() < 1e-9);
+//! # Ok::<(), radiosity::Error>(())
+//! ```
+//!
+//! [`accuracy::error_bars::ErrorBars`] gives the standard error of every patch. [`output`] writes meshes, pictures and
+//! reports, [`lightmap`] bakes textures.
+//!
+//! # Your own mesh, and other lamps without new rays
+//!
+//! ```
+//! use radiosity::{Progress, Scene, form_factor::*, glam::dvec3, patch::*, scene::Material, solve::*, trace::Tracer};
+//!
+//! // A lamp of one square metre faces a floor at a distance of one metre.
+//! let corner = |x: f64, y: f64, z: f64| dvec3(x, y, z);
+//! let vertices = [
+//!     corner(0., 0., 0.), corner(1., 0., 0.), corner(1., 1., 0.), corner(0., 1., 0.),
+//!     corner(0., 0., 1.), corner(0., 1., 1.), corner(1., 1., 1.), corner(1., 0., 1.),
+//! ];
+//! let materials = vec![
+//!     Material::new("floor", [0.5; 3], [0.0; 3]),
+//!     Material::new("lamp", [0.0; 3], [1.0; 3]),
+//! ];
+//! let mut scene = Scene::from_indexed(&vertices, [[0, 1, 2, 3], [4, 5, 6, 7]], &[0, 1], materials)?;
+//! let tracer = Tracer::new(&scene);
+//! let progress = Progress::new();
+//! let mut patches = Patches::subdivide(&scene, &Subdivision::Edge(0.25));
+//! let options = CastOptions::default().with_rays(256.0);
+//! let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &progress)?;
+//! let dim = solve(&form_factors, &patches, &SolveOptions::default(), &progress)?;
+//!
+//! scene.set_material("lamp", [0.0; 3], [3.0; 3]);
+//! patches.update_materials(&scene);
+//! let bright = solve(&form_factors, &patches, &SolveOptions::default(), &progress)?;
+//! assert!((bright.irradiance_rgb(0)[0] / dim.irradiance_rgb(0)[0] - 3.0).abs() < 1e-6);
+//! # Ok::<(), radiosity::Error>(())
+//! ```
+//!
+//! # The same light by path tracing
+//!
+//! [`monte_carlo`] follows light without form factors. It shares only the scene and the rays with the solver, and so it
+//! checks the solver. [`accuracy::validation`] compares both patch by patch.
+//!
+//! ```
+//! use radiosity::{Progress, Scene, glam::dvec3, monte_carlo::{Effort, PathOptions, PathTracer, Receiver}, trace::Tracer};
+//!
+//! let scene = Scene::load("meshes/cornell-box.obj")?;
+//! let tracer = Tracer::new(&scene);
+//! let paths = PathTracer::new(&scene, &tracer, PathOptions::default());
+//! // A point of the floor, in millimetres as in the file.
+//! let place = Receiver::free(&tracer, dvec3(420.0, 0.0, 100.0), dvec3(0.0, 1.0, 0.0));
+//! let effort = Effort::default().with_samples(1024);
+//! let irradiance = &paths.irradiances(&[place], &effort, &Progress::new())?[0];
+//! println!("{:?} ± {:?} W/m²", irradiance.mean, irradiance.standard_error);
+//! assert!(irradiance.mean[0] > 10.0 * irradiance.standard_error[0]);
+//! # Ok::<(), radiosity::Error>(())
+//! ```
+//!
+//! # Options, errors and features
+//!
+//! Structs of options have defaults and a method `with_…` for each field. New versions may add fields. Input that cannot
+//! be used is an [`Error`]; a wrong index is a panic. The default feature `cli` builds the program `radiosity`; the library
+//! does not need it: `radiosity = { version = "0.1", default-features = false }`.
 
 #![deny(missing_docs)]
 #![deny(unsafe_code)]

@@ -119,6 +119,16 @@ impl std::fmt::Debug for Tracer {
 impl Tracer {
     /// Builds the bounding volume hierarchy over the scene's triangles.
     pub fn new(scene: &Scene) -> Tracer {
+        Tracer::with_kernel(scene, Kernel::detect())
+    }
+
+    /// As [`Tracer::new`], without instructions that only some processors have (AVX2). Results are the same bytes; casting
+    /// rays takes longer.
+    pub fn portable(scene: &Scene) -> Tracer {
+        Tracer::with_kernel(scene, Kernel::Portable)
+    }
+
+    fn with_kernel(scene: &Scene, kernel: Kernel) -> Tracer {
         let (centre, scale) = centre_and_extent(scene.vertices.iter().copied());
         let triangles: Vec<UnitTriangle> = (0..scene.triangles.len())
             .map(|t| {
@@ -127,7 +137,7 @@ impl Tracer {
             })
             .collect();
         let bvh = Bvh::new(&triangles, &distinct(scene));
-        Tracer { bvh, kernel: Kernel::detect(), triangles, centre, scale }
+        Tracer { bvh, kernel, triangles, centre, scale }
     }
 
     /// The triangles in unit space, in the order of [`Scene::triangles`].

@@ -205,6 +205,11 @@ pub struct Cast {
 
 pub fn cast(scene: Scene, subdivision: Subdivision, options: CastOptions) -> Cast {
     let tracer = Tracer::new(&scene);
+    cast_by(tracer, scene, subdivision, options)
+}
+
+/// Casts by a tracer of the scene.
+pub fn cast_by(tracer: Tracer, scene: Scene, subdivision: Subdivision, options: CastOptions) -> Cast {
     let mut patches = Patches::subdivide(&scene, &subdivision);
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
     Cast { scene, tracer, patches, form_factors }

@@ -1,12 +1,14 @@
-//! The same seed gives the same bytes, whatever the number of threads.
+//! The same seed gives the same bytes, for any number of threads and with or without AVX2.
 
 use crate::common::*;
 use radiosity::{
     Progress, Scene,
     accuracy::error_bars::ErrorBars,
     form_factor::{CastOptions, Estimator},
+    monte_carlo::{Effort, PathOptions, PathTracer, Region},
     patch::Subdivision,
     solve::{SolveOptions, Solver, solve},
+    trace::Tracer,
 };
 
 /// Everything a run computes, bit by bit.
@@ -24,10 +26,14 @@ fn bits(values: &[f64]) -> Vec<u64> {
 }
 
 fn run(scene: &Scene, estimator: Estimator, seed: u64, threads: usize) -> Bytes {
+    run_by(Tracer::new(scene), scene, estimator, seed, threads)
+}
+
+fn run_by(tracer: Tracer, scene: &Scene, estimator: Estimator, seed: u64, threads: usize) -> Bytes {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| {
         let options = CastOptions::default().with_estimator(estimator).with_seed(seed);
-        let room = cast(scene.clone(), Subdivision::Count(700), options);
+        let room = cast_by(tracer, scene.clone(), Subdivision::Count(700), options);
         let (f, n) = (&room.form_factors, room.patches.len());
         let rows: Vec<(usize, f64)> = (0..n).flat_map(|i| f.row(i)).collect();
         let mut values: Vec<f64> = rows.iter().map(|r| r.1).collect();
@@ -75,6 +81,24 @@ fn threads_change_nothing_and_seeds_everything() {
             assert!(one.solutions != other.solutions && one.errors != other.errors);
         }
     }
+}
+
+/// Light from form factors, and light from paths: every query that rays are asked.
+#[test]
+fn the_portable_tracer_gives_the_same_bytes() {
+    let scene = load("door-ajar");
+    let [wide, plain] = [Tracer::new(&scene), Tracer::portable(&scene)].map(|tracer| {
+        let paths = PathTracer::new(&scene, &tracer, PathOptions::default());
+        let region = |triangle| Region { triangle, part: [[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]], front: true };
+        let regions: Vec<Region> = (0..scene.triangles.len()).map(region).collect();
+        let effort = Effort::default().with_samples(64);
+        let traced = paths.mean_irradiances(&regions, &effort, &Progress::new()).unwrap();
+        let traced: Vec<u64> = traced.iter().flat_map(|e| bits(&e.mean)).collect();
+        (run_by(tracer, &scene, Estimator::Pooled, 17, 2), traced)
+    });
+    assert!(wide.0 == plain.0, "other form factors");
+    assert!(wide.1 == plain.1, "other paths");
+    assert!(wide.1.iter().any(|&bits| bits != 0), "there is light");
 }
 
 /// As one patch is not cast like the next, nor one replicate like another.

@@ -1,13 +1,12 @@
 //! How time and memory grow from a thousand patches to a million. Prints a Markdown table and draws `docs/images/growth.svg`.
 //!
-//!     cargo run --release --example growth -- [MOST_PATCHES [SCENE.obj | spheres | walls]]
+//!     cargo bench --bench growth -- [MOST_PATCHES [SCENE.obj | spheres | walls]]
 //!
 //! `spheres` and `walls` have a million triangles, one patch each, and leave the picture as it is.
 //!
 //! The most memory that a process ever held never falls again, so each size runs in a process of its own: this program,
 //! started anew.
 
-#[path = "../benches/scenes/mod.rs"]
 mod scenes;
 
 use std::{error::Error, fmt::Write, path::PathBuf, process::Command, time::Instant};
@@ -46,7 +45,7 @@ impl Run {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let mut args = std::env::args().skip(1);
+    let mut args = std::env::args().skip(1).filter(|word| word != "--bench");
     let most: usize = args.next().map_or(Ok(1_000_000), |n| n.parse())?;
     let here = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     let named = args.next();

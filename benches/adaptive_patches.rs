@@ -1,7 +1,7 @@
 //! What patches that are small where light varies buy: error of irradiance over some 500 patches against path tracing, for
 //! as many patches of one size, and of sizes that follow the light.
 //!
-//!     cargo run --release --example adaptive_patches [SCENE.obj …]
+//!     cargo bench --bench adaptive_patches -- [SCENE.obj …]
 //!
 //! Two solutions and two path tracings, all of other seeds, tell the error that no ray lowers: the mean of (x1 - r1)(x2 - r2)
 //! is free of their noise. How right the error bars are is told by solutions of the same patches with many rays.
@@ -124,7 +124,7 @@ impl Lab {
 }
 
 fn main() -> Result<()> {
-    let mut files: Vec<String> = std::env::args().skip(1).collect();
+    let mut files: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
     if files.is_empty() {
         files = ["cornell-box", "door-ajar", "textured"].map(|name| format!("meshes/{name}.obj")).into();
     }

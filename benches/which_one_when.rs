@@ -1,6 +1,6 @@
 //! Path tracing, light tracing and radiosity at equal time: which one when? Prints a Markdown table of errors.
 //!
-//!     cargo run --release --example which_one_when -- [SECONDS A CELL] [PATCHES OF THE RADIOSITY SOLUTION]
+//!     cargo bench --bench which_one_when -- [SECONDS A CELL] [PATCHES OF THE RADIOSITY SOLUTION]
 //!
 //! Each method is first run briefly to learn how many samples, particles or rays fit into the time. Building the
 //! scene's ray tracer is not counted, everything else is.
@@ -34,9 +34,10 @@ const ASKED: usize = 500;
 const GATHER: u32 = 8;
 
 fn main() -> Result<()> {
-    let argument = |i: usize| std::env::args().nth(i).and_then(|word| word.parse::<f64>().ok());
-    let budget = argument(1).unwrap_or(2.0);
-    let solved_patches = argument(2).unwrap_or(8000.0) as usize;
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
+    let argument = |i: usize| words.get(i).and_then(|word| word.parse::<f64>().ok());
+    let budget = argument(0).unwrap_or(2.0);
+    let solved_patches = argument(1).unwrap_or(8000.0) as usize;
     let door = Scene::load(concat!(env!("CARGO_MANIFEST_DIR"), "/meshes/door-ajar.obj"))?;
     let in_room = (dvec3(0.3, 1.9, 3.7), dvec3(2.3, 0.7, 1.5));
     let lightings = [

@@ -1,7 +1,7 @@
 //! Whether error bars are as long as errors, and a wanted error is reached: the same patches solved with many seeds,
 //! against the same solved with many rays. Prints a Markdown table.
 //!
-//!     cargo run --release --example calibration -- [SCENE.obj ...]
+//!     cargo bench --bench calibration -- [SCENE.obj ...]
 
 use std::path::PathBuf;
 
@@ -26,7 +26,7 @@ const SEEDS: u64 = 8;
 const REFERENCE_RAYS: f64 = 8192.0;
 
 fn main() -> Result<()> {
-    let files: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    let files: Vec<PathBuf> = std::env::args_os().skip(1).filter(|word| word != "--bench").map(PathBuf::from).collect();
     let mut scenes = Vec::new();
     if files.is_empty() {
         for name in ["cornell-box.obj", "textured.obj", "door-ajar.obj"] {

@@ -1,12 +1,12 @@
 //! Feeds the readers and the command line what nobody would write: good files with bytes, numbers, words and lines
 //! changed at random. Everything must load or be refused with one line, within bounds of time and memory.
 //!
-//!     cargo run --example fuzz -- obj|mtl|ply|gltf|glb|cli|checkpoint SECONDS [FIRST]
+//!     cargo test --test fuzz -- obj|mtl|ply|gltf|glb|cli|checkpoint SECONDS [FIRST]
 //!
-//! Case `k` depends on `k` alone; a case that fails is kept and named, and `FIRST` begins there again. Built without
-//! optimisation for release, so that overflow is caught. `cli` wants the program built beside it (`cargo build`).
+//! Case `k` depends on `k` alone. The file of a case that fails is kept and named; `FIRST` begins there again. `cargo test`
+//! alone does not run this program. Test builds check integer overflow.
 
-#[path = "../tests/common/gltf.rs"]
+#[path = "common/gltf.rs"]
 mod gltf;
 
 use std::{
@@ -644,8 +644,7 @@ fn main() -> ExitCode {
     let folder = tempfile::tempdir().expect("a temporary folder can be made").keep();
     println!("in {}", folder.display());
     let (first, limit) = (number(2).unwrap_or(0), Duration::from_secs(seconds));
-    let program: Option<PathBuf> =
-        std::env::current_exe().ok().and_then(|e| Some(e.parent()?.parent()?.join("radiosity")));
+    let program = Path::new(env!("CARGO_BIN_EXE_radiosity"));
     if target == "cli" {
         cli_folder(&folder);
     } else {
@@ -683,7 +682,6 @@ fn main() -> ExitCode {
         let mut random = Random(mix(&[case]));
         let objection = if target == "cli" {
             let words = arguments(&mut random);
-            let program = program.as_ref().expect("the example has a place");
             cli_objection(program, &folder, &words).map(|o| format!("{words:?}: {o}"))
         } else if let Some(kept) = &kept {
             let path = folder.join("s.checkpoint");
