@@ -1,10 +1,10 @@
-//! What patches that are small where light varies buy: error of irradiance over some 500 patches against path tracing, for
-//! as many patches of one size, and of sizes that follow the light.
+//! Compares patches that are small where light varies with as many patches of one size: error of irradiance over some 500
+//! patches against path tracing.
 //!
 //!     cargo bench --bench adaptive_patches -- [SCENE.obj …]
 //!
-//! Two solutions and two path tracings, all of other seeds, tell the error that no ray lowers: the mean of (x1 - r1)(x2 - r2)
-//! is free of their noise. How right the error bars are is told by solutions of the same patches with many rays.
+//! Two solutions x1, x2 and two references r1, r2 with different seeds give the error that remains with many rays: the mean of
+//! (x1 - r1)(x2 - r2) is free of their noise. Solutions of the same patches with many rays check the error bars.
 
 use std::time::Instant;
 
@@ -28,7 +28,7 @@ const COMMON: usize = 500;
 /// Paths a patch of each truth; rays a patch of the solutions.
 const PATHS: u32 = 16_384;
 const RAYS: f64 = 256.0;
-/// Rays a patch that tell where light varies.
+/// Rays a patch of the solution that shows where light varies.
 const PILOT: f64 = 64.0;
 /// Rays a patch of the truth for error bars, and solutions compared with it.
 const MANY: f64 = 8192.0;

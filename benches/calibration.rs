@@ -1,5 +1,5 @@
-//! Whether error bars are as long as errors, and a wanted error is reached: the same patches solved with many seeds,
-//! against the same solved with many rays. Prints a Markdown table.
+//! Compares error bars with errors, and reached errors with wanted errors. Solves the same patches with several seeds, and once
+//! with many rays as the reference. Prints a Markdown table.
 //!
 //!     cargo bench --bench calibration -- [SCENE.obj ...]
 
@@ -26,7 +26,8 @@ const SEEDS: u64 = 8;
 const REFERENCE_RAYS: f64 = 8192.0;
 
 fn main() -> Result<()> {
-    let files: Vec<PathBuf> = std::env::args_os().skip(1).filter(|word| word != "--bench").map(PathBuf::from).collect();
+    let files: Vec<PathBuf> =
+        std::env::args_os().skip(1).filter(|word| word != "--bench").map(PathBuf::from).collect();
     let mut scenes = Vec::new();
     if files.is_empty() {
         for name in ["cornell-box.obj", "textured.obj", "door-ajar.obj"] {

@@ -4,8 +4,7 @@
 //!
 //! `spheres` and `walls` have a million triangles, one patch each, and leave the picture as it is.
 //!
-//! The most memory that a process ever held never falls again, so each size runs in a process of its own: this program,
-//! started anew.
+//! The peak memory of a process never falls, so each size runs in its own process: this program, started again.
 
 mod scenes;
 

@@ -1,7 +1,6 @@
-//! From a scene to its radiosity and its error bars, time and memory: `cargo bench --bench pipeline`.
+//! Time and memory from a scene to its radiosity and error bars: `cargo bench --bench pipeline`.
 //!
-//! The most memory that a process ever held never falls again, so each size runs in a process of its own: this program,
-//! started anew. 100,000 patches at 64 rays must fit into 2 GiB.
+//! The peak memory of a process never falls, so each size runs in its own process: this program, started again. 100,000 patches at 64 rays must fit into 2 GiB.
 
 mod scenes;
 

@@ -1,5 +1,5 @@
-//! The whole way from a scene to a picture: patches, form factors, radiosity; then a coloured mesh, and a picture whose
-//! pixels look the radiosity up instead of following light.
+//! From a scene to a picture: patches, form factors and radiosity, then a coloured mesh and a picture. Its pixels look up
+//! the radiosity instead of following light.
 //!
 //!     cargo run --release --example cornell_box -- [SCENE.obj [FOLDER]]
 

@@ -1,5 +1,5 @@
-//! In equilibrium all that is emitted is absorbed or escapes. Every solver's ledger shows it, for both estimators of
-//! the form factors; and a matrix that is plainly wrong shows what a balanced ledger does not prove.
+//! In equilibrium all emitted light is absorbed or escapes. The ledger of every solver shows it, for both estimators of the
+//! form factors. A wrong matrix balances too: the ledger alone does not prove that a solution is right.
 //!
 //!     cargo run --release --example energy_equilibrium -- [SCENE.obj]
 
@@ -38,14 +38,14 @@ fn main() -> Result<()> {
             }
         }
 
-        // Everybody sees everybody, through walls too: symmetric, closed, wrong.
+        // Every patch sees every other, even through walls: symmetric, closed and wrong.
         let (areas, escaped) = (form_factors.areas().to_vec(), form_factors.escaped().to_vec());
         let sphere = FormFactors::from_exchange(exchange_of_a_sphere(&areas), areas, escaped);
         let right = solve(&form_factors, &patches, &SolveOptions::default(), &progress)?;
         let wrong = solve(&sphere, &patches, &SolveOptions::default(), &progress)?;
         ledger("sphere", &sphere, &patches, &wrong);
 
-        // Particles that know of no form factor tell the two apart.
+        // Light tracing uses no form factors and finds the error.
         let particles = LightOptions::default().with_particles(1 << 22);
         let bin = |hit: &Hit| patches.at(hit.triangle, hit.barycentric, hit.front).map(|i| i as usize);
         let truth = LightTracer::new(&scene, &tracer, particles).trace(patches.len(), bin, &progress)?;
@@ -64,18 +64,18 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Prints the books of the first channel, the imbalance and its two parts as shares of what is emitted.
+/// Prints the ledger of the first channel. The imbalance and its two parts are relative to the emitted power.
 fn ledger(matrix: &str, form_factors: &FormFactors, patches: &Patches, solution: &Solution) {
-    let books = EnergyLedger::of(form_factors, patches, solution);
+    let ledger = EnergyLedger::of(form_factors, patches, solution);
     println!(
         "{matrix:8}  {:12} {:12.5e} {:10.4e} {:10.4e} {:10.1e} {:10.1e}   {:10.1e}",
         solution.solver.name(),
-        books.emitted[0],
-        books.absorbed[0],
-        books.escaped[0],
-        books.imbalance(),
-        books.relative_solver_part(),
-        books.relative_reciprocity_part(),
+        ledger.emitted[0],
+        ledger.absorbed[0],
+        ledger.escaped[0],
+        ledger.imbalance(),
+        ledger.relative_solver_part(),
+        ledger.relative_reciprocity_part(),
     );
 }
 

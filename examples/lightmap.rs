@@ -1,5 +1,5 @@
-//! A scene seen by its lightmap alone, beside the same picture by path tracing; and how far the map is from paths at
-//! random points of the surface, for several numbers of rays.
+//! Renders a scene from its lightmap alone, and by path tracing. Prints the difference between the lightmap and path tracing
+//! at random points of the surface, for several numbers of rays.
 //!
 //!     cargo run --release --example lightmap -- [FOLDER [SCENE.obj]]
 //!

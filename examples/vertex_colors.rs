@@ -1,4 +1,4 @@
-//! A mesh in, the same mesh with its light painted on the vertices out: any viewer of PLY files shows it.
+//! Reads a mesh and writes it with its light as vertex colours, in a PLY file for any viewer.
 //!
 //!     cargo run --release --example vertex_colors -- [SCENE.obj [OUT.ply]]
 
@@ -36,7 +36,7 @@ fn main() -> Result<()> {
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &progress)?;
     let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress)?;
 
-    // How far off the rays may be, patch by patch: the file carries it along.
+    // The file holds the standard error of every patch.
     let errors = ErrorBars::of(&form_factors, &patches, &solution).map(|bars| bars.standard_error);
     let exposure = exposure::of_radiosity(&patches, &solution.radiosity);
     let options = PlyOptions::default().with_standard_errors(errors.as_deref()).with_exposure(Some(exposure));

@@ -1,19 +1,19 @@
-//! The energy ledger: what is emitted is absorbed or escapes.
+//! The energy ledger: all emitted power is absorbed or escapes.
 //!
 //! With irradiance E = F B and residual r = Be + ρ E - B, exactly
 //!
 //!   emitted - absorbed - escaped = Σ_i A_i r_i + Σ_j B_j Σ_i (A_j F_ji - A_i F_ij)
 //!
-//! The first part is the solver's, the second the defect of reciprocity. An energy balance proves no more than that: a
-//! wrong but symmetric matrix balances perfectly. Whether the answer is right, error bars and an independent estimator
-//! must say.
+//! The first part is the solver's error, the second the defect of reciprocity. A balanced ledger proves only that both are
+//! small: a wrong but symmetric matrix balances perfectly. Error bars and an independent estimator judge whether the
+//! answer is right.
 
 use crate::{
     form_factor::FormFactors,
     solve::{Radiometry, Solution},
 };
 
-/// Powers in watts (if lengths are metres), a value a channel.
+/// Powers of each channel, in watts if lengths are metres.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct EnergyLedger {
@@ -21,18 +21,18 @@ pub struct EnergyLedger {
     pub emitted: Vec<f64>,
     /// Σ A (1 - ρ) E.
     pub absorbed: Vec<f64>,
-    /// Σ A B times the share of form factor that leaves the scene.
+    /// Σ A B times the share of light that leaves the scene.
     pub escaped: Vec<f64>,
     /// Σ A r.
     pub solver_part: Vec<f64>,
     /// Σ_j B_j Σ_i (A_j F_ji - A_i F_ij).
     pub reciprocity_part: Vec<f64>,
-    /// Σ A B: what leaves the patches, again with every bounce.
+    /// Σ A B: the power that leaves the patches, counted at every bounce.
     pub leaving: Vec<f64>,
 }
 
 impl EnergyLedger {
-    /// Adds up a solution.
+    /// The ledger of a solution.
     ///
     /// # Panics
     /// When the sizes disagree.
@@ -45,7 +45,7 @@ impl EnergyLedger {
         let channels = radiometry.channels;
         assert_eq!(solution.radiosity.len(), form_factors.len() * channels, "sizes disagree");
         let (areas, escaped) = (form_factors.areas(), form_factors.escaped());
-        // A_j Σ_i F_ji: what patch j can send to others; and Σ_i A_i F_ij: what the others take from it.
+        // A_j Σ_i F_ji, the exchange area that patch j sends by; and Σ_i A_i F_ij, the one that others receive by.
         let sent: Vec<f64> = form_factors.row_sums().iter().zip(areas).map(|(sum, a)| a * sum).collect();
         let taken = form_factors.column_sums();
         let zero = vec![0.0; channels];
@@ -73,23 +73,23 @@ impl EnergyLedger {
         ledger
     }
 
-    /// (emitted - absorbed - escaped) / emitted of the channel where it is worst.
+    /// (emitted - absorbed - escaped) / emitted, in the worst channel.
     pub fn imbalance(&self) -> f64 {
         self.worst(|c| self.emitted[c] - self.absorbed[c] - self.escaped[c])
     }
 
-    /// The solver's part of the imbalance, relative to what is emitted, of the channel where it is worst.
+    /// The solver's part of the imbalance, relative to the emitted power, in the worst channel.
     pub fn relative_solver_part(&self) -> f64 {
         self.worst(|c| self.solver_part[c])
     }
 
-    /// The reciprocity defect's part of the imbalance, relative to what is emitted, of the channel where it is worst.
+    /// The reciprocity defect's part of the imbalance, relative to the emitted power, in the worst channel.
     pub fn relative_reciprocity_part(&self) -> f64 {
         self.worst(|c| self.reciprocity_part[c])
     }
 
-    /// One rounding of the light that leaves the patches, relative to what is emitted, of the channel where it is worst: no
-    /// balance can be closer. It matters where nearly all is reflected.
+    /// One rounding of the power that leaves the patches, relative to the emitted power, in the worst channel. No balance
+    /// can be closer. It matters where surfaces reflect nearly all light.
     pub fn rounding(&self) -> f64 {
         self.worst(|c| f64::EPSILON * self.leaving[c])
     }

@@ -1,11 +1,11 @@
-//! What the outside world can do wrong.
+//! Errors.
 //!
-//! Bugs of the caller (an index out of range, vectors of different length) panic. Everything that a file, a
-//! terminal or a disk can cause is an [`Error`].
+//! A file, a terminal or a disk can cause an [`Error`]. A bug of the caller, such as an index out of range or vectors of
+//! different lengths, is a panic.
 
 use std::path::{Path, PathBuf};
 
-/// An error caused by input, output or the user; never by a bug of the caller.
+/// An error caused by input, output or settings.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -14,15 +14,15 @@ pub enum Error {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A file was read but what it says cannot be used. Displays as `FILE:LINE: what is wrong`.
+    /// A file was read, but its contents cannot be used. Displays as `FILE:LINE: what is wrong`.
     #[error("{}{}: {message}", file.display(), line.map_or(String::new(), |l| format!(":{l}")))]
     Input {
         /// The file.
         file: PathBuf,
-        /// The line, counted from 1, where one line is to blame.
+        /// The line, counted from 1, if a single line is wrong.
         line: Option<usize>,
         /// What is wrong.
         message: String,
@@ -32,7 +32,7 @@ pub enum Error {
     /// Arrays that are no mesh, given to [`Scene::from_indexed`](crate::Scene::from_indexed).
     #[error(transparent)]
     Mesh(MeshError),
-    /// An option or a combination of options that cannot be honoured.
+    /// A request that cannot be fulfilled.
     #[error("{message}")]
     Usage {
         /// What is wrong.
@@ -59,20 +59,20 @@ pub enum Error {
         solver: &'static str,
         /// Iterations done.
         iterations: usize,
-        /// The true relative residual reached.
+        /// The relative residual reached.
         residual: f64,
-        /// The one demanded.
+        /// The relative residual demanded.
         tolerance: f64,
     },
-    /// The scene has no equilibrium: all light stays in it for ever.
+    /// The scene has no equilibrium: light enters it and never leaves it.
     #[error("the scene has no equilibrium: it is closed, it emits, and nothing in it absorbs")]
     NoEquilibrium,
-    /// Surfaces that were said to enclose a room let light out, or show it their backs.
+    /// Surfaces were declared to enclose a room, but rays leave it or hit backs.
     #[error("the view factors of surface {surface} sum to {sum:.4}: the surfaces do not enclose a room")]
     NotEnclosed {
-        /// Index of the surface that is off most.
+        /// Index of the surface whose row sum deviates most from 1.
         surface: usize,
-        /// The sum of its row.
+        /// Its row sum.
         sum: f64,
     },
     /// [`Progress::stop`](crate::Progress::stop) was called.
@@ -191,7 +191,7 @@ pub enum MeshError {
 }
 
 impl Error {
-    /// An [`Error::Input`] for `file`, at `line` where one line is to blame.
+    /// An [`Error::Input`] for `file`, at `line` if a single line is wrong.
     pub fn input(file: &Path, line: Option<usize>, message: impl Into<String>) -> Self {
         Error::Input { file: file.to_owned(), line, message: message.into(), hint: None }
     }
@@ -215,7 +215,7 @@ impl Error {
         if let Error::Setting { settings, .. } = self { settings } else { &[] }
     }
 
-    /// The same error with advice for the user, where the error can carry one.
+    /// The same error with advice for the user. Errors without a hint stay as they are.
     #[must_use]
     pub fn with_hint(mut self, advice: impl Into<String>) -> Self {
         if let Error::Input { hint, .. } | Error::Usage { hint, .. } | Error::Setting { hint, .. } = &mut self
@@ -225,7 +225,7 @@ impl Error {
         self
     }
 
-    /// What to do about it, where something helps.
+    /// Advice for the user, if there is any.
     pub fn hint(&self) -> Option<&str> {
         match self {
             Error::Input { hint, .. } | Error::Usage { hint, .. } | Error::Setting { hint, .. } => {

@@ -3,12 +3,12 @@
 /// Luminance of linear Rec. 709 red, green and blue.
 pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
-/// The share of what is lit that automatic exposure leaves at or below [`BRIGHT`].
+/// The share of the lit surface or pixels that automatic exposure shows at [`BRIGHT`] or darker.
 const PERCENTILE: f64 = 0.9;
-/// Linear brightness of that percentile: a well lit white wall, with room for what is brighter.
+/// Linear brightness of that percentile: a well lit white wall, with room for brighter parts.
 const BRIGHT: f64 = 0.8;
 
-/// How bright radiosity or radiance is shown: times a factor, clipped to white, encoded as sRGB. There is no other
+/// How light becomes a colour on a screen: multiplied by a factor, clipped to white, encoded as sRGB. There is no tone
 /// curve: below white the picture is proportional to the light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exposure {
@@ -22,23 +22,24 @@ impl Exposure {
         Exposure { scale: 1.0 / white }
     }
 
-    /// Shows 90 % of what is lit at a brightness of at most 0.8, from pairs of a luminance and its weight. What is dark
-    /// has no say; where nothing is lit the exposure is 1.
+    /// The exposure that shows 90 % of the lit weight at a brightness of at most 0.8, from pairs of luminance and weight.
+    /// Luminances of zero do not count. If nothing is lit the factor is 1.
     pub fn automatic(luminances: impl IntoIterator<Item = (f64, f64)>) -> Exposure {
         let mut lit: Vec<(f64, f64)> =
             luminances.into_iter().filter(|(bright, _)| *bright > 0.0 && bright.is_finite()).collect();
         let percentile = percentile(&mut lit, PERCENTILE);
-        // A brightness so faint that its inverse overflows cannot be shown either.
+        // The inverse of a very faint brightness overflows.
         let scale = BRIGHT / percentile;
         Exposure { scale: if percentile > 0.0 && scale.is_finite() { scale } else { 1.0 } }
     }
 
-    /// Brighter by so many stops: a stop is a factor of two.
+    /// The same, brighter by a number of stops; a stop is a factor of two.
+    #[must_use]
     pub fn brighter(self, stops: f64) -> Exposure {
         Exposure { scale: self.scale * stops.exp2() }
     }
 
-    /// The least light that is shown white.
+    /// The least light that appears white.
     pub fn white(self) -> f64 {
         1.0 / self.scale
     }
@@ -59,17 +60,17 @@ pub fn luminance(rgb: [f64; 3]) -> f64 {
     rgb.iter().zip(LUMINANCE).map(|(x, weight)| x * weight).sum()
 }
 
-/// Encodes a linear value in \[0, 1\] as IEC 61966-2-1 says.
+/// Encodes a linear value in \[0, 1\] as sRGB (IEC 61966-2-1).
 pub fn srgb(linear: f64) -> f64 {
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
-/// Decodes an sRGB value in \[0, 1\] as IEC 61966-2-1 says.
+/// Decodes an sRGB value in \[0, 1\] (IEC 61966-2-1).
 pub fn linear(srgb: f64) -> f64 {
     if srgb <= 0.04045 { srgb / 12.92 } else { ((srgb + 0.055) / 1.055).powf(2.4) }
 }
 
-/// The value that `share` of the weight is below or at; 0 of nothing.
+/// The smallest value that `share` of the weight does not exceed; 0 without values.
 fn percentile(weighted: &mut [(f64, f64)], share: f64) -> f64 {
     weighted.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     let wanted = share * weighted.iter().map(|w| w.1).sum::<f64>();

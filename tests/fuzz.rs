@@ -1,5 +1,5 @@
-//! Feeds the readers and the command line what nobody would write: good files with bytes, numbers, words and lines
-//! changed at random. Everything must load or be refused with one line, within bounds of time and memory.
+//! Feeds the readers and the command line damaged input: good files with bytes, numbers, words and lines changed at random.
+//! Each must load, or be refused with one line, within bounds of time and memory.
 //!
 //!     cargo test --test fuzz -- obj|mtl|ply|gltf|glb|cli|checkpoint SECONDS [FIRST]
 //!
@@ -32,9 +32,9 @@ use radiosity::{
     trace::{Tracer, sampling::mix},
 };
 
-/// Longer than this no case may take.
+/// Longest time for a case.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Memory that a case may touch: a constant for the program itself, and so much a byte of the file.
+/// Memory that a case may touch: a constant for the program itself, and an amount for each byte of the file.
 const MEMORY: u64 = 64 << 20;
 const MEMORY_PER_BYTE: u64 = 4000;
 /// Files grow no larger than this by mutation.
@@ -58,7 +58,7 @@ impl Random {
     }
 }
 
-/// What to put where something else was.
+/// Words to replace others with.
 const WORDS: [&str; 66] = [
     "0",
     "1",
@@ -419,7 +419,7 @@ fn repair(bytes: &mut [u8]) {
     }
 }
 
-/// Most memory touched since [`reset_peak`], where Linux tells.
+/// Most memory touched since [`reset_peak`], on Linux.
 fn peak() -> u64 {
     radiosity::output::report::peak_bytes().unwrap_or(0)
 }
@@ -659,7 +659,7 @@ fn main() -> ExitCode {
     let kept = (target == "checkpoint").then(|| Kept::new(&folder));
     std::panic::set_hook(Box::new(|info| eprintln!("{info}")));
 
-    // Whoever hangs is told of by a second thread: it cannot be stopped from within.
+    // A second thread reports a case that hangs: it cannot be stopped from within.
     static CASE: AtomicU64 = AtomicU64::new(0);
     static BEGAN: AtomicU64 = AtomicU64::new(0);
     let start = Instant::now();

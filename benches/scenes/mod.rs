@@ -82,7 +82,7 @@ fn add_room(n: u32, triangles: &mut Triangles) {
     }
 }
 
-/// An icosahedron, each face cut into four as often as told, on the unit sphere.
+/// An icosahedron on the unit sphere. Each face is cut in four, `level` times.
 fn icosphere(level: u32) -> Vec<[DVec3; 3]> {
     let golden = (1.0 + 5f64.sqrt()) / 2.0;
     let signs = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)];

@@ -30,6 +30,7 @@ pub struct OutputFile {
 
 /// Written, but not yet there under its name. Dropping it leaves no trace.
 #[derive(Debug)]
+#[must_use = "the file is removed unless it is committed"]
 pub struct Pending {
     output: OutputFile,
     contents: Contents,

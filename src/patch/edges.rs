@@ -1,15 +1,15 @@
-//! Edges that triangles have in common, and names for the points that the corners of patches lie on.
+//! Edges that triangles share, and numbers for the corners of patches.
 
 use rayon::prelude::*;
 
 use super::MAX_LEVEL;
 use crate::scene::Scene;
 
-/// Points are told apart in units of 1/2^this of an edge.
+/// Points have whole barycentric coordinates in units of 1/2^this.
 pub(crate) const FINEST: u32 = MAX_LEVEL as u32;
 
-/// The edges of a scene. Triangles whose edges have the same two vertices share them, whatever their number, winding or
-/// material.
+/// The edges of a scene. Two triangles share an edge when both have its two vertices, whatever their winding or material.
+/// Any number of triangles can share an edge.
 #[derive(Debug)]
 pub(crate) struct Edges {
     /// For edge `k` of triangle `t`, which runs from its corner `k` to the next, at `3 t + k`: its lowest such number.
@@ -26,13 +26,13 @@ impl Edges {
         Edges { first }
     }
 
-    /// The edge that is edge `k` of triangle `t`: a number that all who share it agree on.
+    /// The number of edge `k` of triangle `t`. All triangles that share the edge have the same number for it.
     pub(crate) fn of(&self, t: usize, k: usize) -> u32 {
         self.first[3 * t + k]
     }
 
-    /// A number for a point of triangle `t` given by whole barycentric coordinates that sum to 2^[`FINEST`]. Whoever shares
-    /// its vertex or edge has the same number for it.
+    /// A number for a point of triangle `t`, given by whole barycentric coordinates that sum to 2^[`FINEST`]. All triangles
+    /// that share the point's vertex or edge have the same number for it.
     pub(crate) fn point(&self, scene: &Scene, t: usize, p: [u32; 3]) -> u64 {
         let v = scene.triangles[t].vertices;
         if let Some(k) = (0..3).find(|&k| p[k] == 1 << FINEST) {
@@ -48,7 +48,7 @@ impl Edges {
 /// A triangle's edge by its vertices, the lower first, and its number 3 t + k.
 pub(crate) type Slot = (u32, u32, u32);
 
-/// The edges of all triangles, those with the same vertices next to each other.
+/// The edges of all triangles; edges with the same vertices are neighbours in the list.
 pub(crate) fn slots(scene: &Scene) -> Vec<Slot> {
     let mut slots = Vec::with_capacity(3 * scene.triangles.len());
     for (t, triangle) in scene.triangles.iter().enumerate() {

@@ -1,8 +1,8 @@
-//! The quadtrees of all triangles, each known by its leaves alone.
+//! The quadtrees of all triangles, each stored as its leaves.
 //!
-//! Most are uniform: leaf `k` is child `k` at the tree's level. Of the others the leaves are listed, each by the first of its
-//! descendants at the level of the smallest (Gargantini, "An Effective Way to Represent Quadtrees", CACM 25, 1982): where the
-//! next leaf begins, it ends.
+//! Most trees are uniform: leaf `k` is child `k` at the tree's level. The leaves of other trees are in a list. A leaf is
+//! listed by its first descendant at the level of the smallest leaf, and ends where the next leaf begins (Gargantini, "An
+//! Effective Way to Represent Quadtrees", CACM 25, 1982).
 
 use super::{Cell, quadtree};
 
@@ -12,16 +12,16 @@ const NONE: u32 = u32::MAX;
 pub(super) struct Forest {
     /// The level of each tree's smallest leaves.
     levels: Vec<u8>,
-    /// The number of leaves in all trees before each, and in all.
+    /// The number of leaves in all trees before each tree; at the end, the number of all leaves.
     offsets: Vec<u32>,
     /// The leaves of trees that are not uniform.
     listed: Vec<u32>,
-    /// Where those of each tree begin in `listed`, or [`NONE`]; empty when all trees are uniform.
+    /// Where the leaves of each tree begin in `listed`; [`NONE`] for a uniform tree. Empty when all trees are uniform.
     lists: Vec<u32>,
 }
 
 impl Forest {
-    /// A uniform tree a triangle.
+    /// One uniform tree for each triangle.
     pub(super) fn uniform(levels: Vec<u8>) -> Forest {
         let mut offsets = Vec::with_capacity(levels.len() + 1);
         offsets.push(0);
@@ -31,7 +31,7 @@ impl Forest {
         Forest { levels, offsets, listed: Vec::new(), lists: Vec::new() }
     }
 
-    /// The trees that have these leaves, which come in the order of triangles and steps; every triangle has some.
+    /// The trees with these leaves. Leaves come in the order of triangles and steps; every triangle has at least one.
     pub(super) fn of_leaves(cells: &[Cell]) -> Forest {
         let (mut levels, mut offsets) = (Vec::new(), vec![0]);
         let (mut listed, mut lists) = (Vec::new(), Vec::new());
@@ -113,12 +113,12 @@ impl Forest {
         }
     }
 
-    /// The first child at the tree's level that is beyond a leaf.
+    /// The first child at the tree's level after a leaf.
     fn end(&self, t: usize, list: &[u32], leaf: u32) -> u32 {
         list.get(leaf as usize + 1).copied().unwrap_or(quadtree::children(self.levels[t]))
     }
 
-    /// The leaves that share some of their area with a cell: one that holds it, or those that it holds.
+    /// The leaves that overlap a cell: either the one leaf that contains it, or all leaves inside it.
     pub(super) fn overlapping(&self, cell: &Cell) -> std::ops::Range<u32> {
         let t = cell.triangle as usize;
         let level = self.levels[t];
@@ -132,8 +132,8 @@ impl Forest {
         self.leaf_of(t, first)..self.leaf_of(t, last) + 1
     }
 
-    /// How many leaves, this one the first, are all those of the highest ancestor that has none more than so many levels
-    /// below itself.
+    /// Number of leaves in the family that begins with this leaf: all leaves below the highest ancestor whose leaves are at
+    /// most `levels` levels below it.
     pub(super) fn family(&self, t: usize, leaf: u32, levels: u8) -> u32 {
         let Some(list) = self.list(t) else { return quadtree::children(levels.min(self.levels[t])) };
         let first = list[leaf as usize];
@@ -154,7 +154,7 @@ impl Forest {
     }
 }
 
-/// How many quadtree steps make so many leaves.
+/// The number of quadtree steps that make this number of leaves.
 fn steps(children: u32) -> u8 {
     (children.trailing_zeros() / 2) as u8
 }

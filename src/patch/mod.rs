@@ -1,11 +1,11 @@
-//! Patches: the triangles of the scene, cut into pieces of constant radiosity, and their two sides.
+//! Patches: pieces of the scene's triangles, each of constant radiosity.
 //!
-//! A triangle is cut by a quadtree: level `l` gives 4^l congruent children. Only the input triangles are in the ray
-//! tracer; the barycentric coordinates of a hit tell the child in `l` steps ([`quadtree`]). Where patches of one triangle
-//! differ in size ([`Patches::refined`]), a search among them follows.
+//! A quadtree cuts a triangle: level `l` has 4^l congruent children. The ray tracer holds only the triangles. The
+//! barycentric coordinates of a hit lead to the child in `l` steps ([`quadtree`]). A search follows where a triangle has
+//! patches of different sizes ([`Patches::refined`]).
 //!
-//! Every triangle has a front, whose patches are always unknowns of the system, and a back, whose patches become
-//! unknowns only when rays hit them: closed solids never show their inside.
+//! A triangle has a front and a back. Patches of fronts are always unknowns of the linear system. Patches of backs become
+//! unknowns when a ray hits them: rays never hit the inside of a closed solid.
 
 pub(crate) mod edges;
 mod forest;
@@ -24,28 +24,28 @@ use forest::Forest;
 pub enum Subdivision {
     /// No patch has an edge longer than this, in the file's unit. Infinity leaves the triangles whole.
     Edge(f64),
-    /// About this many patches, all edges below one common length; at least one a triangle.
+    /// About this many patches, all with edges below one common length. Every triangle has at least one patch.
     Count(usize),
 }
 
-/// More levels than single-precision barycentric coordinates can tell apart are never needed.
+/// Single-precision barycentric coordinates resolve no more levels.
 const MAX_LEVEL: u8 = 15;
 const NONE: u32 = u32::MAX;
 
-/// A triangle, or the part of it that quadtree steps lead to.
+/// A cell of the quadtree of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cell {
     /// The triangle.
     pub triangle: u32,
-    /// The steps: base-4 digits, the first most significant.
+    /// The steps from the root to the cell as base-4 digits, the first most significant.
     pub child: u32,
-    /// How many they are.
+    /// Number of steps.
     pub level: u8,
 }
 
-/// The unknowns: every patch of the fronts, in file order, then the patches of the backs that rays have hit.
+/// The unknowns: all patches of fronts in file order, then the patches of backs that rays have hit.
 ///
-/// Radiometric values come `channels` at a time: element `i * channels + c` is channel `c` of patch `i`.
+/// Radiometric values are interleaved: element `i * channels + c` is channel `c` of patch `i`.
 #[derive(Debug, Clone)]
 pub struct Patches {
     channels: usize,
@@ -64,7 +64,7 @@ impl Patches {
     /// Cuts the fronts of all triangles.
     ///
     /// # Panics
-    /// When an edge length is not positive, or when the patches would outnumber 2³¹.
+    /// When an edge length is not positive, or when there would be 2³¹ patches or more.
     pub fn subdivide(scene: &Scene, subdivision: &Subdivision) -> Patches {
         let (edge, levels) = levels(scene, subdivision);
         assert!(edge > 0.0, "the patch size must be positive");
@@ -98,12 +98,13 @@ impl Patches {
         patches
     }
 
-    /// Cuts the marked front patches in four, and of the others as many as it takes for neighbours to differ by one level
-    /// at most, and for each patch to have smaller neighbours on one edge at most: within triangles, and where triangles
-    /// share an edge. Backs are no unknowns yet.
+    /// Cuts each marked front patch in four. Then cuts further patches until neighbours differ by one level at most, and
+    /// each patch has smaller neighbours on one edge at most. Triangles that share an edge count as neighbours. The result
+    /// has no back patches yet.
     ///
     /// # Panics
-    /// When there is not a mark for each front patch, or when the patches would outnumber 2³¹.
+    /// When the number of marks is not the number of front patches, or when there would be 2³¹ patches or more.
+    #[must_use]
     pub fn refined(&self, scene: &Scene, marked: &[bool]) -> Patches {
         assert_eq!(marked.len(), self.fronts, "one mark a front patch is wanted");
         let cells: Vec<Cell> = (0..self.fronts).map(|i| self.cell(i)).collect();
@@ -111,14 +112,15 @@ impl Patches {
         Patches { restricted: true, ..Self::of_cells(scene, &cells, self.edge) }
     }
 
-    /// Cuts every front patch in four, but for those at the last level. Backs are no unknowns yet.
+    /// Cuts every front patch in four, except patches of the deepest level. The result has no back patches yet.
     ///
     /// # Panics
-    /// When the patches would outnumber 2³¹.
+    /// When there would be 2³¹ patches or more.
+    #[must_use]
     pub fn quartered(&self, scene: &Scene) -> Patches {
         let cells: Vec<Cell> = (0..self.fronts).map(|i| self.cell(i)).collect();
         let cells = restricted::split(cells, &vec![true; self.fronts]);
-        // Where all are cut alike neighbours differ as they did.
+        // All patches are cut, so that neighbours differ by as many levels as before.
         Patches { restricted: self.restricted, ..Self::of_cells(scene, &cells, 0.5 * self.edge) }
     }
 
@@ -155,7 +157,7 @@ impl Patches {
         count(levels(scene, subdivision).1.into_iter())
     }
 
-    /// Makes the backs of these triangles unknowns, in this order, unless they are already.
+    /// Adds the back patches of these triangles in this order. Skips triangles whose backs were added before.
     pub fn add_backs(&mut self, scene: &Scene, triangles: &[u32]) {
         for &t in triangles {
             if self.back_offsets[t as usize] == NONE {
@@ -184,7 +186,7 @@ impl Patches {
         }
     }
 
-    /// Number of unknowns: front patches and those back patches that were added.
+    /// Number of unknowns: front patches, and back patches added so far.
     pub fn len(&self) -> usize {
         self.triangle.len()
     }
@@ -204,7 +206,7 @@ impl Patches {
         self.channels
     }
 
-    /// The largest edge that was allowed.
+    /// The largest edge that the subdivision allowed.
     pub fn edge(&self) -> f64 {
         self.edge
     }
@@ -224,8 +226,7 @@ impl Patches {
         i < self.fronts
     }
 
-    /// Whether no edge of a patch is cut more than once by neighbours, and of each patch one at most: so it is after
-    /// [`Patches::refined`].
+    /// Whether neighbours cut at most one edge of each patch, and at most once. [`Patches::refined`] makes it so.
     pub fn is_restricted(&self) -> bool {
         self.restricted
     }
@@ -251,7 +252,7 @@ impl Patches {
         start..start + self.leaves(triangle)
     }
 
-    /// Which of the patches on its side of its triangle patch `i` is, in the order of the quadtree.
+    /// Index of patch `i` among the patches of its side of its triangle, in the order of the quadtree.
     fn leaf(&self, i: usize) -> u32 {
         let t = self.triangle(i);
         i as u32 - if self.is_front(i) { self.trees.offset(t) } else { self.back_offsets[t] }
@@ -262,14 +263,15 @@ impl Patches {
         self.trees.cell(self.triangle(i), self.leaf(i))
     }
 
-    /// The front patches that share some of their area with a cell: one that holds it, or all that it holds.
+    /// The front patches that overlap a cell: either the one patch that contains it, or all patches inside it.
     pub fn fronts_in(&self, cell: &Cell) -> Range<usize> {
         let (leaves, first) = (self.trees.overlapping(cell), self.trees.offset(cell.triangle as usize));
         (first + leaves.start) as usize..(first + leaves.end) as usize
     }
 
-    /// The front patches of `other`, another subdivision of the same scene, that front patch `i` shares some of its area
-    /// with: one that holds it, or all that it holds. And the share of the area of each that it covers, 1 in the second case.
+    /// The front patches of `other`, another subdivision of the same scene, that overlap front patch `i`: either the one
+    /// patch that contains it, or all patches inside it. Also returns the share of their area that patch `i` covers, which is
+    /// 1 in the second case.
     pub fn overlap(&self, other: &Patches, i: usize) -> (Range<usize>, f64) {
         let cell = self.cell(i);
         let fronts = other.fronts_in(&cell);
@@ -277,8 +279,8 @@ impl Patches {
         (fronts, 0.25f64.powi(deeper.into()))
     }
 
-    /// Runs of neighbouring patches, in the order of the patches: all those of an ancestor in the quadtree of their triangle's
-    /// side, the highest that has none more than so many levels below itself.
+    /// Groups of neighbouring patches, in the order of the patches. A group holds all patches below one cell of a quadtree:
+    /// the highest cell whose patches are at most `levels` levels below it.
     pub fn families(&self, levels: u8) -> impl Iterator<Item = Range<usize>> + '_ {
         let mut start = 0;
         std::iter::from_fn(move || {
@@ -289,7 +291,7 @@ impl Patches {
         })
     }
 
-    /// The patch on the back of front patch `i`, where that is an unknown.
+    /// The patch on the back of front patch `i`, if it was added.
     pub fn back_of(&self, i: usize) -> Option<u32> {
         let offset = self.back_offsets[self.triangle(i)];
         (offset != NONE).then(|| offset + self.leaf(i))
@@ -326,10 +328,11 @@ impl Patches {
         if self.is_front(i) { normal } else { -normal }
     }
 
-    /// Barycentric coordinates in patch `i` of a point of its triangle; a point outside by a rounding is moved in.
+    /// Barycentric coordinates in patch `i` of a point of its triangle. Rounding may put the point just outside the patch; it
+    /// is then moved to the edge.
     pub fn local(&self, i: usize, barycentric: [f32; 3]) -> [f64; 3] {
         let corners = self.barycentric_corners(i);
-        // Signed areas of the triangles that the point makes with each side, in the plane of two coordinates.
+        // Signed areas of the triangles between the point and each edge, from two of the coordinates.
         let from = |k: usize| [0, 1].map(|axis| corners[k][axis] - f64::from(barycentric[axis]));
         let across = |[ux, uy]: [f64; 2], [vx, vy]: [f64; 2]| (ux * vy - vx * uy).max(0.0);
         let weights = [across(from(1), from(2)), across(from(2), from(0)), across(from(0), from(1))];
@@ -337,17 +340,17 @@ impl Patches {
         weights.map(|w| w / sum)
     }
 
-    /// Reflectance of every patch, `channels` at a time.
+    /// Reflectance of every patch, interleaved channels.
     pub fn reflectance(&self) -> &[f64] {
         &self.reflectance
     }
 
-    /// Emitted radiosity Be = π Le of every patch in W/m², `channels` at a time.
+    /// Emitted radiosity Be = π Le of every patch in W/m², interleaved channels.
     pub fn emission(&self) -> &[f64] {
         &self.emission
     }
 
-    /// The patch at a point of a triangle's front or back; `None` on a back that is no unknown.
+    /// The patch at a point of a triangle's front or back; `None` on a back that was not added.
     #[inline]
     pub fn at(&self, triangle: u32, barycentric: [f32; 3], front: bool) -> Option<u32> {
         let t = triangle as usize;
@@ -373,7 +376,7 @@ fn longest_edge(scene: &Scene, t: usize) -> f64 {
 
 /// The lowest level at which an edge of length `longest` is cut to at most `edge`.
 fn level(longest: f64, edge: f64) -> u8 {
-    // A hair of slack, so that an edge cut to exactly the wanted length is not cut once more by a rounding.
+    // The slack keeps rounding from cutting an edge once more when it already has exactly the wanted length.
     let mut level = 0;
     while level < MAX_LEVEL && longest / f64::from(1u32 << level) > edge * (1.0 + 1e-12) {
         level += 1;
@@ -386,11 +389,11 @@ fn count(levels: impl Iterator<Item = u8>) -> f64 {
     levels.map(|l| f64::from(quadtree::children(l))).sum()
 }
 
-/// The edge length whose number of patches comes nearest to `wanted`, as a ratio.
+/// The edge length that gives the number of patches nearest to `wanted`, by ratio.
 fn edge_for_count(longest: &[f64], wanted: usize) -> f64 {
     let Some(largest) = longest.iter().copied().reduce(f64::max) else { return f64::INFINITY };
     let patches = |edge: f64| count(longest.iter().map(|&l| level(l, edge)));
-    // The number of patches falls as the edge grows, in steps: bisect for the step that straddles the target.
+    // The number of patches falls in steps as the edge grows: bisect for the step at the wanted number.
     let wanted = wanted.max(1) as f64;
     let (mut fine, mut coarse) = (largest / f64::from(1u32 << MAX_LEVEL), largest);
     for _ in 0..60 {

@@ -1,7 +1,7 @@
 //! The uniform quadtree of a triangle.
 //!
-//! Each step cuts a triangle into four congruent ones: children 0, 1, 2 keep a corner each, child 3 is the middle,
-//! turned by half a turn. A patch is the number whose base-4 digits, most significant first, are the steps.
+//! Each step cuts a triangle into four congruent children. Children 0, 1 and 2 each keep a corner. Child 3 is the middle,
+//! turned by 180 degrees. A patch has a number: its base-4 digits, most significant first, are the steps to it.
 
 /// Number of patches at a level.
 #[inline]
@@ -14,7 +14,7 @@ pub fn children(level: u8) -> u32 {
 pub fn child_at(barycentric: [f32; 3], level: u8) -> u32 {
     let [mut a, mut b, mut c] = barycentric;
     let mut index = 0;
-    // Doubling, and subtracting from 1 what lies in [1/2, 1], are exact: no digit is lost to rounding.
+    // Doubling is exact, and so is subtracting 1 from a number between 1 and 2: no digit is lost to rounding.
     for _ in 0..level {
         let digit = if a >= 0.5 {
             (a, b, c) = (2.0 * a - 1.0, 2.0 * b, 2.0 * c);
@@ -34,7 +34,7 @@ pub fn child_at(barycentric: [f32; 3], level: u8) -> u32 {
     index
 }
 
-/// Barycentric coordinates of the corners of a patch, in the order that keeps the triangle's winding.
+/// Barycentric coordinates of the corners of a patch, in the triangle's winding order.
 pub fn corners(child: u32, level: u8) -> [[f64; 3]; 3] {
     lattice(child, level).map(|p| p.map(|k| f64::from(k) / f64::from(1u32 << level)))
 }

@@ -1,9 +1,9 @@
-//! Restricted quadtrees: where patches of a triangle differ in size, and where triangles meet, neighbours differ by one
-//! level at most, and of a patch's three edges at most one is cut by smaller neighbours.
+//! Restricted quadtrees. Two rules hold for neighbouring patches, within a triangle and across shared edges: neighbours
+//! differ by one level at most, and smaller neighbours cut at most one of a patch's three edges.
 //!
 //! The first rule is von Herzen and Barr's ("Accurate Triangulations of Deformed, Intersecting Surfaces", SIGGRAPH 87),
-//! the second Bank's ("The Efficient Implementation of Local Mesh Refinement Algorithms", 1983). Together they let every
-//! patch be drawn as a triangle, or as two halves of one.
+//! the second Bank's ("The Efficient Implementation of Local Mesh Refinement Algorithms", 1983). Both together
+//! allow every patch to be drawn as one triangle, or as its two halves.
 
 use rayon::prelude::*;
 
@@ -55,7 +55,7 @@ pub(crate) fn middle(a: [u32; 3], b: [u32; 3]) -> [u32; 3] {
     between(a, b, 2)
 }
 
-/// The point so many quarters of the way from `a` to `b`.
+/// The point at `quarters` quarters of the way from `a` to `b`.
 fn between(a: [u32; 3], b: [u32; 3], quarters: u32) -> [u32; 3] {
     std::array::from_fn(|axis| ((4 - quarters) * a[axis] + quarters * b[axis]) / 4)
 }
@@ -77,7 +77,7 @@ pub(super) fn restrict(scene: &Scene, mut cells: Vec<Cell>) -> Vec<Cell> {
     }
 }
 
-/// Replaces the marked cells by their children; those of the last level stay.
+/// Replaces each marked cell by its children, except cells of the deepest level.
 pub(super) fn split(cells: Vec<Cell>, marked: &[bool]) -> Vec<Cell> {
     let mut all = Vec::with_capacity(cells.len() + 3 * marked.iter().filter(|&&m| m).count());
     for (cell, &marked) in cells.into_iter().zip(marked) {

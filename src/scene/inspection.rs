@@ -1,4 +1,4 @@
-//! What is in a scene, told before anything is computed: how its surfaces join, what they are made of.
+//! Properties of a mesh before any computation: how its surfaces join, and their materials.
 
 use std::collections::HashMap;
 
@@ -8,27 +8,27 @@ use serde::Serialize;
 
 use super::Scene;
 
-/// Vertices closer than this share of the scene's extent count as one. Files round positions to six digits or so, and
-/// where two parts of one edge were rounded apart the edge is still meant to be shared.
+/// Vertices closer than this share of the scene's extent count as one. Files round positions to about six digits, so that
+/// the two ends of a shared edge can differ by a rounding.
 pub const WELD: f64 = 1e-6;
 
-/// What a look at the mesh tells.
+/// Properties of a mesh.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Inspection {
     /// Triangles that have an area.
     pub triangles: usize,
-    /// Triangles left out because they have none.
+    /// Triangles left out because they have no area.
     pub degenerate: usize,
     /// Different positions.
     pub vertices: usize,
-    /// Vertices that lie within [`WELD`] of another: cracks that rays may find.
+    /// Vertices that lie within [`WELD`] of another: rays may pass through such cracks.
     pub near_vertices: usize,
     /// Area of all triangles, one side each, in the file's unit squared.
     pub area: f64,
-    /// The corners of the box round everything.
+    /// The lowest and highest corner of the bounding box.
     pub bounds: [DVec3; 2],
-    /// How the triangles join, with near vertices taken for one.
+    /// How the triangles join; near vertices count as one.
     pub edges: Edges,
     /// Triangles with the same three corners as an earlier one.
     pub doubled: usize,
@@ -36,22 +36,22 @@ pub struct Inspection {
     pub materials: Vec<MaterialUse>,
 }
 
-/// Edges by the triangles that run through them.
+/// Numbers of edges by the triangles that share them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct Edges {
-    /// All.
+    /// All edges.
     pub total: usize,
-    /// With one triangle: rims, and places where light escapes from what should be closed.
+    /// Edges of one triangle: the rim of a surface. Light escapes there from a solid that should be closed.
     pub open: usize,
-    /// With three or more.
+    /// Edges of three or more triangles.
     pub non_manifold: usize,
-    /// With two triangles that run through it the same way: one of them shows its front where the other shows its back.
+    /// Edges of two triangles that run along it in the same direction: one shows its front where the other shows its back.
     pub inconsistent: usize,
 }
 
 impl Edges {
-    /// Whether the surface has neither rims nor branches.
+    /// Whether each edge has exactly two triangles.
     pub fn is_closed(&self) -> bool {
         self.total > 0 && self.open == 0 && self.non_manifold == 0
     }
@@ -62,7 +62,7 @@ impl Edges {
 pub struct MaterialUse {
     /// Its name.
     pub name: String,
-    /// Triangles made of it.
+    /// Number of its triangles.
     pub triangles: usize,
     /// Their area.
     pub area: f64,
@@ -73,7 +73,7 @@ pub struct MaterialUse {
 }
 
 impl Inspection {
-    /// Looks at `scene`. Takes time and memory in proportion to its triangles.
+    /// Inspects a scene. Time and memory are proportional to the number of triangles.
     pub fn of(scene: &Scene) -> Inspection {
         let bounds = bounds(scene);
         let (names, near_vertices) = weld(scene, bounds);
@@ -92,15 +92,15 @@ impl Inspection {
         }
     }
 
-    /// Longest side of the box round everything.
+    /// Longest side of the bounding box.
     pub fn extent(&self) -> f64 {
         (self.bounds[1] - self.bounds[0]).max_element()
     }
 
-    /// The unit of length that makes the scene about as large as rooms and buildings are, if one does. A guess, of
-    /// which only powers and areas depend.
+    /// The unit of length that makes the scene as large as a room or a building, if there is one. This is a guess; only
+    /// powers and areas depend on it.
     pub fn unit_guess(&self) -> Option<&'static str> {
-        // A room is some metres large, a street some hundred; 549 is the Cornell box in millimetres, 300 a room in
+        // A room measures some metres, a street some hundred metres. The Cornell box is 549 in millimetres; a room is 300 in
         // centimetres.
         match self.extent() {
             x if (0.5..150.0).contains(&x) => Some("metres"),
@@ -116,7 +116,7 @@ fn bounds(scene: &Scene) -> [DVec3; 2] {
     scene.vertices.iter().fold([first; 2], |[low, high], &v| [low.min(v), high.max(v)])
 }
 
-/// Gives every vertex the index of the first one near it, and counts those that got another's.
+/// Gives every vertex the index of the first vertex near it, and counts the vertices that got another index than their own.
 fn weld(scene: &Scene, [low, high]: [DVec3; 2]) -> (Vec<u32>, usize) {
     // Halved first: the difference of two large coordinates may overflow.
     let extent = (high * 0.5 - low * 0.5).max_element();
@@ -126,8 +126,8 @@ fn weld(scene: &Scene, [low, high]: [DVec3; 2]) -> (Vec<u32>, usize) {
     let mut near = 0;
     let names = scene.vertices.iter().enumerate().map(|(i, &v)| {
         let p = unit(v);
-        // A cell is four times as wide as what counts as near: mostly one cell holds everything near, and no cell
-        // holds many vertices that are not.
+        // A cell is four times as wide as [`WELD`]: most near vertices are in the same cell, and a cell holds few other
+        // vertices.
         let (from, to) = (cell(p - WELD), cell(p + WELD));
         let near_cells = (from[0]..=to[0])
             .flat_map(|x| (from[1]..=to[1]).flat_map(move |y| (from[2]..=to[2]).map(move |z| [x, y, z])));
@@ -150,7 +150,7 @@ fn weld(scene: &Scene, [low, high]: [DVec3; 2]) -> (Vec<u32>, usize) {
 }
 
 fn edges(triangles: &[[u32; 3]]) -> Edges {
-    // Ends in order, then whether the triangle runs from the larger to the smaller.
+    // The two ends in order, then whether the triangle runs from the larger to the smaller index.
     let mut halves: Vec<(u32, u32, bool)> = triangles
         .iter()
         .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])

@@ -1,7 +1,7 @@
 //! The scene: triangles, materials, textures, and the readers that bring them in.
 //!
-//! Everything is kept as the file says it: lengths in the file's unit and double precision, `Ke` as radiance,
-//! `Kd` as reflectance. Whoever casts rays recentres and rescales ([`crate::trace`]).
+//! A scene keeps the values of its file: lengths in the file's unit and in double precision, `Ke` as radiance, `Kd` as
+//! reflectance. The ray tracer recentres and rescales for itself ([`crate::trace`]).
 
 pub(crate) mod gltf;
 mod indexed;
@@ -23,14 +23,14 @@ use crate::{Error, Result};
 pub use specular::{Distribution, Fresnel, MOST_EXPONENT, Shadowing, Specular};
 pub use texture::{Texture, TextureMap};
 
-/// One triangle of the scene; counter-clockwise vertices seen from its front.
+/// One triangle of the scene. Its vertices run counter-clockwise as seen from its front.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Triangle {
     /// Indices into [`Scene::vertices`].
     pub vertices: [u32; 3],
     /// Index into [`Scene::materials`].
     pub material: u32,
-    /// Which triangle of the file this is, in file order after triangulation (degenerate ones counted too).
+    /// Index of the triangle in the file, in file order after triangulation. Triangles left out count too.
     pub source: u32,
 }
 
@@ -50,7 +50,7 @@ pub struct Material {
     pub emission_map: Option<TextureMap>,
     /// Reflectance on top of what textures and colours of vertices leave of it: of a specular part that counts as diffuse.
     pub reflectance_offset: [f64; 3],
-    /// What it reflects beside its diffuse part. Only path and light tracing follow it.
+    /// Its specular reflection, if any. Only path and light tracing use it.
     pub specular: Option<Box<Specular>>,
 }
 
@@ -74,23 +74,23 @@ impl Material {
     }
 }
 
-/// A face as the file has it, before it was cut into triangles.
+/// A face of the file, before it was cut into triangles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Face {
-    /// The first of its triangles, as [`Triangle::source`] counts; those of the next face follow.
+    /// [`Triangle::source`] of its first triangle. Its triangles end where those of the next face begin.
     pub first: u32,
-    /// Its line, in files of text.
+    /// Its line in a text file.
     pub line: Option<usize>,
     /// Index into [`Scene::parts`].
     pub part: u32,
 }
 
-/// What an OBJ file says that some faces belong to.
+/// The object and the group that faces of an OBJ file belong to.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
 pub struct Part {
     /// The name after `o`.
     pub object: Option<String>,
-    /// What stands after `g`: one name, or several that together are a group of their own.
+    /// The names after `g`. Several names together form one group.
     pub group: Option<String>,
 }
 
@@ -102,42 +102,42 @@ pub struct Scene {
     pub vertices: Vec<DVec3>,
     /// Triangles of positive area.
     pub triangles: Vec<Triangle>,
-    /// Texture coordinates of each triangle's corners, zero where it has none; empty when no triangle has any.
+    /// Texture coordinates of each triangle's corners; zero for a triangle without. Empty if no triangle has any.
     pub texcoords: Vec<[DVec2; 3]>,
-    /// Texture coordinates of each triangle's corners for its texture of emission; empty where they are the same.
+    /// Texture coordinates of each triangle's corners for its emission texture. Empty if they equal [`Scene::texcoords`].
     pub emission_texcoords: Vec<[DVec2; 3]>,
-    /// Linear colours of each triangle's corners, which multiply its reflectance; empty when no triangle has any.
+    /// Linear colours of each triangle's corners; they multiply its reflectance. Empty if no triangle has any.
     pub colours: Vec<[[f32; 3]; 3]>,
     /// The faces that the triangles come from, in file order; empty unless [`LoadOptions::faces`] asked for them.
     pub faces: Vec<Face>,
-    /// What the faces belong to.
+    /// Objects and groups of the faces.
     pub parts: Vec<Part>,
     /// Materials.
     pub materials: Vec<Material>,
     /// Textures that the materials refer to.
     pub textures: Vec<Texture>,
-    /// How many of the last triangles are no faces of the file, but the backs of double-sided lamps.
+    /// Number of triangles at the end that are no faces of the file but the backs of double-sided emitters.
     pub backs_of_lamps: usize,
     /// Triangles left out because their area is zero.
     pub degenerate: usize,
-    /// What the reader left out or assumed, a sentence each.
+    /// What the reader left out or assumed, one sentence each.
     pub warnings: Vec<String>,
     /// Files that were read: the mesh, then material libraries and textures; empty for a scene made in memory.
     pub files: Vec<PathBuf>,
-    /// Material libraries and textures that the files name and that could not be read, by these names.
+    /// Names of material libraries and textures that the files refer to, but that could not be read.
     pub missing: Vec<String>,
 }
 
-/// What to take where a file says nothing.
+/// How to read a scene.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 #[non_exhaustive]
 pub struct LoadOptions {
-    /// Reflectance of surfaces that the file gives none, R G B in \[0, 1\]; [`DEFAULT_REFLECTANCE`] where `None`, and
-    /// then a warning says so. It counts before the colours of an OBJ's or PLY's vertices and faces.
+    /// Reflectance of surfaces without one in the file, R G B in \[0, 1\]. `None` means [`DEFAULT_REFLECTANCE`] and a
+    /// warning. It overrides colours of vertices and faces in an OBJ or PLY.
     pub reflectance: Option<[f64; 3]>,
-    /// Whether to keep which triangles were one face, and what the file says that it belongs to.
+    /// Whether to keep [`Scene::faces`] and [`Scene::parts`].
     pub faces: bool,
-    /// Whether surfaces that a glTF file calls unlit emit their colour, instead of reflecting by it.
+    /// Whether unlit materials of a glTF file emit their colour. Otherwise the colour is their reflectance.
     pub unlit_emits: bool,
 }
 
@@ -147,20 +147,20 @@ setters!(LoadOptions {
     with_unlit_emits(unlit_emits: bool),
 });
 
-/// Reflectance of whatever neither the file nor [`LoadOptions`] give one: grey plaster.
+/// Reflectance where neither the file nor [`LoadOptions`] gives one: grey plaster.
 pub const DEFAULT_REFLECTANCE: f64 = 0.5;
 
-/// Largest radiance that a surface may emit, W/(m² sr). Errors add up by squares, and ledgers by areas: both have to stay within
+/// Largest radiance that a surface may emit, W/(m² sr). Sums of squared errors, and of powers over all areas, must stay within
 /// the range of double precision.
 pub const MOST_RADIANCE: f64 = 1e100;
 
-/// Whether a surface may emit so much: a number from 0 to [`MOST_RADIANCE`].
+/// Whether a surface may emit this radiance: a number from 0 to [`MOST_RADIANCE`].
 pub fn is_radiance(radiance: f64) -> bool {
     (0.0..=MOST_RADIANCE).contains(&radiance)
 }
 
 impl LoadOptions {
-    /// The reflectance of what has none.
+    /// Reflectance of surfaces without one.
     fn default_reflectance(&self) -> [f64; 3] {
         self.reflectance.unwrap_or([DEFAULT_REFLECTANCE; 3])
     }
@@ -175,7 +175,7 @@ impl LoadOptions {
 }
 
 impl Scene {
-    /// Reads a scene; the format is told by the file's extension (`.obj` with its `.mtl`, `.ply`, `.gltf`, `.glb`).
+    /// Reads a scene. The extension of the file decides on the format: `.obj` with its `.mtl`, `.ply`, `.gltf` or `.glb`.
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] with file and line when it cannot be used.
@@ -183,7 +183,7 @@ impl Scene {
         Scene::load_with(path, &LoadOptions::default())
     }
 
-    /// Reads a scene as [`Scene::load`] does, with a word on what files may leave open.
+    /// Reads a scene as [`Scene::load`] does, with options.
     ///
     /// # Errors
     /// Those of [`Scene::load`].
@@ -255,12 +255,11 @@ impl Scene {
         (0..self.triangles.len()).any(|t| self.emits(t))
     }
 
-    /// Lets the material of this name emit `radiance`, W/(m² sr), from the front of all its triangles, or every material
-    /// where no name is given; textures of emission no longer count. Tells how many materials that were: names need
-    /// not be unique.
+    /// Sets the emitted radiance, W/(m² sr), of all materials of this name, or of every material without a name. Fronts of
+    /// their triangles emit; emission textures no longer count. Returns the number of materials: names need not be unique.
     ///
     /// # Panics
-    /// When it [is no radiance](is_radiance).
+    /// When the radiance [is out of range](is_radiance).
     pub fn emit(&mut self, material: Option<&str>, radiance: [f64; 3]) -> usize {
         assert!(radiance.into_iter().all(is_radiance), "not a radiance");
         let mut found = 0;
@@ -273,26 +272,19 @@ impl Scene {
     }
 
     /// Gives all materials of this name a reflectance, R G B in \[0, 1\], and an emitted radiance, W/(m² sr). Their textures
-    /// no longer count; a specular part stays. Returns how many materials have the name.
+    /// and colours of vertices no longer count; a specular part stays. Returns the number of materials.
     ///
     /// Patches made before take the change by [`Patches::update_materials`](crate::patch::Patches::update_materials).
     ///
     /// # Panics
-    /// When a reflectance is outside 0 to 1, or the emission [is no radiance](is_radiance).
+    /// When a reflectance is outside 0 to 1, or the emission [is out of range](is_radiance).
     pub fn set_material(&mut self, name: &str, reflectance: [f64; 3], emission: [f64; 3]) -> usize {
-        assert!(reflectance.iter().all(|r| (0.0..=1.0).contains(r)), "a reflectance is outside 0 to 1");
-        assert!(emission.into_iter().all(is_radiance), "not a radiance");
-        let mut found = 0;
-        for material in self.materials.iter_mut().filter(|material| material.name == name) {
-            let specular = material.specular.take();
-            *material = Material { specular, ..Material::new(name, reflectance, emission) };
-            found += 1;
-        }
-        found
+        self.reflect(name, reflectance);
+        self.emit(Some(name), emission)
     }
 
-    /// Lets the material of this name reflect `reflectance` on all its triangles; textures and colours of its reflectance no
-    /// longer count. Returns how many materials have the name.
+    /// Sets the reflectance of all materials of this name. Their textures and colours of vertices no longer count. Returns
+    /// the number of materials.
     ///
     /// # Panics
     /// When a reflectance is outside 0 to 1.
@@ -313,7 +305,7 @@ impl Scene {
         found
     }
 
-    /// 1 when every material and texture is grey, so that one channel describes the scene; else 3.
+    /// 1 if every material and texture is grey, so that one channel describes the scene; otherwise 3.
     pub fn channels(&self) -> usize {
         let grey = |c: [f64; 3]| c[0] == c[1] && c[1] == c[2];
         let colourful = self.materials.iter().any(|m| {
@@ -426,8 +418,8 @@ fn interpolate(uv: &[DVec2; 3], b: [f64; 3]) -> DVec2 {
     uv[0] * b[0] + uv[1] * b[1] + uv[2] * b[2]
 }
 
-/// Cross product of edges that may be so short or long that the product under- or overflows: the vector product of
-/// the edges divided by the returned power of two.
+/// Cross product of two edges, both divided by the returned power of two. The product of very short or very long edges
+/// would underflow or overflow.
 fn scaled_cross(e: DVec3, f: DVec3) -> (DVec3, f64) {
     let largest = e.abs().max_element().max(f.abs().max_element());
     if largest == 0.0 || !largest.is_finite() {
@@ -437,12 +429,12 @@ fn scaled_cross(e: DVec3, f: DVec3) -> (DVec3, f64) {
     ((e / scale).cross(f / scale), scale)
 }
 
-/// The unit vector that points where `v` does, also where the square of its length under- or overflows; none for zero.
+/// The unit vector along `v`, also if the square of its length underflows or overflows. None for zero.
 pub(crate) fn direction(v: DVec3) -> Option<DVec3> {
     (v / v.abs().max_element()).try_normalize()
 }
 
-/// Centre and half of the longest side of the box round some points: what makes a unit space of them.
+/// Centre of the bounding box of points, and half of its longest side: they define the unit space.
 pub(crate) fn centre_and_extent(points: impl Iterator<Item = DVec3>) -> (DVec3, f64) {
     let none = [DVec3::INFINITY, DVec3::NEG_INFINITY];
     let [low, high] = points.fold(none, |[low, high], v| [low.min(v), high.max(v)]);
@@ -492,7 +484,7 @@ impl SceneBuilder {
             })
         });
         self.scene.triangles.push(Triangle { vertices, material, source });
-        // Those before the first triangle with some are filled in; those of a scene without any are not kept at all.
+        // Triangles before the first one with texture coordinates get zeros. A scene without any keeps none.
         if texcoords.is_some() || !self.scene.texcoords.is_empty() {
             self.scene.texcoords.resize(self.scene.triangles.len() - 1, Default::default());
             self.scene.texcoords.push(texcoords.unwrap_or_default());

@@ -1,19 +1,24 @@
 //! Wavefront OBJ with MTL.
 //!
-//! [tobj](https://docs.rs/tobj) parses; a thin layer before it and one after it make up for what it leaves open:
+//! [tobj](https://docs.rs/tobj) parses. A thin layer before it and one after it do the rest:
 //!
 //! - before (`text`, `scan`, `mtl`): text that is not UTF-8, line ends, `\` continuations, tabs after keywords,
 //!   several names or names with blanks after `mtllib`, Windows paths, `Kd` with one number, `Kd spectral`, `Kd xyz`,
-//!   statements out of order. Every line of numbers is checked here, because tobj does not tell lines.
+//!   statements out of order. Every line of numbers is checked here, because errors of tobj have no line.
 //! - after (`material`, and `triangulate`): reflectance and radiance in range, textures with their options,
 //!   polygons into triangles.
 //!
-//! What the formats leave open is decided so: a material without `Kd`, an undefined one and a face without one have
-//! reflectance 0.5 (with a warning); with `map_Kd` a missing `Kd` is 1, with `map_Ke` a missing `Ke` is 1; of two
-//! definitions of a material the first counts; normals are not read, the front is where the vertices run
-//! counter-clockwise; a texture statement's `-s` and `-o` make `uv · s + o`. Only materials that faces use are kept. `Ks` is a modified Phong lobe of
-//! exponent `Ns`, with `illum` 3 a mirror and with `illum` 5 one after Fresnel and Schlick; with `Pr` or `Pm` the material is
-//! glTF's metallic-roughness model instead, `Kd` its base colour.
+//! The formats leave some questions open. This reader decides:
+//!
+//! - The reflectance is 0.5, with a warning, for a material without `Kd`, an undefined material and a face without material.
+//! - A missing `Kd` is 1 beside `map_Kd`; a missing `Ke` is 1 beside `map_Ke`.
+//! - The first of two definitions of a material counts.
+//! - Normals are not read. The front is where the vertices run counter-clockwise.
+//! - `-s` and `-o` of a texture statement make `uv · s + o`.
+//! - Only materials that faces use are kept.
+//! - `Ks` is a modified Phong lobe of exponent `Ns`. With `illum 3` it is a mirror, with `illum 5` a mirror with Schlick's
+//!   Fresnel term.
+//! - With `Pr` or `Pm` the material is glTF's metallic-roughness model, and `Kd` its base colour.
 
 mod map_line;
 mod material;
@@ -33,8 +38,8 @@ use crate::{Error, Result};
 /// Reads `path` and the material libraries it names.
 ///
 /// # Errors
-/// [`Error::Io`] when `path` cannot be read; [`Error::Input`], with the line where there is one, when what it or its
-/// libraries say cannot be used. Missing libraries and textures are warnings.
+/// [`Error::Io`] when `path` cannot be read. [`Error::Input`], with a line if there is one, when the contents of it or of its
+/// libraries cannot be used. Missing libraries and textures are warnings.
 pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
     let text = text::decode(bytes);

@@ -1,18 +1,18 @@
 //! PLY meshes, ASCII and binary, through [ply-rs](https://docs.rs/ply-rs-bw).
 //!
-//! The format knows neither materials nor light. What its elements may be called is convention, and this is read:
+//! The format has no materials and no light, and the names of its elements are convention. The reader knows:
 //!
 //! - `vertex`: `x y z`; `red green blue`, integers of 0 to 255 (`ushort` to 65535) or floats of 0 to 1, sRGB-encoded.
 //! - `face`: a list `vertex_indices` or `vertex_index` of any integer type; the same colours, which count before those
 //!   of the vertices; `reflectance_r reflectance_g reflectance_b`, linear, which count before any colour; `emission_r
 //!   emission_g emission_b`, radiance in W/(m² sr).
 //!
-//! A face has the mean of its vertices' colours as its reflectance, taken of the linear values. Materials are named by
-//! their reflectance as a colour, `#rrggbb`; faces without one have the material `(none)`. The files that this program
-//! writes can be read: their vertex colours are pictures of light and not reflectances. A face that shows the back of its
-//! patch is turned round, or left out where the file has a face for the front too ([`BOTH_SIDES`]).
+//! The reflectance of a face is the mean of its vertices' colours, taken of the linear values. The name of a material is
+//! its reflectance as a colour, `#rrggbb`; faces without reflectance have the material `(none)`. Files that this program
+//! wrote can be read too. Their vertex colours show light and are not taken for reflectances. A face that shows the
+//! back of its patch is turned round. It is left out if the file has a face for the front too ([`BOTH_SIDES`]).
 //!
-//! Elements are read one by one and become triangles at once, so that nothing is allocated because a header says so.
+//! Elements are read one by one and become triangles at once. So a false header cannot make the reader allocate memory.
 
 mod element;
 
@@ -36,8 +36,8 @@ pub(crate) const BOTH_SIDES: &str = "faces: both sides of patches";
 /// Reads `path`.
 ///
 /// # Errors
-/// [`Error::Io`] when it cannot be read; [`Error::Input`], with the line of an ASCII file or the number of the element of
-/// a binary one, when what it says cannot be used.
+/// [`Error::Io`] when it cannot be read. [`Error::Input`] when its contents cannot be used, with the line of an ASCII file or
+/// the number of the element of a binary file.
 pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
     let (header, first_line, payload) = read_header(path, &bytes)?;
@@ -66,15 +66,15 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
 
 /// The header, the number of the line after it, and what follows.
 ///
-/// ply-rs wants it to be UTF-8 without blank lines or blanks before a keyword, with lines that LF ends. Comments often
-/// hold names in other encodings, so it gets a copy that is all that.
+/// ply-rs needs UTF-8 without blank lines and without blanks before a keyword, and lines that end with LF. Comments often
+/// hold names in other encodings, so that ply-rs gets a clean copy.
 fn read_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Header, usize, &'a [u8])> {
     let error = |line, message: &str| Error::input(path, line, message);
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     if !bytes.starts_with(b"ply") {
         return Err(error(Some(1), "not a PLY file: it does not begin with `ply`"));
     }
-    // A CR at the end of a line belongs to it, but where LFs end none, CRs do.
+    // CR LF ends a line, and LF. Without any LF, CR does.
     let first = bytes.iter().position(|b| matches!(b, b'\n' | b'\r')).unwrap_or(0);
     let end =
         if bytes[first..].starts_with(b"\r") && !bytes[first..].starts_with(b"\r\n") { b'\r' } else { b'\n' };
@@ -115,7 +115,7 @@ fn read_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Header, usize, &'a [
     Ok((header, line + 1, rest))
 }
 
-/// Checks that there is what a mesh needs, in a type that can be used.
+/// Checks that the header has all that a mesh needs, in types that can be used.
 fn check(path: &Path, header: &Header) -> Result<()> {
     let error = |message: String| Error::input(path, None, message);
     let faces = header.elements.get("face");
@@ -182,7 +182,7 @@ fn read_ascii(mesh: &mut Mesh, header: &Header, first: usize, payload: &[u8]) ->
 fn ascii<E: PropertyAccess>(line: &str, element: &ElementDef, path: &Path, at: &Place) -> Result<E> {
     let parser = Parser::new();
     parser.read_ascii_element(line, element).or_else(|_| {
-        // Numbers like `1.` and `.5` are not in the parser's grammar; what else is wrong stays so.
+        // The parser does not know numbers like `1.` and `.5`.
         let words: Vec<String> = line
             .split_whitespace()
             .map(|word| match word.parse::<f64>() {
@@ -234,7 +234,7 @@ fn binary<E: PropertyAccess>(
     })
 }
 
-/// Where an element is.
+/// The place of an element, for messages.
 struct Place<'a> {
     line: Option<usize>,
     element: &'a str,
@@ -243,7 +243,7 @@ struct Place<'a> {
 
 impl Place<'_> {
     fn error(&self, path: &Path, message: String) -> Error {
-        // A line says more than a number to count to.
+        // A line number helps more than the number of an element.
         match self.line {
             Some(_) => Error::input(path, self.line, message),
             None => Error::input(path, None, format!("{} {}: {message}", self.element, self.index)),
@@ -251,7 +251,7 @@ impl Place<'_> {
     }
 }
 
-/// What becomes of the elements.
+/// Collects the elements.
 struct Mesh<'a> {
     path: &'a Path,
     options: &'a LoadOptions,
@@ -269,7 +269,7 @@ struct Mesh<'a> {
     warnings: Warnings,
     /// Faces without a reflectance.
     plain: usize,
-    /// How many faces have too few corners, and where the first is.
+    /// Number of faces with too few corners, and the place of the first.
     short: Option<(usize, String)>,
 }
 
@@ -387,7 +387,7 @@ impl Mesh<'_> {
     }
 }
 
-/// The mean of the vertices' colours, where all have one.
+/// The mean of the vertices' colours, if all have one.
 fn mean(corners: &[&(DVec3, Option<[f64; 3]>)]) -> Option<[f64; 3]> {
     let mut sum = [0.0; 3];
     for (_, colour) in corners {

@@ -1,10 +1,10 @@
-//! Bytes to logical lines, and file names as exporters write them to files that exist.
+//! Decodes text files into logical lines, and finds the files that exporters name.
 
 use std::borrow::Cow;
 use std::ffi::OsStr;
 use std::path::{Component, Path, PathBuf};
 
-/// The file as text: UTF-16 where a byte order mark says so, else UTF-8. What is not UTF-8 is taken as Latin-1, which
+/// The file as text: UTF-16 if it has a byte order mark, otherwise UTF-8. Text that is not UTF-8 is read as Latin-1, which
 /// keeps different names different (a replacement character would not).
 pub(super) fn decode(bytes: Vec<u8>) -> String {
     let utf_16 = |pair: fn([u8; 2]) -> u16| {
@@ -25,8 +25,8 @@ pub(super) fn decode(bytes: Vec<u8>) -> String {
     }
 }
 
-/// Logical lines with the number of the first physical line of each: LF, CR LF and CR end a line, a backslash at
-/// its end continues it. Comments do not continue: many end with a Windows path.
+/// Logical lines, each with the number of its first physical line. LF, CR LF and CR end a line; a backslash at its end
+/// continues it. Comments do not continue, since some end with a Windows path.
 pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
     let mut rest = text;
     let mut number = 0;
@@ -76,15 +76,15 @@ pub(super) fn without_comment(rest: &str) -> &str {
     rest.split_once('#').map_or(rest, |(before, _)| before)
 }
 
-/// A file that a name led to.
+/// The file that a name refers to.
 pub(super) struct Found {
     pub(super) path: PathBuf,
-    /// Whether a part of the name had to be left out: it is not where the name says.
+    /// Whether parts of the name were left out: the file is not where the name says.
     pub(super) elsewhere: bool,
 }
 
-/// The file that `name` means for a file in `folder`: as [`find_as_named`]; without a comment after it; and, for paths of
-/// another machine, by the last parts of the path, as many as lead to a file.
+/// The file that `name` refers to in a file in `folder`: as [`find_as_named`] finds it, with or without a comment after it.
+/// The name may be a path of another machine: then its last parts count, as many as lead to a file.
 pub(super) fn find_file(folder: &Path, name: &str) -> Option<Found> {
     let bare = name.trim().trim_matches('"');
     let without_comment = bare.split_once(" #").or_else(|| bare.split_once("\t#")).map(|(before, _)| before);
@@ -101,7 +101,7 @@ pub(super) fn find_file(folder: &Path, name: &str) -> Option<Found> {
     })
 }
 
-/// The file `name` in `folder`: as it is, with `\ ` as a blank, with `\` as `/`, each part of the path in any case.
+/// The file `name` in `folder`. Also tries `\ ` as a blank, `\` as `/`, and other cases of letters in each part.
 pub(super) fn find_as_named(folder: &Path, name: &str) -> Option<PathBuf> {
     let bare = name.trim().trim_matches('"');
     existing(folder, bare).or_else(|| existing(folder, &bare.replace("\\ ", " ").replace('\\', "/")))

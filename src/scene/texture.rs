@@ -9,7 +9,7 @@ use glam::DVec2;
 
 use self::mean::Pyramid;
 
-/// Larger images are refused: their header may ask for any amount of memory.
+/// Larger images are refused: a header may claim any size.
 const LARGEST_SIDE: u32 = 16384;
 const LARGEST_DECODED: u64 = 1 << 30;
 
@@ -55,27 +55,27 @@ pub struct Texture {
 pub struct TextureMap {
     /// Index into [`Scene::textures`](super::Scene::textures).
     pub texture: usize,
-    /// Texture coordinates are multiplied by this,
+    /// Texture coordinates are multiplied by this scale.
     pub scale: DVec2,
-    /// and then moved by this.
+    /// The offset is added after scaling.
     pub offset: DVec2,
-    /// Outside 0..1 the texels at the rim go on, instead of the image being repeated.
+    /// Whether the texels at the rim extend outside 0..1. Otherwise the image repeats.
     pub clamp: bool,
 }
 
 impl TextureMap {
-    /// The texture as it is, repeated.
+    /// The texture without scale or offset, repeated.
     pub fn new(texture: usize) -> Self {
         TextureMap { texture, scale: DVec2::ONE, offset: DVec2::ZERO, clamp: false }
     }
 }
 
-/// What the bytes of a texel mean.
+/// The linear value of a byte of a texel.
 static LINEAR: LazyLock<[f64; 256]> =
     LazyLock::new(|| std::array::from_fn(|i| crate::tone::linear(i as f64 / 255.0)));
 
 impl Texture {
-    /// An image of `width` times `height` texels, R G B a byte each, sRGB-encoded, rows from the top.
+    /// An image of `width` times `height` texels, R G B one byte each, sRGB-encoded, rows from the top.
     ///
     /// # Panics
     /// When there are no texels or `texels` has another length.
@@ -88,7 +88,7 @@ impl Texture {
         texture
     }
 
-    /// Reads an image file; the error says why it cannot.
+    /// Reads an image file. The error says what is wrong.
     pub(super) fn load(path: &Path) -> Result<Texture, String> {
         let image = decode(
             &std::fs::read(path).map_err(|e| e.to_string())?,
@@ -102,7 +102,7 @@ impl Texture {
         (self.width, self.height)
     }
 
-    /// R G B of all texels, a byte each, sRGB-encoded, rows from the top.
+    /// R G B of all texels, one byte each, sRGB-encoded, rows from the top.
     pub fn texels(&self) -> &[u8] {
         &self.texels
     }
@@ -135,9 +135,9 @@ impl Texture {
 
     /// Linear value averaged over the triangle `uv`, by area; at the centroid when its area is zero.
     ///
-    /// Exact for triangles up to about a thousand texels large. Beyond that, squares on the triangle's rim that are
-    /// smaller than 1/512 of its extent (width plus height in texels) count with their mean, so that time is bounded
-    /// however often the image repeats.
+    /// Exact for triangles up to about a thousand texels large. On the rim of a larger triangle, squares smaller than 1/512
+    /// of its extent (width plus height in texels) count with their mean. So time is bounded however often the image
+    /// repeats.
     pub fn mean(&self, map: &TextureMap, uv: [DVec2; 3]) -> [f64; 3] {
         let corners = uv.map(|p| self.to_texels(map, p));
         mean::over(self, map.clamp, corners)

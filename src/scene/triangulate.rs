@@ -1,4 +1,4 @@
-//! Polygons to triangles: convex ones as a fan, concave ones by ear clipping in the plane that fits them.
+//! Cuts polygons into triangles: convex polygons as a fan, concave polygons by ear clipping in their plane.
 
 use earcut::Earcut;
 use earcut::utils3d::project3d_to_2d;
@@ -7,16 +7,16 @@ use glam::{DVec2, DVec3};
 /// How far a corner may turn the wrong way and still count as straight, as the sine of an angle.
 const STRAIGHT: f64 = 1e-9;
 
-/// Ear clipping takes time with the square of the corners: a concave polygon of 100,000 took a minute and a half, one of
-/// 10,000 a tenth of a second. More are refused, so that time stays in proportion to the file.
+/// The time of ear clipping grows with the square of the corners: a concave polygon of 100,000 corners took a minute and a
+/// half, one of 10,000 a tenth of a second. Larger ones are refused.
 const MOST_CORNERS: usize = 10_000;
 
-/// What to say of a polygon that [`polygon`] refuses.
+/// Message for a polygon that [`polygon`] refuses.
 pub(super) const TOO_MANY: &str = "a concave face of more than 10000 corners cannot be cut into triangles";
 
-/// The triangles of a polygon of at least three points as indices into `points`: always two fewer than points, with
-/// the polygon's winding. Degenerate polygons, and those that cross themselves, become a fan; `None` where there are too
-/// many corners.
+/// The triangles of a polygon of at least three points, as indices into `points`. They have the polygon's winding, and there
+/// are always two fewer than points. Degenerate and self-intersecting polygons become a fan. `None` if a concave polygon
+/// has too many corners.
 pub(super) fn polygon(points: &[DVec3]) -> Option<Vec<[usize; 3]>> {
     if points.len() == 3 {
         return Some(fan(3));
@@ -32,8 +32,8 @@ fn fan(n: usize) -> Vec<[usize; 3]> {
     (1..n - 1).map(|i| [0, i, i + 1]).collect()
 }
 
-/// The polygon in the plane of its Newell normal, counter-clockwise, about one unit large: the projection's own
-/// thresholds are absolute.
+/// The polygon in the plane of its Newell normal, counter-clockwise. It is scaled to about one unit, because the thresholds of
+/// the projection are absolute.
 fn flatten(points: &[DVec3]) -> Option<Vec<[f64; 2]>> {
     let extent = points.iter().map(|p| (*p - points[0]).abs().max_element()).fold(0.0, f64::max);
     if extent == 0.0 || !extent.is_finite() {
@@ -53,8 +53,8 @@ fn doubled_triangle(ring: &[[f64; 2]], [a, b, c]: [usize; 3]) -> f64 {
     (b - a).perp_dot(c - a)
 }
 
-/// No corner turns right, and no triangle of the fan does: the second excludes stars, which turn left at every corner
-/// but more than once around.
+/// Whether no corner turns right, and no triangle of the fan does. The second condition excludes stars, which turn left at
+/// every corner but go round more than once.
 fn is_convex(ring: &[[f64; 2]]) -> bool {
     let n = ring.len();
     let turns_left = |t: [usize; 3]| {
@@ -64,7 +64,7 @@ fn is_convex(ring: &[[f64; 2]]) -> bool {
     (0..n).all(|i| turns_left([i, (i + 1) % n, (i + 2) % n])) && fan(n).into_iter().all(turns_left)
 }
 
-/// Ear clipping; `None` when the result does not cover the polygon, as for one that crosses itself.
+/// Ear clipping. `None` if the result does not cover the polygon, for instance because it intersects itself.
 fn clip_ears(ring: &[[f64; 2]]) -> Option<Vec<[usize; 3]>> {
     let mut indices: Vec<usize> = Vec::new();
     Earcut::new().earcut_slice(ring, &[], &mut indices);
@@ -80,8 +80,8 @@ fn clip_ears(ring: &[[f64; 2]]) -> Option<Vec<[usize; 3]>> {
     ((covered - area).abs() <= 1e-9 * area && triangles.len() == ring.len() - 2).then_some(triangles)
 }
 
-/// Puts back the points that ear clipping drops from straight edges. Without them the neighbour across such an edge
-/// would meet a T-junction, through which rays can escape.
+/// Inserts the points that ear clipping drops from straight edges. Without them there would be a T-junction with the
+/// neighbour across such an edge, through which rays can escape.
 fn insert_dropped(n: usize, triangles: &mut Vec<[usize; 3]>) -> Option<()> {
     let mut kept = vec![false; n];
     triangles.iter().flatten().for_each(|&i| kept[i] = true);

@@ -1,15 +1,15 @@
-//! What a reader left out or assumed, in sentences; of what comes by the hundred, a few.
+//! Warnings of readers: what they left out or assumed. Many similar warnings become one sentence.
 
 use std::collections::HashMap;
 
-/// Of more cases of one kind than this, only the first is told in full.
+/// With more cases of one kind than this, one sentence names the first cases and counts the others.
 const MOST: usize = 3;
 
-/// Warnings in the order in which they first came up.
+/// Warnings, in the order of their first occurrence.
 #[derive(Default)]
 pub(super) struct Warnings {
     kinds: Vec<Kind>,
-    /// Where a kind is in `kinds`, by the words before and after the name.
+    /// Index of a kind in `kinds`, by the words before and after the name.
     known: HashMap<(String, String), usize>,
 }
 
@@ -29,7 +29,7 @@ impl Warnings {
         self.kinds.push(Kind::Plain(sentence));
     }
 
-    /// Adds the sentence `place: before `name`after`, one of perhaps many that differ in place and name only.
+    /// Adds the sentence `place: before `name`after`. Many sentences may differ only in place and name.
     pub(super) fn repeat(&mut self, place: String, before: &str, name: &str, after: &str) {
         let next = self.kinds.len();
         let at = *self.known.entry((before.into(), after.into())).or_insert(next);

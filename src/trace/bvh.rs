@@ -1,4 +1,4 @@
-//! A bounding volume hierarchy eight children wide, and how a ray goes through it.
+//! A bounding volume hierarchy with up to eight children a node, and its traversal.
 
 use std::mem::MaybeUninit;
 
@@ -21,9 +21,8 @@ use super::{
 /// Children of a node; triangles of a leaf, and its vertices.
 pub(super) const WIDTH: usize = 8;
 
-/// obvhs's presets lower the search distance near the leaves, which collapses on tessellated planar walls (their
-/// Morton codes tie); a search distance of 6 all the way down does not. Reinsertion spares rays a sixth of the nodes
-/// there.
+/// obvhs's presets lower the search distance near the leaves. That degrades on tessellated planar walls, where Morton codes
+/// tie; a search distance of 6 at all levels does not. Reinsertion saves rays a sixth of the nodes there.
 const BUILD: BvhBuildParams = BvhBuildParams {
     pre_split: false,
     ploc_search_distance: PlocSearchDistance::Low,
@@ -35,7 +34,7 @@ const BUILD: BvhBuildParams = BvhBuildParams {
     collapse_traversal_cost: 1.0,
 };
 
-/// Boxes of up to eight children, one lane a child. Lanes without a child hold a box that no ray meets.
+/// Boxes of up to eight children, one lane each. A lane without a child has a box that no ray hits.
 #[repr(C, align(64))]
 pub(super) struct Node {
     /// By axis, then low and high.
@@ -59,28 +58,28 @@ impl Node {
     }
 }
 
-/// Up to eight triangles on up to eight vertices, each sheared once however many triangles share it: two lines of
-/// cache. Lanes without a triangle have all corners in one vertex, where the edge functions vanish exactly.
+/// Up to eight triangles with up to eight vertices, in two cache lines. A vertex is sheared once for all its triangles. A lane
+/// without a triangle has all corners in one vertex, where the edge functions are exactly zero.
 #[repr(C, align(64))]
 pub(super) struct Leaf {
-    /// By axis, one lane a vertex.
+    /// By axis, one lane for each vertex.
     pub(super) vertices: [[f32; WIDTH]; 3],
-    /// By corner, one lane a triangle: which vertex.
+    /// Index of the vertex, by corner, one lane for each triangle.
     pub(super) corners: [[u8; WIDTH]; 3],
 }
 
 impl Leaf {
-    /// Of triangles whose vertices [`share_vertices`] found to be few enough.
+    /// A leaf of triangles whose vertices are few enough for [`share_vertices`].
     ///
     /// # Panics
-    /// When they are not.
+    /// When they are too many.
     pub(super) fn new(members: &[u32], triangles: &[UnitTriangle]) -> Leaf {
         let (vertices, corners) = share_vertices(members, triangles).expect("the triangles fit into a leaf");
         Leaf { vertices: [0, 1, 2].map(|axis| vertices.map(|v| v[axis])), corners }
     }
 }
 
-/// The vertices of triangles, each once, and where among them every corner is; none where there are too many.
+/// The different vertices of triangles, and for every corner its index among them. `None` if there are too many.
 pub(super) fn share_vertices(
     members: &[u32],
     triangles: &[UnitTriangle],
@@ -102,16 +101,16 @@ pub(super) fn share_vertices(
     Some((vertices, corners))
 }
 
-/// What only triangles need that are met.
+/// Data that only hits need.
 #[derive(Clone, Copy, Default)]
 struct Facet {
-    /// Unit normal of the front, not from the rounded corners: it leaves none of them by more than their rounding.
+    /// Unit normal of the front, from the corners before rounding. The rounded corners lie in its plane up to their rounding.
     normal: [f32; 3],
     /// The scene's index.
     triangle: u32,
 }
 
-/// One lane a triangle. Apart from its leaf, but at the same index, so that both come from memory at once.
+/// One lane for each triangle. Apart from the leaf but at the same index, so that memory delivers both at once.
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
 struct Facets([Facet; WIDTH]);
@@ -121,23 +120,23 @@ pub(super) struct Bvh {
     /// The root first.
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
-    /// Of every leaf.
+    /// For every leaf.
     facets: Vec<Facets>,
-    /// Entries that a ray may have to remember at once.
+    /// Largest number of entries on the stack of a ray.
     stack: usize,
 }
 
-/// How far a ray has come.
+/// The state of a ray.
 pub(super) struct Way<'a> {
     stack: Stack<'a>,
-    /// The node or leaf that comes next.
+    /// The next node or leaf.
     at: u32,
-    /// Nothing beyond matters.
+    /// Distance beyond which nothing matters.
     limit: f32,
 }
 
 impl<'a> Way<'a> {
-    /// At the root, with room for as many entries as the hierarchy's stack needs.
+    /// At the root, with room for the entries that the hierarchy's stack needs.
     #[inline(always)]
     pub(super) fn begin<Q: Query>(room: &'a mut [MaybeUninit<u64>], ray: &PreparedRay) -> Self {
         let mut way = Way { stack: Stack::new(room), at: 0, limit: 0.0 };
@@ -148,19 +147,19 @@ impl<'a> Way<'a> {
     /// Back at the root, for another ray.
     #[inline(always)]
     pub(super) fn begin_anew<Q: Query>(&mut self, ray: &PreparedRay) {
-        // Behind itself a ray meets nothing.
+        // A ray hits nothing behind its origin.
         (self.at, self.limit) = (0, if ray.is_proper() { Q::LIMIT } else { -1.0 });
     }
 }
 
-/// Entries that fit the stack of a ray without allocation: enough for millions of triangles that are not stacked up oddly.
+/// Entries of a ray's stack without allocation: enough for millions of triangles in ordinary scenes.
 pub(super) const STACK: usize = 96;
 
 impl Bvh {
-    /// Builds the hierarchy over those of the triangles that `kept` names; their coordinates are at most 1.
+    /// Builds the hierarchy over the triangles in `kept`. Coordinates are at most 1.
     pub(super) fn new(triangles: &[UnitTriangle], kept: &[u32]) -> Bvh {
-        // Four ulp of the largest coordinate, which is 1: the box test rounds, and must never round a ray out of a
-        // box whose triangle the watertight test would report.
+        // Four ulp of the largest coordinate, 1. The box test rounds, and must never miss a box with a triangle that the
+        // watertight test would hit.
         let padding = Vec3A::splat(4.0 * f32::EPSILON);
         let padded = |t: &UnitTriangle| {
             let [a, b, c] = t.corners;
@@ -174,7 +173,7 @@ impl Bvh {
             return bvh;
         }
         let collapse = Collapse::new(&binary, triangles);
-        // Nodes yet to fill: the binary node each comes from, where it is, what the stack holds meanwhile.
+        // Nodes yet to fill: the binary node of each, its index, and the height of the stack when a ray visits it.
         let mut open = vec![(0, 0, 0)];
         while let Some((from, to, above)) = open.pop() {
             let children = collapse.gather(from);
@@ -214,10 +213,10 @@ impl Bvh {
         self.stack
     }
 
-    /// Asks one ray.
+    /// Casts one ray.
     #[inline(always)]
     pub(super) fn ask<L: Lanes, Q: Query>(&self, lanes: L, ray: &PreparedRay) -> Q::Answer {
-        // Left uninitialised: to zero it would take as long as a node.
+        // Not initialised: setting it to zero would take as long as a node.
         let mut fixed = [MaybeUninit::uninit(); STACK];
         let mut large = Vec::new();
         let mut room = &mut fixed[..];
@@ -230,8 +229,8 @@ impl Bvh {
         query.answer()
     }
 
-    /// Visits the node or leaf that a ray has come to, tells `query` of what it meets there, and finds the next, near boxes first.
-    /// Boxes beyond the limit of the query are left out. Whether there is a next one.
+    /// Visits the next node or leaf of a ray, gives `query` the hits there, and finds the next one after it, near boxes first.
+    /// Leaves out boxes beyond the limit of the query. Returns whether there is a next one.
     #[inline(always)]
     pub(super) fn step<L: Lanes, Q: Query>(
         &self,
@@ -275,7 +274,7 @@ impl Bvh {
         }
     }
 
-    /// The child entered first; the others go to the stack, near ones on top.
+    /// The nearest child; the others go to the stack, near ones on top.
     #[inline(always)]
     fn nearest_child<L: Lanes>(
         &self,
@@ -285,7 +284,7 @@ impl Bvh {
         entries: &[f32; WIDTH],
         stack: &mut Stack,
     ) -> u32 {
-        // Distances are not negative, so that their bits order as they do. Equal ones go by index.
+        // Distances are not negative, so that their bits have the same order. The index decides between equal distances.
         let mut next = || {
             let lane = take_lane(&mut entered);
             let child = node.children[lane];
@@ -310,7 +309,7 @@ impl Bvh {
     }
 }
 
-/// The lowest lane of a mask that has one; it leaves the mask.
+/// Removes the lowest lane of a mask that is not zero, and returns it.
 #[inline(always)]
 fn take_lane(mask: &mut u32) -> usize {
     let lane = mask.trailing_zeros() as usize % WIDTH;

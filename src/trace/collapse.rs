@@ -1,7 +1,7 @@
-//! Which nodes of a binary hierarchy become nodes of a wide one.
+//! Chooses the nodes of a binary hierarchy that become nodes of a wide one.
 //!
 //! Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", HPG 2017,
-//! section 3: by dynamic programming the collapse that costs least under the surface area heuristic.
+//! section 3: dynamic programming finds the collapse of least cost under the surface area heuristic.
 
 use obvhs::bvh2::Bvh2;
 
@@ -10,7 +10,7 @@ use super::{
     bvh::{WIDTH, share_vertices},
 };
 
-/// What a leaf costs relative to a node; both test all lanes, however few are in use.
+/// Cost of a leaf relative to a node. Both test all lanes, even if few are in use.
 const LEAF_COST: f32 = 1.0;
 
 /// The cheapest collapse of every subtree.
@@ -19,12 +19,12 @@ pub(super) struct Collapse<'a> {
     triangles: &'a [UnitTriangle],
     /// Cost of a binary node's triangles as a forest of at most 1, 2, ... trees.
     forests: Vec<[f32; WIDTH - 1]>,
-    /// Which nodes' triangles fit into a leaf.
+    /// Whether the triangles of a node fit into a leaf.
     fits: Vec<bool>,
 }
 
 impl<'a> Collapse<'a> {
-    /// Of a hierarchy with one triangle a leaf.
+    /// For a hierarchy with one triangle in each leaf.
     pub(super) fn new(binary: &'a Bvh2, triangles: &'a [UnitTriangle]) -> Self {
         let n = binary.nodes.len();
         let mut collapse =
@@ -67,7 +67,7 @@ impl<'a> Collapse<'a> {
         }
     }
 
-    /// The least cost of two subtrees as so many trees, and how many of them are the first one's.
+    /// The least cost of two subtrees as `trees` trees together, and how many of these belong to the first.
     fn split(&self, a: usize, b: usize, trees: usize) -> (f32, usize) {
         (1..trees)
             .map(|of_a| (self.forests[a][of_a - 1] + self.forests[b][trees - of_a - 1], of_a))
@@ -89,7 +89,7 @@ impl<'a> Collapse<'a> {
         triangles
     }
 
-    /// The triangles of a binary node that becomes a leaf; none where it becomes a node.
+    /// The triangles of a binary node that becomes a leaf; `None` if it becomes a node.
     pub(super) fn leaf(&self, node: usize) -> Option<Vec<u32>> {
         let cheap = self.forests[node][0] >= self.binary.nodes[node].aabb().half_area() * LEAF_COST;
         (self.fits[node] && cheap).then(|| self.below(node))
@@ -113,7 +113,7 @@ impl<'a> Collapse<'a> {
 
     fn spread(&self, node: usize, trees: usize, gathered: &mut Vec<usize>) {
         let costs = &self.forests[node];
-        // No more trees than it takes for this cost.
+        // The smallest number of trees with this cost.
         let trees = (1..trees).find(|&fewer| costs[fewer - 1] == costs[trees - 1]).unwrap_or(trees);
         match self.children(node) {
             Some([a, b]) if trees > 1 => self.halve(a, b, trees, gathered),

@@ -1,8 +1,8 @@
-//! Several rays on their way at a time: while one waits for memory, the others go on.
+//! Casts several rays at a time: while one waits for memory, the others proceed.
 //!
-//! What a ray visits next depends on what it has just read. In a hierarchy beyond the nearest caches it waits there, and alone it
-//! waits for most of its time. Rays that do not depend on each other take turns instead, a node or leaf each, and find what
-//! they come to fetched meanwhile.
+//! The next node of a ray depends on the node it has just read. In a hierarchy larger than the nearest caches, a single ray
+//! waits for memory most of the time. Independent rays therefore take turns, one node or leaf each, and meanwhile the next
+//! nodes of the others are fetched.
 
 use std::mem::MaybeUninit;
 
@@ -15,13 +15,13 @@ use super::{
     wide::Lanes,
 };
 
-/// Rays on their way at a time. Of a million triangles 4, 8 and 12 took a half, a third and a quarter of the time that one ray after
-/// the other takes.
+/// Number of rays at a time. With a million triangles, 4, 8 and 12 took a half, a third and a quarter of the time of one ray
+/// after the other.
 const FLIGHTS: usize = 12;
-/// Hierarchies up to so many bytes stay in a near cache: there rays go one after the other, since taking turns costs time as well.
+/// A hierarchy up to this number of bytes stays in a near cache. Rays then go one after the other, since turns cost time too.
 const NEAR: usize = 1 << 20;
 
-/// A ray on its way, and what its caller knows it by.
+/// A ray on its way, with the name that its caller gave it.
 struct Flight<'a, T, Q> {
     name: T,
     ray: PreparedRay,
@@ -30,8 +30,8 @@ struct Flight<'a, T, Q> {
 }
 
 impl Bvh {
-    /// Asks rays with a name, an origin and a direction each, and calls `answered` with the name of each and its answer, in the
-    /// order in which they end. That depends on the rays alone.
+    /// Casts rays. Each has a name, an origin and a direction. Calls `answered` with the name of a ray and its answer, in the order
+    /// in which rays end. This order depends on the rays alone.
     #[inline(always)]
     pub(super) fn ask_each<L: Lanes, Q: Query, T>(
         &self,
@@ -75,7 +75,7 @@ impl Bvh {
                 if self.step(lanes, &flight.ray, &mut flight.way, &mut flight.query) {
                     continue;
                 }
-                // In place, since moving a flight takes as long as a step.
+                // In place: moving a flight takes as long as a step.
                 let answer = std::mem::take(&mut flight.query).answer();
                 if let Some((name, origin, direction)) = rays.next() {
                     flight.ray = PreparedRay::new(origin, direction);

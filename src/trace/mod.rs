@@ -1,7 +1,7 @@
-//! Rays: the one piece of machinery that the solver and the referee share.
+//! Rays: solver and path tracer share this module, besides the scene.
 //!
-//! All rays run in *unit space*: the scene recentred and rescaled so that its largest coordinate is 1. A scene in
-//! millimetres, or 10 km from its origin, loses nothing there that single precision need not lose.
+//! All rays run in *unit space*: the scene is recentred and rescaled so that its largest coordinate is 1. So single precision
+//! resolves a scene in millimetres, or 10 km from its origin, as well as any other.
 
 mod bvh;
 mod collapse;
@@ -21,16 +21,16 @@ use query::{Free, Nearest};
 use watertight::Met;
 use wide::Kernel;
 
-/// Where a ray met a triangle.
+/// The point where a ray hits a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     /// Index into [`Scene::triangles`].
     pub triangle: u32,
     /// Whether the ray came from the side where the vertices run counter-clockwise.
     pub front: bool,
-    /// Distance in multiples of the ray's direction, unit space.
+    /// Distance in unit space, in multiples of the length of the ray's direction.
     pub t: f32,
-    /// Barycentric coordinates of the point, one weight a corner.
+    /// Barycentric coordinates of the point, one weight for each corner.
     pub barycentric: [f32; 3],
 }
 
@@ -45,7 +45,7 @@ impl Hit {
         scene.reflectance_at(self.triangle as usize, self.barycentric.map(f64::from))
     }
 
-    /// Radiance that the surface emits there, W/(m² sr), R G B: none from its back.
+    /// Radiance that the surface emits there, W/(m² sr), R G B. Backs emit nothing.
     #[inline]
     pub fn emission(&self, scene: &Scene) -> [f64; 3] {
         if self.front && scene.emits(self.triangle as usize) {
@@ -63,12 +63,12 @@ pub struct UnitTriangle {
     pub corners: [Vec3A; 3],
     /// Unit normal of the front.
     pub normal: Vec3A,
-    /// Corners of the triangle from which rays leave: the same, each edge moved inward by [`INSET`].
+    /// Corners of the triangle from which rays start: each edge is moved inward by [`INSET`].
     inner: [Vec3A; 3],
 }
 
-/// A point computed on a triangle is off by some roundings of coordinates near 1, and next to an edge they may carry it
-/// through the adjoining wall: out of a closed room. Points to start from therefore keep this distance from the edges.
+/// Rounding moves a point computed on a triangle by some ulp of coordinates near 1. Near an edge that can carry it through
+/// the adjoining wall, out of a closed room. So rays start at least this far from the edges.
 const INSET: f64 = 10.0 * 0.5 * f32::EPSILON as f64;
 
 impl UnitTriangle {
@@ -155,7 +155,7 @@ impl Tracer {
         point.as_dvec3() * self.scale + self.centre
     }
 
-    /// How many of the file's lengths one length in unit space is.
+    /// Length in the file's unit of one length in unit space.
     pub fn scale(&self) -> f64 {
         self.scale
     }
@@ -167,8 +167,8 @@ impl Tracer {
 
     /// The origin for rays that leave the point `p` of a surface on the side of `normal`.
     ///
-    /// The offset covers the rounding of `p` and of the intersection test wherever in the scene `p` lies, so it is
-    /// relative to the largest coordinate (1), not to `p`: 14 roundings, each of at most 2⁻²⁴, and one ulp outward.
+    /// The offset covers the rounding of `p` and of the intersection test everywhere in the scene. So it is relative to the
+    /// largest coordinate, 1, and not to `p`: 14 roundings, each of at most 2⁻²⁴, and one ulp outward.
     #[inline]
     pub fn leave(p: Vec3A, normal: Vec3A) -> Vec3A {
         let moved = p + Self::clearance(normal);
@@ -176,7 +176,7 @@ impl Tracer {
         Vec3A::new(outward(0), outward(1), outward(2))
     }
 
-    /// The same for some points by one coordinate.
+    /// The same for one coordinate of several points.
     #[inline]
     pub(crate) fn leave_along<const N: usize>(points: &mut [f32; N], normal: Vec3A, axis: usize) {
         let (clearance, towards) = (Self::clearance(normal)[axis], normal[axis]);
@@ -191,15 +191,14 @@ impl Tracer {
         normal * (normal.abs().element_sum() * OFFSET)
     }
 
-    /// The first triangle that the ray meets. The direction need not be of unit length, but not zero.
+    /// The first triangle that the ray hits. The direction must not be zero; it need not have unit length.
     #[inline]
     pub fn closest(&self, origin: Vec3A, direction: Vec3A) -> Option<Hit> {
         self.kernel.ask::<Nearest>(&self.bvh, origin, direction).map(Hit::new)
     }
 
-    /// [`Tracer::closest`] for many rays, given as a name, an origin and a direction each: calls `found` with the name and what
-    /// the ray met, in the order in which they end. That depends on the rays alone, not on the machine. Twice as fast where a scene
-    /// has many triangles.
+    /// [`Tracer::closest`] for many rays. Each has a name, an origin and a direction. Calls `found` with the name of a ray and its
+    /// hit, in the order in which rays end, which is the same on every machine. Twice as fast in scenes with many triangles.
     pub fn closest_each<T>(
         &self,
         rays: impl IntoIterator<Item = (T, Vec3A, Vec3A)>,
@@ -208,14 +207,14 @@ impl Tracer {
         self.kernel.ask_each::<Nearest, T>(&self.bvh, rays, |name, met| found(name, met.map(Hit::new)));
     }
 
-    /// Whether nothing stands between two points; both should be moved off their surfaces by [`Tracer::leave`].
+    /// Whether no triangle lies between two points. Both should be moved off their surfaces by [`Tracer::leave`].
     #[inline]
     pub fn visible(&self, from: Vec3A, to: Vec3A) -> bool {
         self.kernel.ask::<Free>(&self.bvh, from, to - from)
     }
 
-    /// [`Tracer::visible`] for many pairs of points, given as a name and two points each: calls `found` with the name and whether
-    /// the way is free, in the order in which they end.
+    /// [`Tracer::visible`] for many pairs of points. Each has a name. Calls `found` with the name of a pair and whether the points
+    /// see each other, in the order in which rays end.
     pub fn visible_each<T>(
         &self,
         pairs: impl IntoIterator<Item = (T, Vec3A, Vec3A)>,
@@ -226,8 +225,8 @@ impl Tracer {
     }
 }
 
-/// The scene's triangles but for those with the corners of an earlier one in the same order: rays meet both at once, and then the
-/// lower index wins. The hierarchy would be built in quadratic time where many boxes are the same, one pair after the other.
+/// The scene's triangles without duplicates: triangles with the corners of an earlier one in the same order. A ray hits both at
+/// once, and the lower index wins. With many equal boxes, building the hierarchy would take quadratic time.
 fn distinct(scene: &Scene) -> Vec<u32> {
     let corners = |t: u32| scene.triangles[t as usize].vertices;
     let mut kept: Vec<u32> = (0..scene.triangles.len() as u32).collect();
@@ -237,7 +236,7 @@ fn distinct(scene: &Scene) -> Vec<u32> {
     kept
 }
 
-/// The next larger number where `towards` is positive, the next smaller one where it is negative.
+/// The next larger number if `towards` is positive, the next smaller one if it is negative.
 #[inline]
 fn one_ulp_towards(towards: f32, x: f32) -> f32 {
     if towards > 0.0 {

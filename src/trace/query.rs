@@ -1,22 +1,22 @@
-//! What a ray is asked: which triangle it meets first, or whether it meets any on its way.
+//! Queries: the first triangle that a ray hits, or whether it hits any.
 
 use super::watertight::Met;
 
-/// A question to a ray, and what is known of the answer.
+/// A query, and the answer so far.
 pub(super) trait Query: Default {
-    /// What comes of it.
+    /// The answer.
     type Answer;
     /// Triangles beyond this `t` do not matter.
     const LIMIT: f32;
 
-    /// Takes note of a triangle met, by the scene's index. Returns the limit from now on.
+    /// Takes a hit of the triangle with this index in the scene. Returns the new limit.
     fn meet(&mut self, triangle: u32, met: Met) -> f32;
 
-    /// The answer, once all that the limit left was met.
+    /// The answer, after all triangles within the limit.
     fn answer(self) -> Self::Answer;
 }
 
-/// Whether the ray meets no triangle before `t` = 1.
+/// Whether the ray hits no triangle before `t` = 1.
 #[derive(Default)]
 pub(super) struct Free {
     blocked: bool,
@@ -29,7 +29,7 @@ impl Query for Free {
     #[inline(always)]
     fn meet(&mut self, _: u32, met: Met) -> f32 {
         self.blocked |= met.t < 1.0;
-        // A negative limit ends it: nothing is nearer.
+        // A negative limit ends the search: no triangle is nearer.
         if self.blocked { -1.0 } else { 1.0 }
     }
 
@@ -39,9 +39,9 @@ impl Query for Free {
     }
 }
 
-/// The first triangle that the ray meets: the nearest front and the nearest back so far.
+/// The first triangle that the ray hits: the nearest front and the nearest back so far.
 ///
-/// Whatever the order in which they come: the lower index wins between equal distances.
+/// The order of hits does not matter: between equal distances the lower index wins.
 #[derive(Default)]
 pub(super) struct Nearest {
     front: Option<(u32, Met)>,
@@ -62,12 +62,12 @@ impl Query for Nearest {
         }
         let t = |m: &Option<(u32, Met)>| m.as_ref().map_or(f32::INFINITY, |(_, met)| met.t);
         let (front, back) = (t(&self.front), t(&self.back));
-        // A front wins against this back where it is farther by the roundings of both, each at most 1e-4 of t.
+        // A front wins against this back even if it is farther by the rounding of both, at most 1e-4 of t each.
         front.min(back * 1.0003)
     }
 
-    /// A ray that grazes the outline of a body meets a front and a back at distances that only rounding tells apart. It
-    /// came from outside: the front counts.
+    /// A ray that grazes the outline of a body hits a front and a back at distances that differ only by rounding. It came
+    /// from outside, so that the front counts.
     #[inline(always)]
     fn answer(self) -> Option<(u32, Met)> {
         match (self.front, self.back) {

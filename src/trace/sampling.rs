@@ -1,8 +1,8 @@
-//! Sample patterns and the maps that carry them to triangles and hemispheres.
+//! Sample patterns, and maps from the unit square to triangles and hemispheres.
 
 use glam::Vec3A;
 
-/// Points a sequence holds before it must be seeded anew.
+/// Number of points of a sequence before it needs a new seed.
 pub(super) const SEQUENCE: u32 = 1 << 16;
 
 /// Mixes words into a seed; every bit of the input moves every bit of the output.
@@ -19,8 +19,8 @@ pub fn mix(words: &[u64]) -> u64 {
 
 /// Point `index` of the four-dimensional Owen-scrambled Sobol sequence with this seed; coordinates in \[0, 1).
 ///
-/// Burley, "Practical Hash-based Owen Scrambling", JCGT 10(1), 2020. The sequence holds 2¹⁶ points; past that a new
-/// scramble begins.
+/// Burley, "Practical Hash-based Owen Scrambling", JCGT 10(1), 2020. A sequence has 2¹⁶ points;
+/// after them a new scramble begins.
 #[inline]
 pub fn sobol_4d(index: u32, seed: u64) -> [f32; 4] {
     sobol_burley::sample_4d(index % SEQUENCE, 0, seed_of(seed, index))
@@ -38,7 +38,7 @@ pub(super) fn seed_of(seed: u64, index: u32) -> u32 {
 /// Heitz, "A Low-Distortion Map Between Triangle and Square", 2019: keeps strata compact.
 #[inline]
 pub fn square_to_triangle(x: f32, y: f32) -> [f32; 3] {
-    // Written so that the compiler needs no branch: which way it goes cannot be predicted.
+    // Written without branches, since their outcome cannot be predicted.
     let (near, far) = (if y > x { x } else { y } * 0.5, if y > x { y } else { x });
     let rest = far - near;
     let (b0, b1) = if y > x { (near, rest) } else { (rest, near) };
@@ -54,7 +54,7 @@ pub fn square_to_cosine_hemisphere(x: f32, y: f32) -> Vec3A {
     Vec3A::from_array(cosine_hemisphere(x, y))
 }
 
-/// [`square_to_cosine_hemisphere`] by its coordinates: without branches and calls, so that the compiler works on several at once.
+/// [`square_to_cosine_hemisphere`] by coordinates, without branches and calls, so that the compiler can vectorise it.
 #[inline]
 pub(crate) fn cosine_hemisphere(x: f32, y: f32) -> [f32; 3] {
     let (a, b) = (2.0 * x - 1.0, 2.0 * y - 1.0);
@@ -65,8 +65,8 @@ pub(crate) fn cosine_hemisphere(x: f32, y: f32) -> [f32; 3] {
     [r * cos, r * sin, (1.0 - r * r).max(0.0).sqrt()]
 }
 
-/// Sine and cosine of an angle between -π/4 and π/4, to 10⁻⁷. The same on every machine, which those of the standard library
-/// need not be.
+/// Sine and cosine of an angle between -π/4 and π/4, to 10⁻⁷. They are the same on every machine; the functions of the standard
+/// library need not be.
 ///
 /// Moshier, *Methods and Programs for Mathematical Functions* (Cephes), `sinf` and `cosf`.
 #[inline]
@@ -77,7 +77,7 @@ fn sin_cos(x: f32) -> (f32, f32) {
     (sin, cos)
 }
 
-/// Turns a direction given round +z so that it is round the unit vector `normal`.
+/// Rotates a direction so that +z becomes the unit vector `normal`.
 ///
 /// Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
 #[inline]

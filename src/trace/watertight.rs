@@ -1,9 +1,8 @@
 //! The watertight ray/triangle test of Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013.
 //!
-//! Vertices are moved to the ray's origin and sheared so that the ray runs along +z; an edge shared by two triangles
-//! then gives both the same edge function up to its sign. Products must stay separate (no fused multiply-add), or the
-//! two signs would round differently. A ray exactly on an edge counts as inside for both triangles: met twice, never
-//! lost.
+//! Vertices are moved to the ray's origin and sheared so that the ray runs along +z. Two triangles then compute the same edge
+//! function for a shared edge, up to its sign. Products must stay separate: a fused multiply-add would round the two signs
+//! differently. A ray exactly on an edge is inside both triangles: it hits twice and is never lost.
 
 use glam::Vec3A;
 
@@ -11,9 +10,9 @@ use glam::Vec3A;
 pub(super) struct PreparedRay {
     pub(super) origin: Vec3A,
     pub(super) direction: Vec3A,
-    /// One over the direction, without zeros in that.
+    /// One over the direction, where zeros were replaced.
     pub(super) inverse: Vec3A,
-    /// Along which axes the ray goes down: it enters boxes at their high side.
+    /// The axes along which the direction is negative: the ray enters boxes at their high side.
     pub(super) backward: [bool; 3],
     /// The axes permuted so that z is the direction's largest.
     pub(super) axes: [usize; 3],
@@ -23,11 +22,11 @@ pub(super) struct PreparedRay {
     pub(super) shear: [f32; 2],
 }
 
-/// A triangle met, before the division by the determinant that only the closest one needs.
+/// A hit, before the division by the determinant, which only the closest hit needs.
 #[derive(Clone, Copy)]
 pub(super) struct Met {
     pub(super) t: f32,
-    /// Cosine to the front's normal times the length of the direction: negative for rays from the front.
+    /// Cosine to the normal of the front, times the length of the direction. Negative for rays from the front.
     approach: f32,
     weights: [f32; 3],
 }
@@ -37,8 +36,8 @@ impl Met {
         self.approach < 0.0
     }
 
-    /// By how much `t` may be off: about eight roundings of coordinates near 1, more at grazing incidence, within
-    /// reason.
+    /// Bound of the rounding of `t`: about eight roundings of coordinates near 1, and more at grazing incidence up to a
+    /// limit.
     pub(super) fn rounding(&self) -> f32 {
         (8.0 * 0.5 * f32::EPSILON / self.approach.abs()).min(1e-4 * self.t)
     }
@@ -50,21 +49,21 @@ impl Met {
     }
 }
 
-/// The two axes beside the largest of a direction: by that one, and by whether it points down.
+/// The two other axes, by the largest axis of a direction and by whether the direction is negative there.
 const TURNED: [[[usize; 2]; 2]; 3] = [[[1, 2], [2, 1]], [[2, 0], [0, 2]], [[0, 1], [1, 0]]];
 
 impl PreparedRay {
     #[inline(always)]
     pub(super) fn new(origin: Vec3A, direction: Vec3A) -> Self {
         let size = direction.abs();
-        // Arrays, whose items are found without branches: which axis is the largest cannot be predicted.
+        // Look-ups in arrays need no branch; the largest axis cannot be predicted.
         let (along, from) = (direction.to_array(), origin.to_array());
         let kz = if size.x.max(size.y) >= size.z { usize::from(size.x < size.y) } else { 2 };
-        // Keeps the winding, so that the determinant's sign tells the side.
+        // Keeps the winding, so that the sign of the determinant is the side.
         let [kx, ky] = TURNED[kz][usize::from(along[kz] < 0.0)];
         let inverse = 1.0 / along[kz];
-        // A component next to zero is made large enough for a finite inverse: over the length of the scene it moves
-        // the ray by far less than boxes are padded.
+        // A component near zero is replaced by one with a finite inverse. Over the length of the scene this moves the ray by
+        // far less than boxes are padded.
         let least = Vec3A::splat(along[kz].abs() * 1e-10);
         let safe = size.max(least).copysign(direction);
         PreparedRay {
@@ -82,17 +81,17 @@ impl PreparedRay {
         }
     }
 
-    /// Whether all is finite, and so no distance to a box can be NaN. Other rays meet nothing.
+    /// Whether all values are finite, so that no distance to a box is NaN. Other rays hit nothing.
     #[inline(always)]
     pub(super) fn is_proper(&self) -> bool {
         self.origin.is_finite() && self.direction.is_finite() && self.inverse.is_finite()
     }
 
-    /// The triangle whose edge functions these are, where the ray meets it at a positive distance.
+    /// The hit of the triangle with these edge functions, if its distance is positive.
     ///
-    /// The edge functions tell whether. Where, and from which side, the plane tells: in a long thin triangle distances
-    /// interpolated between corners are off by the roundings of its length over its width, and rays would meet the
-    /// surface they leave.
+    /// The edge functions decide whether the ray hits. Distance and side come from the triangle's plane. In a long thin
+    /// triangle, distances interpolated between corners have rounding errors of its length over its width, and rays would hit
+    /// the surface that they leave.
     #[inline(always)]
     pub(super) fn meet(&self, corner: Vec3A, normal: Vec3A, weights: [f32; 3]) -> Option<Met> {
         let approach = normal.dot(self.direction);

@@ -1,9 +1,9 @@
-//! Eight boxes or eight triangles at once: in plain Rust, and in AVX2 where the processor has it.
+//! Tests of a ray against eight boxes or eight triangles at once: in plain Rust, and in AVX2 if the processor has it.
 //!
-//! Both do the same arithmetic in the same order, never fused, so that both give the same bytes; `minps` and `maxps`
-//! decide what becomes of NaN. This is the one file with unsafe code. An [`Avx2`] exists only where [`Kernel::detect`]
-//! found the instructions: that is all that its intrinsics ask for, but for the pointers they read and write, which
-//! are those of whole arrays. A [`Stack`] reads only what it has written.
+//! Both do the same arithmetic in the same order, without fused operations. So both give the same bytes. NaN behaves as in
+//! `minps` and `maxps`. This is the only file with unsafe code. An [`Avx2`] exists only if [`Kernel::detect`] found the
+//! instructions. Its intrinsics need nothing else, except valid pointers, which point to whole arrays. A [`Stack`] reads
+//! only entries that it has written.
 #![allow(unsafe_code, reason = "wide instructions chosen at run time")]
 
 #[cfg(target_arch = "x86_64")]
@@ -18,19 +18,19 @@ use super::{
     watertight::PreparedRay,
 };
 
-/// How to work on all lanes.
+/// Operations on all lanes.
 pub(super) trait Lanes: Copy {
-    /// Which boxes the ray meets no farther than `limit`, one bit each, and where it enters them: 0 inside.
+    /// The boxes that the ray enters before `limit`, one bit each, and the distances where it enters them: 0 if it starts inside.
     fn boxes(self, node: &Node, ray: &PreparedRay, limit: f32) -> (u32, [f32; WIDTH]);
 
-    /// Which triangles the ray's line meets, one bit each, and their edge functions u, v, w.
+    /// The triangles that the ray's line hits, one bit each, and their edge functions u, v, w.
     fn edges(self, leaf: &Leaf, ray: &PreparedRay) -> (u32, [[f32; WIDTH]; 3]);
 
-    /// Says that an item will be read soon.
+    /// Fetches an item that will be read soon.
     fn prefetch<T>(self, items: &[T], index: usize);
 }
 
-/// The fastest way that this processor has.
+/// The fastest operations of this processor.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Kernel {
     Portable,
@@ -75,8 +75,8 @@ impl Kernel {
     }
 }
 
-// The ray is prepared here and not passed by reference: fields written one by one and read back several at once cannot be
-// forwarded from the writes, and two rays in a row would hardly overlap (docs/performance.md).
+// The ray is prepared here and not passed by reference. Fields written one by one and read back as a vector cannot be
+// forwarded from the writes, and two successive rays would hardly overlap (docs/performance.md).
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1")]
 fn ask_avx2<Q: Query>(lanes: Avx2, bvh: &Bvh, origin: Vec3A, direction: Vec3A) -> Q::Answer {
@@ -160,12 +160,12 @@ impl Lanes for Portable {
     fn prefetch<T>(self, _: &[T], _: usize) {}
 }
 
-/// AVX2; proof that the processor has it.
+/// AVX2. A value proves that the processor has it.
 #[cfg(target_arch = "x86_64")]
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Avx2(());
 
-// Closures and `array::map` would be functions of their own without AVX2 where they are not inlined: macros instead.
+// Macros, because closures and `array::map` would be functions without AVX2 if they are not inlined.
 #[cfg(target_arch = "x86_64")]
 impl Lanes for Avx2 {
     #[inline(always)]
@@ -241,9 +241,9 @@ impl Lanes for Avx2 {
     }
 }
 
-/// Children yet to visit: distance in the upper half, index in the lower. Its room need not be initialised.
+/// Children yet to visit: distance in the upper half, index in the lower half. Unused entries are not initialised.
 pub(super) struct Stack<'a> {
-    /// Those below `height` are initialised.
+    /// Entries below `height` are initialised.
     entries: &'a mut [MaybeUninit<u64>],
     height: usize,
 }
@@ -258,7 +258,7 @@ impl<'a> Stack<'a> {
         self.height
     }
 
-    /// Puts an entry where it belongs among those above `below`, which descend.
+    /// Inserts an entry among the entries above `below`, which stay in descending order.
     #[inline(always)]
     pub(super) fn insert(&mut self, below: usize, entry: u64) {
         let mut at = self.height;

@@ -43,7 +43,7 @@ fn size(here: &Here, name: &str) -> u64 {
     fs::metadata(here.path(name)).map_or(0, |m| m.len())
 }
 
-/// Waits until the file has so many bytes; `false` when the program ended before.
+/// Waits until the file has a number of bytes. `false` if the program ended before.
 fn grows_to(here: &Here, name: &str, bytes: u64, child: &mut Child) -> bool {
     loop {
         if size(here, name) >= bytes {
@@ -162,7 +162,7 @@ fn stopped_it_says_how_to_go_on() {
     assert!(here.read("out.ply") == truth && size(&here, "rays") > kept);
 }
 
-/// When the file can grow no more the run ends with one error; what is in it is good, and serves when there is room again.
+/// When the file can grow no more, the run ends with one error. Its contents stay good and serve when there is room again.
 #[test]
 fn a_full_disk_costs_only_what_did_not_fit() {
     let here = plate();
@@ -188,7 +188,7 @@ fn a_full_disk_costs_only_what_did_not_fit() {
     assert!(here.read("out.ply") == truth);
 }
 
-/// Neither a scene nor an output becomes a checkpoint; what is none stays as it is; what fails leaves none behind.
+/// Neither a scene nor an output becomes a checkpoint. Other files stay as they are. A failed run leaves no checkpoint.
 #[test]
 fn a_checkpoint_takes_the_place_of_nothing() {
     let here = plate();

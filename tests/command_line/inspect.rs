@@ -1,4 +1,4 @@
-//! What is told of a scene before anything is computed.
+//! Inspection of a scene before any computation.
 
 use crate::common::program::{Here, stderr};
 use crate::common::*;
@@ -114,7 +114,7 @@ fn a_room_is_told_in_figures_and_sentences() {
     let forecast = report["forecast"].as_array().unwrap();
     let names: Vec<_> = forecast.iter().map(|f| f["quality"].as_str().unwrap()).collect();
     assert_eq!(names, ["draft", "medium", "high", "reference"]);
-    // What is forecast is what is made.
+    // The forecast equals the result.
     here.run("solve scene.obj --quality draft --report s.json");
     assert_eq!(forecast[0]["patches"].as_f64(), here.json("s.json")["scene"]["patches"].as_f64());
     assert_eq!(forecast[0]["rays"].as_f64(), here.json("s.json")["form_factors"]["rays"].as_f64());

@@ -14,7 +14,7 @@ fn mesh(name: &str) -> String {
     format!("{}/meshes/{name}.obj", env!("CARGO_MANIFEST_DIR"))
 }
 
-/// What a solution of a scene was told to take, and what it took.
+/// The memory forecast for a solution of a scene, and the memory it took.
 fn forecast_and_peak(
     here: &Here,
     file: &str,
@@ -43,7 +43,7 @@ fn forecast_and_peak(
     (forecast, peak)
 }
 
-/// Never more than was told, and not less than a third of it: rays that crowd together share entries of the matrix.
+/// At most the forecast, and at least a third of it: several rays can share an entry of the matrix.
 fn check(cases: &[(u32, u32)], names: &[&str]) {
     let here = Here::new("", "");
     for name in names {

@@ -42,7 +42,7 @@ fn blocks(bytes: &[u8]) -> Vec<Block> {
     means
 }
 
-/// Mean and standard error of each block, over so many seeds.
+/// Mean and standard error of each block over several seeds.
 fn sampled(here: &Here, options: &str, seeds: u32) -> Vec<(Block, Block)> {
     let runs: Vec<Vec<Block>> = (0..seeds)
         .map(|seed| {

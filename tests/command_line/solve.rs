@@ -1,4 +1,4 @@
-//! The program as the shell sees it.
+//! `solve` as the shell runs it.
 
 use std::{collections::BTreeMap, f64::consts::PI, fs, path::Path, process::Command};
 
@@ -117,7 +117,7 @@ fn the_report_has_the_promised_fields_in_the_promised_order() {
         .iter()
         .sum();
     assert!(sum <= number(&seconds["total"]) + 1e-5);
-    // Whole triangles have no largest edge, and what is infinite is null.
+    // Whole triangles have no largest edge; infinity is written as null.
     assert!(here.json("r.json")["scene"]["patch_edge"].is_null());
     assert_eq!(here.json("r.json")["scene"]["patches"], 12);
 }

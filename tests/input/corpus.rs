@@ -86,7 +86,7 @@ fn differences(scene: &Scene, row: &HashMap<String, String>) -> Vec<String> {
     if used.len().to_string() != row["materials_used"] {
         found.push(format!("materials {used:?}, expected {}", row["materials_used"]));
     }
-    // The list tells the emitters of the library, whether faces use them or not.
+    // The list has all emitters of the library, including materials that no face uses.
     let emits = !row["Ke_materials"].is_empty();
     if !used.is_empty() && scene.has_emitter() != emits {
         found.push(format!("emits: {}, expected {emits}", scene.has_emitter()));

@@ -48,7 +48,7 @@ fn closed_bodies_of_slivers_hold_every_ray() {
     let mut rays = 0;
     for _ in 0..300 {
         let scene = scene(&[black(body(&mut random))]);
-        // A split may fall on a corner or make a face without area; what is left need not be closed then.
+        // A split may fall on a corner or make a face without area; the rest need not be closed then.
         if scene.degenerate > 0 || !is_closed(&scene) {
             continue;
         }

@@ -91,7 +91,7 @@ fn used(code: &str) -> BTreeSet<String> {
                 continue;
             }
             let Some(mut rest) = code[at + root.len()..].trim_start().strip_prefix("::") else {
-                // Visibility, `pub(crate)`; another name for the crate would hide what is used.
+                // Visibility, `pub(crate)`. An alias of the crate would hide uses.
                 assert!(!code[at + root.len()..].trim_start().starts_with("as "), "the crate has an alias");
                 continue;
             };
@@ -208,6 +208,20 @@ fn no_module_is_forgotten() {
         assert!(["error", "progress", "quality", "scene"].contains(&from), "{line}");
         let names = names.trim_matches(['{', '}', ';']);
         assert!(names.split(", ").all(|name| COMMON.contains(&name)), "{line}");
+    }
+}
+
+/// The command line adds the names of its options to the library's hints: other programs have none.
+#[test]
+fn no_message_of_the_library_names_an_option() {
+    for file in LAYERS.iter().flat_map(|layer| files(layer.0)) {
+        let source = fs::read_to_string(&file).unwrap();
+        for line in source.lines().filter(|line| !line.trim_start().starts_with("//")) {
+            let named = line
+                .match_indices("--")
+                .any(|(at, _)| line[at + 2..].starts_with(|c: char| c.is_ascii_lowercase()));
+            assert!(!named, "{}: {line}", file.display());
+        }
     }
 }
 

@@ -1,4 +1,4 @@
-//! What is read, and the house itself: readers, meshes that ship, damaged geometry, layers.
+//! Input and structure: readers, the meshes of this repository, damaged geometry, layers of modules.
 
 #[path = "../common/mod.rs"]
 mod common;

@@ -1,4 +1,4 @@
-//! Subdivisions whose patches differ in size: restricted quadtrees, the meshes that they make, and what is solved on them.
+//! Subdivisions whose patches differ in size: restricted quadtrees, their meshes, and solutions on them.
 
 use std::collections::{HashMap, HashSet};
 

@@ -89,7 +89,8 @@ fn the_portable_tracer_gives_the_same_bytes() {
     let scene = load("door-ajar");
     let [wide, plain] = [Tracer::new(&scene), Tracer::portable(&scene)].map(|tracer| {
         let paths = PathTracer::new(&scene, &tracer, PathOptions::default());
-        let region = |triangle| Region { triangle, part: [[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]], front: true };
+        let region =
+            |triangle| Region { triangle, part: [[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]], front: true };
         let regions: Vec<Region> = (0..scene.triangles.len()).map(region).collect();
         let effort = Effort::default().with_samples(64);
         let traced = paths.mean_irradiances(&regions, &effort, &Progress::new()).unwrap();

@@ -323,7 +323,7 @@ fn what_is_written_is_what_another_reader_reads() {
     }
 }
 
-/// Halves carry the values of their patch and areas of their own, and whoever sums over faces finds what patches sum to.
+/// A half has the values of its patch and its own area, so that sums over faces equal sums over patches.
 #[test]
 fn patches_of_several_sizes_are_one_face_or_two() {
     let scene = cube();
@@ -501,6 +501,6 @@ fn a_million_vertices_are_written_in_seconds() {
     println!("{vertices} vertices and {} faces in {time:?}", patches.len());
     let payload = 27 * vertices + 62 * patches.len();
     assert!((payload..payload + 2000).contains(&bytes.len()));
-    // A slow machine, other tests beside this one, debug assertions: this can only tell linear from quadratic.
+    // Loose, since the machine may be slow and busy: this only tells linear from quadratic time.
     assert!(time.as_secs() < 30, "{time:?}");
 }

@@ -89,7 +89,7 @@ fn closed_scenes() -> Vec<(&'static str, Scene)> {
         ("icosphere", scene(&[black(flipped(icosphere(1.0, 3)))])),
         // Millimetres, far from the origin.
         ("far", scene(&[black(flipped(icosphere(1.0, 2)).into_iter().map(far).collect())])),
-        // Long thin triangles, whose interpolated distances single precision cannot tell.
+        // Long thin triangles, whose interpolated distances single precision does not resolve.
         ("needle", scene(&[black(turned(room(DVec3::ZERO, dvec3(1.0, 1e-3, 2e-3))))])),
         ("plate", scene(&[black(turned(room(DVec3::ZERO, dvec3(1.0, 0.9, 1e-4))))])),
     ];

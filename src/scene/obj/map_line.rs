@@ -2,7 +2,7 @@
 
 use crate::scene::text::split_keyword;
 
-/// What the reader uses of a texture statement.
+/// The parts of a texture statement that the reader uses.
 #[derive(Debug, PartialEq)]
 pub(super) struct MapLine {
     pub(super) file: String,

@@ -1,4 +1,4 @@
-//! The layer after tobj: its materials to ours, with everything that light does not forgive checked.
+//! The layer after tobj: converts its materials to ours and checks their values.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -158,7 +158,7 @@ impl Materials {
         Some(TextureMap { texture, scale, offset, clamp: line.clamp })
     }
 
-    /// The index of a texture that may have been read before. Absent or broken ones are told once.
+    /// The index of a texture that may have been read before. A texture that is missing or damaged gives one warning.
     fn texture(
         &mut self,
         name: &str,
@@ -274,7 +274,7 @@ fn map_of<'a>(definition: &'a tobj::Material, statement: &str) -> Option<&'a str
     }
 }
 
-/// What a material has beside diffuse and specular reflection and emission.
+/// Statements of a material other than diffuse and specular reflection and emission.
 fn left_out(definition: &tobj::Material) -> Vec<String> {
     let parameter = |key: &str| definition.unknown_param.get(key);
     let number = |key: &str| number(definition, key);

@@ -1,5 +1,5 @@
-//! The layer before tobj for material libraries: lines that tobj would panic on (`Kd 0.5`) or drop the whole library
-//! for (`Kd spectral …`) are rewritten or taken out, and the line of every statement is remembered.
+//! The layer before tobj for material libraries. It rewrites or removes lines on which tobj panics (`Kd 0.5`), or for which
+//! it drops the whole library (`Kd spectral …`). It remembers the line of every statement.
 
 use std::collections::{HashMap, HashSet};
 use std::fmt::Write as _;
@@ -22,7 +22,7 @@ pub(super) struct Origin {
     lines: HashMap<&'static str, usize>,
     /// A statement that cannot be read; an error only if a face uses the material.
     bad: Option<(usize, String)>,
-    /// Sentences about this material, told only if a face uses it.
+    /// Warnings about this material; they count only if a face uses it.
     pub(super) notes: Vec<String>,
     /// Whether a library defines it.
     pub(super) defined: bool,
@@ -61,7 +61,7 @@ pub(super) struct Libraries {
     pub(super) files: Vec<PathBuf>,
     /// Names of libraries that could not be read.
     pub(super) missing: Vec<String>,
-    /// Reflectance of what is not defined, in words.
+    /// Reflectance of undefined materials, in words.
     default: String,
     names: HashSet<String>,
     /// Whether the statements read now belong to a second definition, which does not count.
@@ -69,7 +69,7 @@ pub(super) struct Libraries {
 }
 
 impl Libraries {
-    /// Reads the libraries that `scan` of `obj` names, and defines what is used but in none of them.
+    /// Reads the libraries that `scan` of `obj` names. Defines materials that faces use but no library defines.
     pub(super) fn read(obj: &Path, scan: &Scan, options: &LoadOptions) -> Libraries {
         let folder = obj.parent().unwrap_or(Path::new(""));
         let mut libraries = Libraries { default: options.default_in_words(), ..Libraries::default() };
@@ -228,8 +228,8 @@ fn leading_number(value: &str) -> Option<f64> {
     value.split_whitespace().find_map(|w| w.parse().ok())
 }
 
-/// The names of one `mtllib` line, which may be several and may contain blanks: the whole value where such a file
-/// exists, else cut after each `.mtl`, else word by word.
+/// The file names of one `mtllib` line. Names may contain blanks: the whole value is one name if such a file exists.
+/// Otherwise it is cut after each `.mtl`, or else at each blank.
 fn library_names(folder: &Path, value: &str) -> Vec<String> {
     if value.is_empty() {
         return Vec::new();

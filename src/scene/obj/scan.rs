@@ -1,5 +1,5 @@
-//! The layer before tobj for the OBJ itself: checks every line, remembers where it was, and writes the text that
-//! tobj reads without stumbling.
+//! The layer before tobj for the OBJ itself. It checks every line, remembers its number, and writes a text that tobj can
+//! read.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -10,10 +10,10 @@ use crate::scene::text::{self, split_keyword, without_comment};
 use crate::scene::warnings::Warnings;
 use crate::{Error, Result, tone};
 
-/// What a material without a name is called.
+/// Name of a material without a name.
 pub(super) const UNNAMED: &str = "(unnamed)";
 
-/// The polygon that tobj will return at the same place of its list.
+/// A polygon; tobj returns it at the same index of its list.
 pub(super) struct Face {
     pub(super) line: usize,
     /// Whether every corner has a texture coordinate.
@@ -26,15 +26,15 @@ pub(super) struct Face {
 
 /// An OBJ file, checked.
 pub(super) struct Scan {
-    /// For tobj: vertices first, so that faces may come before them as elsewhere, then faces with absolute indices.
+    /// For tobj: first all vertices, since faces may come before them in the file; then faces with absolute indices.
     pub(super) text: String,
     /// The polygons of `text`, in order.
     pub(super) faces: Vec<Face>,
-    /// Linear colours of the vertices, in file order; empty where the file has none.
+    /// Linear colours of the vertices, in file order. Empty if the file has none.
     pub(super) colours: Vec<Option<[f32; 3]>>,
-    /// Vertices of all faces, counted from 0; empty where no vertex has a colour.
+    /// Vertices of all faces, counted from 0. Empty if no vertex has a colour.
     pub(super) corners: Vec<u32>,
-    /// What faces belong to.
+    /// Objects and groups of faces.
     pub(super) parts: Vec<Part>,
     /// `mtllib` lines.
     pub(super) libraries: Vec<(usize, String)>,
@@ -65,7 +65,7 @@ struct Scanner<'a> {
     scan: Scan,
 }
 
-/// How often something happened, and where first.
+/// How often something happened, and the line where it first did.
 #[derive(Default)]
 struct Noted {
     count: usize,
@@ -202,7 +202,7 @@ impl Scanner<'_> {
         Ok(())
     }
 
-    /// The faces that follow are of another object or group; of none where there is no name.
+    /// The next faces belong to another object or group; to none if there is no name.
     fn belongs(&mut self, to: impl Fn(&mut Part) -> &mut Option<String>, name: &str) {
         *to(&mut self.part) = (!name.is_empty()).then(|| name.into());
         self.current = None;
@@ -230,9 +230,8 @@ impl Scanner<'_> {
         }
     }
 
-    /// Vertex and texture coordinate of a corner. Normals do not count: which side is the front is told by the order
-    /// of the vertices. A texture coordinate that does not exist is no reason to refuse a file whose light may not
-    /// depend on it.
+    /// Vertex and texture coordinate of a corner. Normals do not count: the order of the vertices decides which side is the
+    /// front. A texture coordinate that does not exist is not an error, since the light may not depend on it.
     fn corner(&mut self, line: usize, word: &str) -> Result<(usize, Option<usize>)> {
         let mut parts = word.split('/');
         let mut index = || match parts.next().unwrap_or_default() {

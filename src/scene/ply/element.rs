@@ -1,4 +1,4 @@
-//! What is kept of the elements of a PLY file, whatever types their numbers have.
+//! The elements of a PLY file, for any type of numbers.
 
 use ply_rs::ply::{Property, PropertyAccess, PropertyAccessResult};
 
@@ -7,7 +7,7 @@ use crate::tone;
 /// Names of the list of a face's corners.
 pub(super) const INDICES: [&str; 2] = ["vertex_indices", "vertex_index"];
 
-/// Three channels, of which some may be absent.
+/// Three channels; some may be absent.
 #[derive(Default)]
 pub(super) struct Channels([Option<f64>; 3]);
 
@@ -71,7 +71,7 @@ pub(super) struct Face {
     pub(super) colour: Channels,
     pub(super) reflectance: Channels,
     pub(super) emission: Channels,
-    /// Not 0 for a back, in the files of this program.
+    /// Not 0 for a back, in files of this program.
     pub(super) side: f64,
 }
 
@@ -102,7 +102,7 @@ impl PropertyAccess for Face {
     }
 }
 
-/// An element that has no say.
+/// An element that the reader ignores.
 pub(super) struct Ignored;
 
 impl PropertyAccess for Ignored {

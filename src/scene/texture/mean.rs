@@ -1,12 +1,12 @@
-//! The mean of a texture over a triangle: quadrisection down a pyramid of means. What lies inside costs one look-up
-//! however large it is; only the rim is followed down to texels.
+//! The mean of a texture over a triangle, from a pyramid of means. A square inside the triangle costs one look-up; squares
+//! on its rim are cut in four, down to texels.
 
 use glam::DVec2;
 
 use super::Texture;
 
-/// A cell on the rim is not split when this many of its side make the footprint's extent. A convex curve crosses at
-/// most about four times as many cells.
+/// A cell on the rim is not split if its side is smaller than the triangle's extent divided by this. A convex curve crosses
+/// at most about four times as many cells.
 const CELLS_ACROSS: f64 = 512.0;
 
 /// Level of the pyramid's first stored means: 4 by 4 texels, so that it takes a third of the texels' own memory.
@@ -161,7 +161,7 @@ pub(super) fn over(texture: &Texture, clamp: bool, corners: [DVec2; 3]) -> Optio
     if !(low.is_finite() && high.is_finite()) {
         return None;
     }
-    // Whole repeats away from the origin make no difference but in rounding.
+    // Whole repeats are subtracted: they change nothing but rounding.
     let home = if clamp { DVec2::ZERO } else { (low / size).floor() * size };
     let mut triangle = Polygon { corners: [DVec2::ZERO; 12], len: 0 };
     corners.iter().for_each(|&c| triangle.push(c - home));
@@ -228,7 +228,7 @@ impl Walk<'_> {
         }
     }
 
-    /// What lies outside a clamped image, where the texels of its rim go on for ever.
+    /// The part outside a clamped image, where the texels of its rim extend.
     fn rim(&mut self, triangle: &Polygon, size: DVec2) {
         let last = [self.texture.width - 1, self.texture.height - 1];
         for axis in [0, 1] {
