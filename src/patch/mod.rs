@@ -170,10 +170,11 @@ impl Patches {
     fn append(&mut self, scene: &Scene, t: u32, front: bool) {
         let ti = t as usize;
         let material = scene.material(ti);
-        let textured = material.reflectance_map.is_some() || material.emission_map.is_some();
+        let mapped = material.reflectance_map.is_some() || material.emission_map.is_some();
+        let varies = mapped || scene.colours.get(ti).is_some();
         for leaf in 0..self.trees.leaves(ti) {
             let (mut reflectance, mut emission) = (material.reflectance, material.emission);
-            if textured {
+            if varies {
                 let Cell { child, level, .. } = self.trees.cell(ti, leaf);
                 let part = quadtree::corners(child, level);
                 reflectance = scene.mean_reflectance(ti, &part);
@@ -436,6 +437,28 @@ mod tests {
         }
         let back = patches.back_of(2).unwrap() as usize;
         assert!(patches.centroid(&scene, back).distance(patches.centroid(&scene, 2)) < 1e-12);
+    }
+
+    /// The colour is linear, so that its mean over a patch is its value at the centroid.
+    #[test]
+    fn colours_of_vertices_multiply_the_reflectance_of_patches() {
+        let mut scene = two();
+        scene.colours = vec![[[1.0; 3]; 3]; 2];
+        scene.colours[1] = [[0.25, 0.5, 1.0], [0.5, 0.5, 0.0], [0.75, 0.5, 0.5]];
+        for edge in [f64::INFINITY, 1.5] {
+            let patches = Patches::subdivide(&scene, &Subdivision::Edge(edge));
+            for i in 0..patches.len() {
+                let t = patches.triangle(i);
+                let corners = patches.barycentric_corners(i);
+                for c in 0..3 {
+                    let at =
+                        |b: [f64; 3]| (0..3).map(|k| b[k] * f64::from(scene.colours[t][k][c])).sum::<f64>();
+                    let mean = corners.map(at).iter().sum::<f64>() / 3.0;
+                    let want = scene.materials[t].reflectance[c] * mean;
+                    assert!((patches.reflectance()[3 * i + c] - want).abs() < 1e-12, "{i} {c}");
+                }
+            }
+        }
     }
 
     #[test]
