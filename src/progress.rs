@@ -18,8 +18,8 @@ use std::sync::{
 /// let tracer = Tracer::new(&scene);
 /// let mut patches = Patches::subdivide(&scene, &Subdivision::Count(1000));
 /// let progress = Progress::new();
+/// let options = CastOptions::default();
 /// let form_factors = thread::scope(|threads| {
-///     let options = CastOptions::default();
 ///     let work = threads.spawn(|| FormFactors::cast(&scene, &tracer, &mut patches, &options, &progress));
 ///     while !work.is_finished() {
 ///         println!("{}: {} of {}", progress.stage(), progress.done(), progress.total());
