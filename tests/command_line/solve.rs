@@ -130,7 +130,7 @@ fn a_wanted_error_alone_cuts_patches_by_the_light() {
     let scene = format!("{}/meshes/cornell-box.obj", env!("CARGO_MANIFEST_DIR"));
     // By triangle, the areas of its patches. Patches that are drawn as two halves count once.
     let sizes = |options: &str| {
-        let output = here.run(&format!("solve {scene} --error 4 {options} -o out.ply --quiet"));
+        let output = here.run(&format!("solve {scene} --error 1 {options} -o out.ply --quiet"));
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
         let ply = Parser::<DefaultElement>::new().read_ply(&mut &here.read("out.ply")[..]).unwrap();
         let mut patches = BTreeMap::new();
