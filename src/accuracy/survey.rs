@@ -72,6 +72,62 @@ impl Survey {
     }
 }
 
+/// An emitting surface that shines at a face close before it, while its back sees the room.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TurnedLamp {
+    /// Its first triangle.
+    pub triangle: usize,
+    /// The material that most of its light meets.
+    pub lit: u32,
+    /// The share of its light that meets faces closer than half its own size.
+    pub near: f64,
+}
+
+/// Rays from each side of a lamp: shares to a few per cent, of which halves and quarters are told apart.
+const RAYS_OF_LAMP: u32 = 256;
+/// No more lamps than this are looked at, the largest.
+const MOST_LAMPS: usize = 256;
+
+/// The lamps that are turned round: more than half of their light meets faces closer than half their own size, as in a luminaire
+/// whose faces are inside out, while less than a quarter of what leaves their back would.
+pub fn turned_lamps(scene: &Scene, tracer: &Tracer) -> Vec<TurnedLamp> {
+    let area = |lamp: &[usize]| lamp.iter().map(|&t| scene.area(t)).sum::<f64>();
+    let mut lamps: Vec<(f64, Vec<usize>)> =
+        scene.flat_emitters().into_iter().map(|lamp| (area(&lamp), lamp)).collect();
+    lamps.sort_by(|(a, s), (b, t)| b.total_cmp(a).then(s.cmp(t)));
+    lamps.truncate(MOST_LAMPS);
+    let turned = |(area, lamp): &(f64, Vec<usize>)| {
+        let reach = (0.5 * area.sqrt() / tracer.scale()) as f32;
+        let near = |front: bool| near(scene, tracer, lamp, front, reach);
+        let (share, lit) = near(true);
+        (share > 0.5 && near(false).0 < 0.25).then_some(TurnedLamp { triangle: lamp[0], lit, near: share })
+    };
+    lamps.par_iter().filter_map(turned).collect()
+}
+
+/// The share of the rays from one side of some triangles that meet something closer than `reach`, and the material most of these meet.
+fn near(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, reach: f32) -> (f64, u32) {
+    let total: f64 = lamp.iter().map(|&t| scene.area(t)).sum();
+    let (mut below, mut at) = (scene.area(lamp[0]), 0);
+    let mut met = vec![0u32; scene.materials.len()];
+    for k in 0..RAYS_OF_LAMP {
+        while (f64::from(k) + 0.5) / f64::from(RAYS_OF_LAMP) * total > below && at + 1 < lamp.len() {
+            at += 1;
+            below += scene.area(lamp[at]);
+        }
+        let triangle = &tracer.triangles()[lamp[at]];
+        let normal = triangle.side_normal(front);
+        let [x, y, u, v] = sobol_4d(k, 0);
+        let origin = Tracer::leave(triangle.point(square_to_triangle(x, y)), normal);
+        let hit = tracer.closest(origin, around(normal, square_to_cosine_hemisphere(u, v)));
+        if let Some(hit) = hit.filter(|hit| hit.t < reach) {
+            met[scene.triangles[hit.triangle as usize].material as usize] += 1;
+        }
+    }
+    let most = (0..met.len()).max_by_key(|&m| (met[m], std::cmp::Reverse(m))).unwrap_or(0);
+    (f64::from(met.iter().sum::<u32>()) / f64::from(RAYS_OF_LAMP), most as u32)
+}
+
 /// The share of the area of all triangles whose back was met or would be met by more rays. If a sample contains f1 kinds once
 /// and f2 kinds twice, at least f1² / 2 f2 kinds are missing (Chao, Scandinavian Journal of Statistics 11, 1984).
 fn back_area(scene: &Scene, mut met: Vec<u32>) -> f64 {

@@ -51,6 +51,7 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     let (scene, _) = watch.stage("reading", || pipeline::read(&args.scene, &files, &watch))?;
     let (inspection, _) = watch.stage("mesh", || Ok(Inspection::of(&scene)))?;
     let (tracer, _) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
+    pipeline::warn_of_turned_lamps(&scene, &tracer, &watch);
     let (bookkeeping, _) = watch.stage("pace", || bookkeeping(watch.progress()))?;
     let (survey, _) = watch.stage("rays", || Ok(Survey::of(&scene, &tracer, RAYS, 0)))?;
     let a_ray = survey.seconds / (survey.all.rays + survey.lamps.rays).max(1) as f64 + bookkeeping;

@@ -1,6 +1,6 @@
 //! Options that several commands share.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
@@ -31,6 +31,9 @@ pub struct SceneArgs {
     /// Let surfaces that a glTF file calls unlit emit their colour, instead of reflecting by it
     #[arg(long)]
     unlit_emits: bool,
+    /// Leave out all faces of a material, as of window panes. May be given several times
+    #[arg(long, value_name = "MATERIAL")]
+    ignore: Vec<String>,
     /// Give a material a specular part on top of its Kd, as in floor=ward:0.2,0.1,0.1: mirror:KS, phong:KS,N, blinn-phong:KS,N,
     /// ward:KS,AX,AY, beckmann:KS,ALPHA, ggx:KS,ALPHA, schlick:KS,ALPHA, conductor:ETA,KAPPA,ALPHA or
     /// metallic-roughness:METALLIC,ROUGHNESS. May be given several times
@@ -77,8 +80,12 @@ impl SceneArgs {
         let plain = self.reflectance.iter().rev().find(|r| r.material.is_none()).map(|r| r.share);
         let mut scene = Scene::load_with(
             &self.path,
-            &LoadOptions::default().with_reflectance(plain).with_unlit_emits(self.unlit_emits),
+            &LoadOptions::default()
+                .with_reflectance(plain)
+                .with_unlit_emits(self.unlit_emits)
+                .with_keep_overlaps(true),
         )?;
+        ignore(&mut scene, &self.path, &self.ignore)?;
         for Reflectance { share, material } in &self.reflectance {
             if let Some(name) = material
                 && scene.reflect(name, *share) == 0
@@ -96,20 +103,40 @@ impl SceneArgs {
                 return Err(self.no_material(&scene, "--model", &model.material));
             }
         }
+        scene.cut_overlaps();
         Ok(scene)
     }
 
-    /// That no face has the material which an option names.
     fn no_material(&self, scene: &Scene, option: &str, name: &str) -> Error {
-        let mut names: Vec<&str> = scene.materials.iter().map(|m| m.name.as_str()).collect();
-        names.dedup();
-        let (shown, more) = (names.len().min(10), names.len().saturating_sub(10));
-        let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
-        Error::Usage {
-            message: format!("{option}: no face of {} has material `{name}`", self.path.display()),
-            hint: Some(format!("its materials are {}{rest}", names[..shown].join(", "))),
-        }
+        no_material(scene, &self.path, option, name)
     }
+}
+
+/// That no face has the material which an option names.
+fn no_material(scene: &Scene, path: &Path, option: &str, name: &str) -> Error {
+    let mut names: Vec<&str> = scene.materials.iter().map(|m| m.name.as_str()).collect();
+    names.dedup();
+    let (shown, more) = (names.len().min(10), names.len().saturating_sub(10));
+    let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+    Error::Usage {
+        message: format!("{option}: no face of {} has material `{name}`", path.display()),
+        hint: Some(format!("its materials are {}{rest}", names[..shown].join(", "))),
+    }
+}
+
+/// Leaves out the faces of materials of these names.
+pub fn ignore(scene: &mut Scene, path: &Path, materials: &[String]) -> RadiosityResult<()> {
+    for name in materials {
+        // A name given twice has no faces the second time.
+        if !scene.materials.iter().any(|m| m.name == *name) {
+            return Err(no_material(scene, path, "--ignore", name));
+        }
+        scene.leave_out(name);
+    }
+    if scene.triangles.is_empty() {
+        return Err(Error::input(path, None, "no face is left: all are of materials to be ignored"));
+    }
+    Ok(())
 }
 
 /// The number of patches and rays: options of every command that solves for radiosity.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use radiosity::{
     Error, Result, Scene,
+    accuracy::survey::{TurnedLamp, turned_lamps},
     form_factor::{CastOptions, Estimator, FormFactors},
     monte_carlo::reflection::{SpecularPart, Surfaces, make_lambertian},
     output::{file::OutputFile, report::Seconds},
@@ -50,7 +51,31 @@ pub fn load_as_given(
         ));
     }
     (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
+    warn_of_turned_lamps(&scene, &tracer, watch);
     Ok((scene, tracer))
+}
+
+/// Names the lamps that shine at what is close before them, while the room sees their backs.
+pub fn warn_of_turned_lamps(scene: &Scene, tracer: &Tracer, watch: &Watch) {
+    const MOST: usize = 3;
+    let turned = turned_lamps(scene, tracer);
+    for TurnedLamp { triangle, lit, near } in turned.iter().take(MOST) {
+        let [a, b, c] = scene.corners(*triangle);
+        let at = (a + b + c) / 3.0;
+        watch.warn(&format!(
+            "the lamp of `{}` at {:.4} {:.4} {:.4} sends {:.0} % of its light into `{}` close before it, while the room sees its \
+             back: is it inside out?",
+            scene.material(*triangle).name,
+            at.x,
+            at.y,
+            at.z,
+            100.0 * near,
+            scene.materials[*lit as usize].name
+        ));
+    }
+    if turned.len() > MOST {
+        watch.warn(&format!("{} more lamps do the same", turned.len() - MOST));
+    }
 }
 
 /// Leaves the scene with Lambertian surfaces only; a warning tells whose specular part that costs.

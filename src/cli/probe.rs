@@ -17,6 +17,7 @@ use radiosity::{
     },
     trace::Tracer,
 };
+use rayon::prelude::*;
 
 use super::{
     Common, Outcome,
@@ -156,6 +157,25 @@ pub fn run(args: &ProbeArgs) -> Result<Outcome> {
 /// Rays of the last bounce per sample. One is enough, because there are many samples and each takes another direction.
 const GATHER: u32 = 1;
 
+/// Names the points that see the backs of faces almost all round: they lie below a surface or inside a solid.
+fn warn_of_buried(probes: &[Probe], places: &[Receiver], tracer: &Tracer, watch: &Watch) {
+    const MOSTLY: f64 = 0.9;
+    let is_buried = |&k: &usize| places[k].share_of_backs(tracer) >= MOSTLY;
+    let buried: Vec<usize> = (0..places.len()).into_par_iter().filter(is_buried).collect();
+    let Some(&first) = buried.first() else { return };
+    let p = probes[first].point;
+    let (points, lie, see) =
+        if buried.len() == 1 { ("1 point", "lies", "sees") } else { ("points", "lie", "see") };
+    let many = if buried.len() == 1 { points.into() } else { format!("{} {points}", buried.len()) };
+    watch.warn(&format!(
+        "{many} {lie} below a surface or inside a solid, and {see} little but backs: point {}, {} {} {}, is the first",
+        first + 1,
+        p.x,
+        p.y,
+        p.z
+    ));
+}
+
 /// The irradiance of the probes, and the number of patches of the solution.
 fn estimate(
     args: &ProbeArgs,
@@ -166,6 +186,7 @@ fn estimate(
     times: &mut SamplingSeconds,
 ) -> Result<(Vec<Estimate>, Option<usize>)> {
     let places: Vec<Receiver> = probes.iter().map(|p| Receiver::free(tracer, p.point, p.normal)).collect();
+    warn_of_buried(probes, &places, tracer, watch);
     let effort = Effort::default().with_samples(args.spp).with_seed(args.seed);
     let (estimates, patches);
     match args.method {

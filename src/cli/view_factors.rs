@@ -42,6 +42,9 @@ pub struct ViewFactorsArgs {
     /// The scene: Wavefront .obj, or .ply
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
+    /// Leave out all faces of a material, as of window panes. May be given several times
+    #[arg(long, value_name = "MATERIAL")]
+    ignore: Vec<String>,
     /// Write the matrix here, as CSV
     #[arg(short, long, value_name = "OUT.csv")]
     output: Option<PathBuf>,
@@ -258,8 +261,11 @@ fn read(args: &ViewFactorsArgs, outputs: &[&OutputFile], told: &mut Told) -> Res
     let path = &args.scene;
     // Nothing here depends on it: given, it needs no warning where the file has none.
     let reflectance = Some([DEFAULT_REFLECTANCE; 3]);
-    let scene =
-        Scene::load_with(path, &LoadOptions::default().with_reflectance(reflectance).with_faces(true))?;
+    let options =
+        LoadOptions::default().with_reflectance(reflectance).with_faces(true).with_keep_overlaps(true);
+    let mut scene = Scene::load_with(path, &options)?;
+    options::ignore(&mut scene, path, &args.ignore)?;
+    scene.cut_overlaps();
     outputs.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
     scene.warnings.iter().for_each(|warning| told.warn(warning.clone()));
     if scene.degenerate > 0 {

@@ -15,7 +15,10 @@ use super::{
 use crate::{
     Progress, Result,
     scene::{Scene, direction},
-    trace::{Hit, Tracer, sampling::square_to_triangle},
+    trace::{
+        Hit, Tracer,
+        sampling::{around, sobol_4d, square_to_cosine_hemisphere, square_to_triangle},
+    },
 };
 
 /// Largest probability that a path survives roulette, so that paths end even if nothing absorbs. If reflectances exceed its square
@@ -84,6 +87,19 @@ impl Receiver {
             }
             _ => given,
         }
+    }
+
+    /// The share of the directions it receives from in which it sees the back of a face: most of them where it lies below or inside
+    /// a surface.
+    pub fn share_of_backs(&self, tracer: &Tracer) -> f64 {
+        const RAYS: u32 = 64;
+        let origin = Tracer::leave(self.position, self.normal);
+        let sees_back = |&k: &u32| {
+            let [x, y, ..] = sobol_4d(k, 0);
+            let direction = around(self.normal, square_to_cosine_hemisphere(x, y));
+            tracer.closest(origin, direction).is_some_and(|hit| !hit.front)
+        };
+        (0..RAYS).filter(sees_back).count() as f64 / f64::from(RAYS)
     }
 
     /// The place of a hit, on the side that was hit.
@@ -184,6 +200,9 @@ impl<'a> PathTracer<'a> {
 
     /// Irradiance of places.
     ///
+    /// Samples that all missed the light do not show that there is none: where every sample is zero, the standard error is
+    /// what one more sample would have made of the mean, had it met the brightest emitter.
+    ///
     /// # Errors
     /// [`crate::Error::Stopped`].
     pub fn irradiances(
@@ -192,7 +211,15 @@ impl<'a> PathTracer<'a> {
         effort: &Effort,
         progress: &Progress,
     ) -> Result<Vec<Estimate>> {
-        effort.estimate(places.len(), progress, |i, samples| self.irradiance(places[i], samples))
+        let estimate = |i: usize, samples: &mut Samples| self.irradiance(places[i], samples);
+        let mut estimates = effort.estimate(places.len(), progress, estimate)?;
+        let one = self.emitters.brightest().map(|radiance| PI * radiance / f64::from(effort.samples));
+        for Estimate { mean, standard_error } in &mut estimates {
+            for c in (0..3).filter(|&c| mean[c] == 0.0) {
+                standard_error[c] = one[c];
+            }
+        }
+        Ok(estimates)
     }
 
     /// Mean irradiance of parts of triangles, from points uniform on each part.
@@ -343,7 +370,7 @@ impl<'a> PathTracer<'a> {
         let normal = self.tracer.triangles()[hit.triangle as usize].normal;
         let squared = f64::from(hit.t).powi(2) * f64::from(bounce.direction.length_squared());
         let cos_lamp = f64::from(bounce.direction.dot(normal).abs()).max(f64::MIN_POSITIVE);
-        let chosen = self.emitters.density(hit.triangle) * squared / cos_lamp;
+        let chosen = self.emitters.density(hit.triangle, hit.barycentric) * squared / cos_lamp;
         // A mirror's density is infinite.
         if bounce.density > 0.0 { 1.0 / (1.0 + (chosen / bounce.density).powi(2)) } else { 0.0 }
     }

@@ -228,9 +228,9 @@ fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<Stri
     add(edges.inconsistent > 0, &|| {
         format!("{} edges join a front to a back: the winding of the faces is mixed", edges.inconsistent)
     });
-    add(inspection.doubled > 0, &|| {
-        format!("{} triangles lie on another: which of the two is lit is chance", inspection.doubled)
-    });
+    for hidden in &scene.hidden {
+        add(true, &|| hidden.to_string());
+    }
     add(inspection.near_vertices > 0, &|| {
         format!(
             "{} vertices almost coincide with another: rays may slip through the cracks",

@@ -9,7 +9,6 @@
 
 pub(crate) mod edges;
 mod forest;
-pub mod quadtree;
 pub(crate) mod restricted;
 
 use std::ops::Range;
@@ -17,6 +16,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use crate::scene::Scene;
+pub use crate::scene::quadtree;
 use forest::Forest;
 
 /// How finely to cut.

@@ -3,11 +3,15 @@
 //! A scene keeps the values of its file: lengths in the file's unit and in double precision, `Ke` as radiance, `Kd` as
 //! reflectance. The ray tracer recentres and rescales for itself ([`crate::trace`]).
 
+mod cutouts;
+mod cutting;
 pub(crate) mod gltf;
 mod indexed;
 pub mod inspection;
 pub mod obj;
+pub mod overlaps;
 pub(crate) mod ply;
+pub mod quadtree;
 mod specular;
 pub mod surfaces;
 mod text;
@@ -15,11 +19,15 @@ mod texture;
 mod triangulate;
 mod warnings;
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 use glam::{DVec2, DVec3};
 
 use crate::{Error, Result};
+use overlaps::Hidden;
 pub use specular::{Distribution, Fresnel, MOST_EXPONENT, Shadowing, Specular};
 pub use texture::{Texture, TextureMap};
 
@@ -52,6 +60,10 @@ pub struct Material {
     pub reflectance_offset: [f64; 3],
     /// Its specular reflection, if any. Only path and light tracing use it.
     pub specular: Option<Box<Specular>>,
+    /// Texture whose [holes](Texture::has_holes) are holes of the surface.
+    pub cutout: Option<TextureMap>,
+    /// Whether its faces are not there at all.
+    pub absent: bool,
 }
 
 impl Material {
@@ -65,6 +77,8 @@ impl Material {
             emission_map: None,
             reflectance_offset: [0.0; 3],
             specular: None,
+            cutout: None,
+            absent: false,
         }
     }
 
@@ -120,6 +134,8 @@ pub struct Scene {
     pub backs_of_lamps: usize,
     /// Triangles left out because their area is zero.
     pub degenerate: usize,
+    /// Surface that [`Scene::cut_overlaps`] has cut away.
+    pub hidden: Vec<Hidden>,
     /// What the reader left out or assumed, one sentence each.
     pub warnings: Vec<String>,
     /// Files that were read: the mesh, then material libraries and textures; empty for a scene made in memory.
@@ -139,12 +155,16 @@ pub struct LoadOptions {
     pub faces: bool,
     /// Whether unlit materials of a glTF file emit their colour. Otherwise the colour is their reflectance.
     pub unlit_emits: bool,
+    /// Whether to leave faces that overlap in one plane as they are: for callers that change which materials emit, and then call
+    /// [`Scene::cut_overlaps`].
+    pub keep_overlaps: bool,
 }
 
 setters!(LoadOptions {
     with_reflectance(reflectance: Option<[f64; 3]>),
     with_faces(faces: bool),
     with_unlit_emits(unlit_emits: bool),
+    with_keep_overlaps(keep_overlaps: bool),
 });
 
 /// Reflectance where neither the file nor [`LoadOptions`] gives one: grey plaster.
@@ -195,12 +215,76 @@ impl Scene {
         let given = options.default_reflectance();
         assert!(given.iter().all(|r| (0.0..=1.0).contains(r)), "a reflectance is outside 0 to 1");
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-        match extension.as_deref() {
+        let mut scene = match extension.as_deref() {
             Some("obj") => obj::load(path, options),
             Some("ply") => ply::load(path, options),
             Some("gltf" | "glb") => gltf::load(path, options),
             _ => Err(Error::input(path, None, "unknown kind of scene")
                 .with_hint("the program reads Wavefront .obj, .ply, .gltf and .glb files")),
+        }?;
+        scene.cut_holes(path)?;
+        if !options.keep_overlaps {
+            scene.cut_overlaps();
+        }
+        Ok(scene)
+    }
+
+    /// Cuts the holes of cut-outs.
+    fn cut_holes(&mut self, path: &Path) -> Result<()> {
+        cutouts::cut(self).map_err(|cutouts::TooFine { material }| {
+            Error::input(path, None, format!("material `{material}`: its holes cut the scene into millions of pieces"))
+                .with_hint("a smaller image, or one that is repeated less often, has fewer; --ignore leaves the material out")
+        })?;
+        if self.triangles.is_empty() {
+            return Err(Error::input(path, None, "no face is left but holes").with_hint(
+                "a material with `d 0` is not there, nor are texels with an alpha of less than a half",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Leaves out all faces of materials of this name, and tells how many triangles those were.
+    pub fn leave_out(&mut self, material: &str) -> usize {
+        let kept: Vec<bool> =
+            self.triangles.iter().map(|t| self.materials[t.material as usize].name != material).collect();
+        let mut keep = kept.iter();
+        self.triangles.retain(|_| keep.next() == Some(&true));
+        for texcoords in [&mut self.texcoords, &mut self.emission_texcoords] {
+            let mut keep = kept.iter();
+            texcoords.retain(|_| keep.next() == Some(&true));
+        }
+        let mut keep = kept.iter();
+        self.colours.retain(|_| keep.next() == Some(&true));
+        let backs = &kept[kept.len() - self.backs_of_lamps..];
+        self.backs_of_lamps = backs.iter().filter(|&&kept| kept).count();
+        self.forget_unused_vertices();
+        kept.iter().filter(|&&kept| !kept).count()
+    }
+
+    /// Renumbers the vertices so that none is left that no triangle has: they count in the size of the scene.
+    fn forget_unused_vertices(&mut self) {
+        let mut used = vec![false; self.vertices.len()];
+        self.triangles.iter().flat_map(|t| t.vertices).for_each(|v| used[v as usize] = true);
+        let mut next = 0;
+        let number = |&used: &bool| {
+            next += u32::from(used);
+            next.wrapping_sub(1)
+        };
+        let numbers: Vec<u32> = used.iter().map(number).collect();
+        let mut keep = used.iter();
+        self.vertices.retain(|_| keep.next() == Some(&true));
+        for triangle in &mut self.triangles {
+            triangle.vertices = triangle.vertices.map(|v| numbers[v as usize]);
+        }
+    }
+
+    /// Cuts away surface that is hidden because faces overlap in one plane and face the same way, by the rule of [`overlaps`].
+    /// [`Scene::load`] does so; scenes made in memory are left as they are until this is called. Tells what it cut in
+    /// [`Scene::hidden`] and [`Scene::warnings`].
+    pub fn cut_overlaps(&mut self) {
+        for hidden in overlaps::resolve(self) {
+            self.warnings.push(hidden.to_string());
+            self.hidden.push(hidden);
         }
     }
 
@@ -248,6 +332,17 @@ impl Scene {
     /// Whether any material has a specular part.
     pub fn has_specular(&self) -> bool {
         self.materials.iter().any(|m| m.specular.is_some())
+    }
+
+    /// The flat surfaces that emit, as their triangles: a surface is all triangles of one material that share edges and lie in one
+    /// plane.
+    pub fn flat_emitters(&self) -> Vec<Vec<usize>> {
+        let surfaces = overlaps::surfaces(self, |t| self.emits(t));
+        let mut emitters: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+        for t in (0..surfaces.len()).filter(|&t| self.emits(t)) {
+            emitters.entry(surfaces[t]).or_default().push(t);
+        }
+        emitters.into_values().collect()
     }
 
     /// Whether any triangle emits.
@@ -370,6 +465,15 @@ impl Scene {
         self.emission_texcoords.get(t).unwrap_or_else(|| &self.texcoords[t])
     }
 
+    /// How many texels of its emission's texture triangle `t` extends over; zero where it has none.
+    pub(crate) fn emission_texels(&self, t: usize) -> f64 {
+        let Some(map) = &self.material(t).emission_map else { return 0.0 };
+        let [a, b, c] = *self.uv_of_emission(t);
+        let (width, height) = self.textures[map.texture].size();
+        let extent = (a.max(b).max(c) - a.min(b).min(c)) * map.scale;
+        (extent * DVec2::new(width as f64, height as f64)).abs().max_element()
+    }
+
     fn mapped(
         &self,
         factor: [f64; 3],
@@ -414,7 +518,12 @@ fn quarters([a, b, c]: &[[f64; 3]; 3]) -> [[[f64; 3]; 3]; 4] {
     [[*a, ab, ca], [ab, *b, bc], [ca, bc, *c], [bc, ca, ab]]
 }
 
+/// The texture coordinates at a point. Corners that share one have it everywhere: interpolated, a rounding would choose between two
+/// texels where it lies on their border.
 fn interpolate(uv: &[DVec2; 3], b: [f64; 3]) -> DVec2 {
+    if uv[0] == uv[1] && uv[1] == uv[2] {
+        return uv[0];
+    }
     uv[0] * b[0] + uv[1] * b[1] + uv[2] * b[2]
 }
 

@@ -15,6 +15,7 @@
 //! - The first of two definitions of a material counts.
 //! - Normals are not read. The front is where the vertices run counter-clockwise.
 //! - `-s` and `-o` of a texture statement make `uv · s + o`.
+//! - Texels are holes where `map_d`, or else the alpha of `map_Kd`, is below a half. Faces with `d 0` are left out.
 //! - Only materials that faces use are kept.
 //! - `Ks` is a modified Phong lobe of exponent `Ns`. With `illum 3` it is a mirror, with `illum 5` a mirror with Schlick's
 //!   Fresnel term.

@@ -15,7 +15,7 @@ const LARGEST_DECODED: u64 = 1 << 30;
 
 /// Decodes a PNG, JPEG, TGA, BMP, WebP or TIFF image, of the format that `named` says where its bytes do not; the error says
 /// why it cannot.
-pub(super) fn decode(bytes: &[u8], named: Option<image::ImageFormat>) -> Result<image::RgbImage, String> {
+pub(super) fn decode(bytes: &[u8], named: Option<image::ImageFormat>) -> Result<image::DynamicImage, String> {
     use image::ImageFormat::{Bmp, Jpeg, Png, Tga, Tiff, WebP};
     let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes));
     reader = reader.with_guessed_format().map_err(|e| e.to_string())?;
@@ -31,12 +31,15 @@ pub(super) fn decode(bytes: &[u8], named: Option<image::ImageFormat>) -> Result<
     limits.max_image_height = Some(LARGEST_SIDE);
     limits.max_alloc = Some(LARGEST_DECODED);
     reader.limits(limits);
-    let image = reader.decode().map_err(|e| e.to_string())?.into_rgb8();
+    let image = reader.decode().map_err(|e| e.to_string())?;
     if image.width() == 0 || image.height() == 0 {
         return Err("the image has no texels".into());
     }
     Ok(image)
 }
+
+/// The least alpha of a texel that is surface, of 255.
+const HALF: u8 = 128;
 
 /// An image, decoded from sRGB when looked up. Its texels are constant squares: the mean over a patch and the value
 /// at a point agree exactly.
@@ -47,6 +50,8 @@ pub struct Texture {
     /// R G B, sRGB-encoded, rows from the top.
     texels: Vec<u8>,
     is_grey: bool,
+    /// Which texels are surface, rows from the top; none where all are.
+    solid: Option<Vec<bool>>,
     pyramid: Pyramid,
 }
 
@@ -83,7 +88,8 @@ impl Texture {
         assert!(width > 0 && height > 0, "a texture without texels");
         assert_eq!(texels.len(), 3 * width * height, "three bytes a texel");
         let is_grey = texels.chunks_exact(3).all(|t| t[0] == t[1] && t[1] == t[2]);
-        let mut texture = Texture { width, height, texels, is_grey, pyramid: Pyramid::default() };
+        let mut texture =
+            Texture { width, height, texels, is_grey, solid: None, pyramid: Pyramid::default() };
         texture.pyramid = Pyramid::new(&texture);
         texture
     }
@@ -94,7 +100,48 @@ impl Texture {
             &std::fs::read(path).map_err(|e| e.to_string())?,
             image::ImageFormat::from_path(path).ok(),
         )?;
-        Ok(Texture::new(image.width() as usize, image.height() as usize, image.into_raw()))
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        let alpha = image.color().has_alpha().then(|| image.to_rgba8().into_raw());
+        let texture = Texture::new(width, height, image.into_rgb8().into_raw());
+        Ok(match alpha {
+            Some(rgba) => texture.with_solid(rgba.chunks_exact(4).map(|texel| texel[3] >= HALF).collect()),
+            None => texture,
+        })
+    }
+
+    /// The same image with holes where `solid` says no; rows from the top. Colours stay as they are.
+    ///
+    /// # Panics
+    /// When there is not a value for each texel.
+    pub fn with_solid(mut self, solid: Vec<bool>) -> Texture {
+        assert_eq!(solid.len(), self.width * self.height, "one value a texel");
+        self.solid = solid.contains(&false).then_some(solid);
+        self
+    }
+
+    /// The same image as a mask, in which white is surface and black a hole; unless its alpha says what is one.
+    pub(super) fn into_mask(self) -> Texture {
+        if self.has_holes() {
+            return self;
+        }
+        let white = |t: &[u8]| t.iter().map(|&x| u32::from(x)).sum::<u32>() >= 3 * u32::from(HALF);
+        let solid = self.texels.chunks_exact(3).map(white).collect();
+        self.with_solid(solid)
+    }
+
+    /// Whether any texel is a hole.
+    pub fn has_holes(&self) -> bool {
+        self.solid.is_some()
+    }
+
+    /// Whether a texel is surface, `x` to the right and `y` down from the top left one; beyond the image as the map says.
+    pub(super) fn is_solid(&self, map: &TextureMap, x: i64, y: i64) -> bool {
+        let Some(solid) = &self.solid else { return true };
+        let within = |x: i64, n: usize| {
+            let n = n as i64;
+            (if map.clamp { x.clamp(0, n - 1) } else { x.rem_euclid(n) }) as usize
+        };
+        solid[within(y, self.height) * self.width + within(x, self.width)]
     }
 
     /// Texels in a row and in a column.
@@ -141,11 +188,11 @@ impl Texture {
     pub fn mean(&self, map: &TextureMap, uv: [DVec2; 3]) -> [f64; 3] {
         let corners = uv.map(|p| self.to_texels(map, p));
         mean::over(self, map.clamp, corners)
-            .unwrap_or_else(|| self.at(map, uv[0] / 3.0 + uv[1] / 3.0 + uv[2] / 3.0))
+            .unwrap_or_else(|| self.at(map, super::interpolate(&uv, [1.0 / 3.0; 3])))
     }
 
     /// In texels, x right and y down from the top left corner; v of a texture coordinate points up.
-    fn to_texels(&self, map: &TextureMap, uv: DVec2) -> DVec2 {
+    pub(super) fn to_texels(&self, map: &TextureMap, uv: DVec2) -> DVec2 {
         let p = uv * map.scale + map.offset;
         DVec2::new(p.x * self.width as f64, (1.0 - p.y) * self.height as f64)
     }

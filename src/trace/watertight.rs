@@ -124,7 +124,7 @@ mod tests {
                 q
             });
             let normal = (turned[1] - turned[0]).cross(turned[2] - turned[0]).normalize();
-            let triangle = UnitTriangle::new(turned.map(|p| p.as_dvec3()), normal);
+            let triangle = UnitTriangle::new(turned.map(|p| p.as_dvec3()), normal, [0.0; 3]);
             let leaf = Leaf::new(&[0], &[triangle]);
             let inside = (turned[0] + turned[1] + turned[2]) / 3.0;
             for tilt in [Vec3A::ZERO, vec3a(0.1, -0.2, 0.05)] {

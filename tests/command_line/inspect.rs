@@ -131,9 +131,9 @@ fn what_will_go_wrong_is_told_and_is_no_failure() {
     for said in [
         "nothing emits light",
         "of what is seen are backs, most often of `wall`",
-        // The fourth edge of the wall belongs to three faces.
-        "3 edges join a front to a back",
-        "1 triangles lie on another",
+        "4 edges join a front to a back",
+        // Half of a square.
+        "faces overlap in one plane: an area of 5.0000e-1 of material `wall` lies behind `wall` and is left out",
         "1 triangles without area",
     ] {
         assert!(concerns.contains(said), "{said} is missing in {concerns}");
@@ -217,4 +217,38 @@ fn no_output_takes_the_place_of_a_file_of_the_scene() {
     let output = here.run("solve scene.obj -o other.ply --quality draft");
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(here.read("other.ply").starts_with(b"ply\n"));
+}
+
+/// A luminaire with its faces inside out shines into itself: it is named, and one beside it that is right is not.
+#[test]
+fn lamps_that_shine_into_their_own_housing_are_named() {
+    let mut obj = "mtllib scene.mtl\n".to_string();
+    let mut vertices = 0;
+    let mut square = |material: &str, x: f64, y: f64, up: bool| {
+        let mut corners = [(x, 0.0), (x, 1.0), (x + 1.0, 1.0), (x + 1.0, 0.0)];
+        if !up {
+            corners.reverse();
+        }
+        corners.iter().for_each(|(x, z)| obj += &format!("v {x} {y} {z}\n"));
+        obj += &format!(
+            "usemtl {material}\nf {} {} {} {}\n",
+            vertices + 1,
+            vertices + 2,
+            vertices + 3,
+            vertices + 4
+        );
+        vertices += 4;
+    };
+    // A plate above each lamp; one lamp shines down into the room, one up at its plate.
+    for (x, up) in [(0.0, false), (3.0, true)] {
+        square("housing", x, 3.05, !up);
+        square(if up { "turned" } else { "right" }, x, 3.0, up);
+    }
+    square("housing", 0.0, 0.0, true);
+    let mtl =
+        "newmtl housing\nKd .5 .5 .5\nnewmtl right\nKd 0 0 0\nKe 5 5 5\nnewmtl turned\nKd 0 0 0\nKe 5 5 5\n";
+    let here = Here::new(&obj, mtl);
+    let said = stderr(&here.run("inspect scene.obj"));
+    assert!(said.contains("the lamp of `turned` at 3.") && said.contains("into `housing`"), "{said}");
+    assert!(!said.contains("`right`"), "{said}");
 }

@@ -152,3 +152,43 @@ fn bad_points_are_told_with_file_and_line() {
         assert!(errors.contains(said), "{options}: {errors}");
     }
 }
+
+/// Points below a surface are named; those on it, but for six digits, are not.
+#[test]
+fn points_below_a_surface_are_named() {
+    let here = Here::new(LAMP, BLACK);
+    fs::write(here.path("on.txt"), "0.5 0.001 0.3 0 1 0\n0.5 -0.000001 0.3 0 1 0\n").unwrap();
+    let on = probe(&here, "scene.obj --points on.txt");
+    assert!(on.iter().all(|line| line[6] > 0.7), "{on:?}");
+    fs::write(here.path("below.txt"), "0.5 0.001 0.3 0 1 0\n0.5 -0.001 0.3 0 1 0\n0.5 -0.01 0.3 0 1 0\n")
+        .unwrap();
+    let below = here.run("probe scene.obj --points below.txt");
+    let said = stderr(&below);
+    assert_eq!(below.status.code(), Some(0), "{said}");
+    assert!(
+        said.contains("2 points lie below a surface") && said.contains("point 2, 0.5 -0.001 0.3"),
+        "{said}"
+    );
+    assert!(table(&below.stdout)[1][6] == 0.0);
+}
+
+/// A pane before the lamp keeps its light out, unless its material is left out: then the light is that without a pane.
+#[test]
+fn materials_can_be_ignored() {
+    let pane = "usemtl glass\nv -1 1 -1\nv 2 1 -1\nv 2 1 2\nv -1 1 2\nf 9 10 11 12\n";
+    let glass = format!("{BLACK}newmtl glass\nKd 0.9 0.9 0.9\nd 0.1\n");
+    let here = Here::new(&format!("{LAMP}{pane}"), &glass);
+    fs::write(here.path("p.txt"), "0.5 0 0.3 0 1 0\n").unwrap();
+    let irradiance = |options: &str| {
+        let output = here.run(&format!("probe scene.obj --points p.txt {options}"));
+        table(&output.stdout)[0][6]
+    };
+    let want = PI * 3.0 * point_to_polygon(dvec3(0.5, 0.0, 0.3), DVec3::Y, &CORNERS);
+    assert_eq!(irradiance(""), 0.0);
+    let got = irradiance("--ignore glass");
+    assert!((got / want - 1.0).abs() < 0.01, "{got} for {want}");
+    let unknown = here.fails("probe scene.obj --points p.txt --ignore glas", 2);
+    assert!(unknown.contains("`glas`") && unknown.contains("black, lamp, glass"), "{unknown}");
+    let nothing = here.fails("inspect scene.obj --ignore glass --ignore black --ignore lamp", 2);
+    assert!(nothing.contains("no face is left"), "{nothing}");
+}

@@ -4,10 +4,12 @@
 mod common;
 
 mod corpus;
+mod cutouts;
 mod degenerate;
 mod gltf_hostile;
 mod gltf_reader;
 mod independence;
 mod meshes;
 mod obj_reader;
+mod overlaps;
 mod textures;

@@ -1,11 +1,13 @@
 //! Paths, particles and radiosity agree where reflectance and emission come from textures.
 
+use glam::{DVec3, dvec2, dvec3};
 use radiosity::{
     Progress, Scene,
     accuracy::error_bars::ErrorBars,
     form_factor::{CastOptions, FormFactors},
-    monte_carlo::{Effort, LightOptions, LightTracer, PathOptions, PathTracer, Region},
+    monte_carlo::{Effort, LightOptions, LightTracer, PathOptions, PathTracer, Receiver, Region},
     patch::{Patches, Subdivision},
+    scene::{Material, Texture, TextureMap},
     solve::{SolveOptions, solve},
     trace::Tracer,
 };
@@ -78,4 +80,80 @@ fn all_ways_agree_on_a_room_with_a_checkerboard_and_a_fading_lamp() {
         walls.map(|t| paths[t].mean[1]).sum::<f64>() / 2.0
     };
     assert!((at(true) / at(false) - 1.0).abs() > 0.1, "{} {}", at(true), at(false));
+}
+
+/// A black ceiling of 4 by 4 at z = 3 that shines where its texture of 32 by 32 texels does: in four of them.
+fn spot() -> Scene {
+    let corners = [dvec3(0., 0., 3.), dvec3(0., 4., 3.), dvec3(4., 4., 3.), dvec3(4., 0., 3.)];
+    let uv = [dvec2(0., 0.), dvec2(0., 1.), dvec2(1., 1.), dvec2(1., 0.)];
+    let halves = [[0, 1, 2], [0, 2, 3]];
+    let mut lamp = Material::new("lamp", [0.0; 3], [10.0; 3]);
+    lamp.emission_map = Some(TextureMap::new(0));
+    let mut scene = Scene::new(&halves.map(|half| (half.map(|k| corners[k]), 0)), vec![lamp]);
+    scene.texcoords = halves.map(|half| half.map(|k| uv[k])).to_vec();
+    let mut texels = vec![0; 3 * 32 * 32];
+    for (x, y) in [(10, 20), (11, 20), (10, 21), (11, 21)] {
+        texels[3 * (32 * y + x)..][..3].fill(255);
+    }
+    scene.textures = vec![Texture::new(32, 32, texels)];
+    scene
+}
+
+/// Light of a few texels is found by a few samples: 1/256 of the ceiling shines.
+#[test]
+fn a_bright_spot_of_a_texture_is_sampled() {
+    let scene = spot();
+    let (tracer, progress) = (Tracer::new(&scene), Progress::new());
+    let effort = Effort::default().with_samples(256);
+    let paths = PathTracer::new(&scene, &tracer, PathOptions::default());
+    let places = [dvec3(1.4, 1.4, 0.0), dvec3(3.5, 2.0, 0.0), dvec3(1.0, 1.0, 2.5)];
+    let receivers = places.map(|p| Receiver::free(&tracer, p, DVec3::Z));
+    for (p, estimate) in places.into_iter().zip(paths.irradiances(&receivers, &effort, &progress).unwrap()) {
+        // The integral of L cos² / r² over the spot, from 1.25 to 1.5 both ways, by the midpoint rule.
+        const N: usize = 64;
+        let at = |k: usize| 1.25 + 0.25 * (k as f64 + 0.5) / N as f64;
+        let light = |q: DVec3| 10.0 * ((q - p).z / (q - p).length_squared()).powi(2);
+        let points = (0..N * N).map(|k| dvec3(at(k % N), at(k / N), 3.0));
+        let right = points.map(light).sum::<f64>() * (0.25f64 / N as f64).powi(2);
+        let (got, error) = (estimate.mean[0], estimate.standard_error[0]);
+        assert!((got - right).abs() < 5.0 * error + 1e-4 * right, "{p}: {got} for {right} ± {error}");
+        assert!(error > 0.0 && error < 0.02 * right, "{p}: {error} of {right}");
+    }
+    let options = LightOptions::default().with_particles(1 << 12);
+    let emitted = LightTracer::new(&scene, &tracer, options).trace(0, |_| None, &progress).unwrap().emitted;
+    let power = 10.0 * std::f64::consts::PI * 0.0625;
+    // A few parts at the rim of the spot are dark on one side.
+    assert!((emitted.mean[0] / power - 1.0).abs() < 0.01, "{} for {power}", emitted.mean[0]);
+}
+
+/// Samples that all missed the light are no proof that there is none.
+#[test]
+fn all_samples_missing_is_not_certainty() {
+    let scene = spot();
+    let tracer = Tracer::new(&scene);
+    let paths = PathTracer::new(&scene, &tracer, PathOptions::default());
+    let above = Receiver::free(&tracer, dvec3(2.0, 2.0, 3.5), DVec3::Z);
+    let effort = Effort::default().with_samples(1024);
+    let estimate = paths.irradiances(&[above], &effort, &Progress::new()).unwrap()[0];
+    assert_eq!(estimate.mean, [0.0; 3]);
+    assert!((estimate.standard_error[0] - std::f64::consts::PI * 10.0 / 1024.0).abs() < 1e-12);
+}
+
+/// Faces whose corners share one texture coordinate have one value, on the border of two texels as well.
+#[test]
+fn one_texture_coordinate_is_one_value() {
+    let corners = [dvec3(0., 0., 0.), dvec3(1., 0., 0.), dvec3(0., 1., 0.)];
+    let mut material = Material::new("m", [1.0; 3], [0.0; 3]);
+    material.reflectance_map = Some(TextureMap::new(0));
+    let mut scene = Scene::new(&[(corners, 0)], vec![material]);
+    scene.textures = vec![Texture::new(10, 10, (0..300).map(|k| (k * 83 % 251) as u8).collect())];
+    for k in 0..100 {
+        let shared = dvec2(f64::from(k % 10) / 10.0, f64::from(k / 10) / 10.0);
+        scene.texcoords = vec![[shared; 3]];
+        let mean = scene.mean_reflectance(0, &WHOLE);
+        for step in 1..50 {
+            let (a, b) = (f64::from(step) * 0.019, 1.0 / f64::from(step + 51));
+            assert_eq!(scene.reflectance_at(0, [a, b, 1.0 - a - b]), mean, "{shared}");
+        }
+    }
 }

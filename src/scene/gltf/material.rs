@@ -403,7 +403,7 @@ impl<'a> Materials<'a> {
         let document = self.document;
         let read = document.image(i).and_then(|(bytes, file)| {
             self.files.extend(file);
-            texture::decode(&bytes, None)
+            texture::decode(&bytes, None).map(image::DynamicImage::into_rgb8)
         });
         let image = match read {
             Ok(image) => Some(Rc::new(image)),

@@ -28,6 +28,8 @@ pub(super) struct Materials {
     made: HashMap<(Option<usize>, bool, bool), u32>,
     read: HashMap<PathBuf, Option<usize>>,
     absent: HashSet<(PathBuf, String)>,
+    /// Textures with holes, by file and by whether whiteness tells where.
+    masks: HashMap<(PathBuf, bool), Option<usize>>,
 }
 
 impl Materials {
@@ -42,6 +44,7 @@ impl Materials {
             made: HashMap::new(),
             read: HashMap::new(),
             absent: HashSet::new(),
+            masks: HashMap::new(),
         }
     }
 
@@ -54,7 +57,7 @@ impl Materials {
         origins: &[Origin],
     ) -> Result<u32> {
         let has = |i: usize, map: &str| map_of(&definitions[i], map).is_some();
-        let maps = id.is_some_and(|i| has(i, "map_Kd") || has(i, "map_Ke"));
+        let maps = id.is_some_and(|i| ["map_Kd", "map_Ke", "map_d"].into_iter().any(|map| has(i, map)));
         let key = (id, textured || !maps, coloured);
         if let Some(&index) = self.made.get(&key) {
             return Ok(index);
@@ -100,6 +103,7 @@ impl Materials {
             origin.notes.iter().for_each(|note| self.warnings.push(note.clone()));
             self.warn_left_out(definition, origin);
         }
+        let cutout = if textured { self.cutout(definition, origin, first) } else { None };
         let maps = ["map_Kd", "map_Ke"].map(|statement| {
             map_of(definition, statement)
                 .filter(|_| textured)
@@ -132,6 +136,43 @@ impl Materials {
             emission_map,
             reflectance_offset: [0.0; 3],
             specular: specular.part.map(Box::new),
+            cutout,
+            absent: definition.dissolve == Some(0.0),
+        })
+    }
+
+    /// Where the material has holes: by `map_d`, else by the alpha of `map_Kd`.
+    fn cutout(&mut self, definition: &tobj::Material, origin: &Origin, first: bool) -> Option<TextureMap> {
+        for statement in ["map_d", "map_Kd"] {
+            let Some(value) = map_of(definition, statement) else { continue };
+            let line = map_line::parse(value);
+            let folder = origin.file.parent().unwrap_or(Path::new(""));
+            let Some(path) = find_file(folder, &line.file).map(|found| found.path) else {
+                if statement == "map_d" && first {
+                    let after = " not found; the material has no holes";
+                    self.warnings.repeat(origin.place(statement), "texture", &line.file, after);
+                    self.missing.push(line.file.clone());
+                }
+                continue;
+            };
+            if let Some(texture) = self.mask(&path, statement == "map_d") {
+                let [scale, offset] = [line.scale, line.offset].map(DVec2::from_array);
+                return Some(TextureMap { texture, scale, offset, clamp: line.clamp });
+            }
+        }
+        None
+    }
+
+    /// The index of a texture with holes; `whiteness` tells where they are if its alpha does not.
+    fn mask(&mut self, path: &Path, whiteness: bool) -> Option<usize> {
+        let path = path.canonicalize().unwrap_or(path.to_owned());
+        *self.masks.entry((path.clone(), whiteness)).or_insert_with(|| {
+            let texture = Texture::load(&path).ok()?;
+            let texture = if whiteness { texture.into_mask() } else { texture };
+            let index = texture.has_holes().then_some(self.textures.len())?;
+            self.textures.push(texture);
+            self.files.push(path);
+            Some(index)
         })
     }
 
@@ -270,6 +311,7 @@ fn number(definition: &tobj::Material, key: &str) -> Option<f64> {
 fn map_of<'a>(definition: &'a tobj::Material, statement: &str) -> Option<&'a str> {
     match statement {
         "map_Kd" => definition.diffuse_texture.as_deref(),
+        "map_d" => definition.dissolve_texture.as_deref(),
         _ => definition.unknown_param.get(statement).map(String::as_str),
     }
 }
@@ -290,9 +332,10 @@ fn left_out(definition: &tobj::Material) -> Vec<String> {
     add(glass.is_some() && number("Pm").is_some_and(|m| m > 0.0), "metal (Pm)");
     add(definition.specular_texture.is_some(), "map_Ks");
     add(definition.shininess_texture.is_some(), "map_Ns");
-    let clear = definition.dissolve.is_some_and(|d| d < 1.0) || number("Tr").is_some_and(|t| t > 0.0);
-    add(clear, "transparency (d, Tr)");
-    add(definition.dissolve_texture.is_some() || parameter("map_Tr").is_some(), "transparency map");
+    let clear =
+        definition.dissolve.is_some_and(|d| 0.0 < d && d < 1.0) || number("Tr").is_some_and(|t| t > 0.0);
+    add(clear, "transparency (d, Tr), which --ignore with its name makes clear");
+    add(parameter("map_Tr").is_some(), "transparency map (map_Tr)");
     let filters = |tf: &String| tf.split_whitespace().any(|w| w.parse::<f64>().is_ok_and(|t| t != 1.0));
     add(parameter("Tf").is_some_and(filters), "transmission filter (Tf)");
     add(definition.normal_texture.is_some() || parameter("norm").is_some(), "bump or normal map");

@@ -1,0 +1,240 @@
+//! Triangles cut to pieces: along an outline in their plane, and where their edges got vertices.
+
+use std::collections::HashMap;
+
+use glam::{DVec2, DVec3};
+use spade::{
+    ConstrainedDelaunayTriangulation, HasPosition, Point2, Triangulation, handles::FixedVertexHandle,
+};
+
+use super::{Scene, Triangle, interpolate, scaled_cross, triangle_area};
+
+/// The vertices on an edge of one triangle.
+pub(super) struct Chain {
+    /// The edge, its lower vertex first.
+    pub(super) ends: [u32; 2],
+    /// In order from the lower one.
+    pub(super) between: Vec<u32>,
+}
+
+/// For each edge, the lower vertex first, the vertices on it in order from that.
+type OnEdges = HashMap<[u32; 2], Vec<u32>>;
+
+/// The vertices that edges got.
+#[derive(Default)]
+pub(super) struct Cuts {
+    /// Of whole edges: for triangles that are left as they were.
+    whole: OnEdges,
+    /// Of what one cutting made of them, those of other cuttings: for its pieces, which have its own vertices as corners.
+    parts: OnEdges,
+}
+
+/// The vertices that edges got in several cuttings, which may share edges.
+pub(super) fn cuts(scene: &Scene, chains: Vec<Chain>) -> Cuts {
+    let mut cuts = Cuts::default();
+    for Chain { ends, between } in chains.iter().filter(|chain| !chain.between.is_empty()) {
+        cuts.whole.entry(*ends).or_default().extend(between);
+    }
+    let at = |v: u32| scene.vertices[v as usize];
+    for ([a, b], between) in &mut cuts.whole {
+        let along = |v: &u32| (at(*v) - at(*a)).dot(at(*b) - at(*a));
+        between.sort_by(|v, w| along(v).total_cmp(&along(w)).then(v.cmp(w)));
+        between.dedup();
+    }
+    for Chain { ends: [a, b], between } in chains {
+        let Some(whole) = cuts.whole.get(&[a, b]) else { continue };
+        let (mut from, mut foreign) = (a, Vec::new());
+        for &v in whole.iter().chain(&[b]) {
+            if v != b && !between.contains(&v) {
+                foreign.push(v);
+                continue;
+            }
+            if !foreign.is_empty() {
+                if from > v {
+                    foreign.reverse();
+                }
+                cuts.parts.insert([from.min(v), from.max(v)], std::mem::take(&mut foreign));
+            }
+            from = v;
+        }
+    }
+    cuts
+}
+
+/// The vertices on the edges from each corner of a triangle to the next, in this order.
+fn on_edges(corners: [u32; 3], known: &OnEdges) -> [Vec<u32>; 3] {
+    [0, 1, 2].map(|k| {
+        let (p, q) = (corners[k], corners[(k + 1) % 3]);
+        let mut between = known.get(&[p.min(q), p.max(q)]).cloned().unwrap_or_default();
+        if p > q {
+            between.reverse();
+        }
+        between
+    })
+}
+
+/// Puts what is left of each triangle in its place, and cuts triangles whose edges got vertices.
+pub(super) fn replace(scene: &mut Scene, left: &HashMap<u32, Vec<[u32; 3]>>, cuts: &Cuts) {
+    let old = std::mem::take(&mut scene.triangles);
+    let texcoords = [&mut scene.texcoords, &mut scene.emission_texcoords].map(std::mem::take);
+    let colours = std::mem::take(&mut scene.colours);
+    let backs = old.len() - scene.backs_of_lamps;
+    scene.backs_of_lamps = 0;
+    let mut parts = Vec::new();
+    for (t, triangle) in old.iter().enumerate() {
+        parts.clear();
+        match left.get(&(t as u32)) {
+            Some(pieces) => {
+                pieces.iter().for_each(|&piece| cut(piece, on_edges(piece, &cuts.parts), &mut parts))
+            }
+            None => cut(triangle.vertices, on_edges(triangle.vertices, &cuts.whole), &mut parts),
+        }
+        parts.retain(|part| triangle_area(part.map(|v| scene.vertices[v as usize])) > 0.0);
+        for &vertices in &parts {
+            let corners = vertices.map(|v| match triangle.vertices.iter().position(|&w| w == v) {
+                Some(k) => std::array::from_fn(|i| f64::from(u8::from(i == k))),
+                None => weights(scene, triangle, v),
+            });
+            let mapped = |uv: &[DVec2; 3]| corners.map(|weights| interpolate(uv, weights));
+            scene.texcoords.extend(texcoords[0].get(t).map(mapped));
+            scene.emission_texcoords.extend(texcoords[1].get(t).map(mapped));
+            let mixed = |colours: &[[f32; 3]; 3]| {
+                corners.map(|w| [0, 1, 2].map(|c| (0..3).map(|k| colours[k][c] * w[k] as f32).sum()))
+            };
+            scene.colours.extend(colours.get(t).map(mixed));
+            scene.triangles.push(Triangle { vertices, ..*triangle });
+            scene.backs_of_lamps += usize::from(t >= backs);
+        }
+    }
+}
+
+/// Barycentric coordinates of a vertex in a triangle whose plane it lies in.
+fn weights(scene: &Scene, triangle: &Triangle, v: u32) -> [f64; 3] {
+    let corners = triangle.vertices.map(|v| scene.vertices[v as usize]);
+    let plane = Plane::of(corners);
+    let [a, b, c] = corners.map(|p| plane.flat(p));
+    let p = plane.flat(scene.vertices[v as usize]);
+    let [u, v, w] = [(b - p).perp_dot(c - p), (c - p).perp_dot(a - p), (a - p).perp_dot(b - p)];
+    [u, v, w].map(|x| x / (u + v + w))
+}
+
+/// A triangle as parts that have the vertices on its edges as corners. `on` are those on the edges from each corner to the next.
+fn cut([a, b, c]: [u32; 3], on: [Vec<u32>; 3], parts: &mut Vec<[u32; 3]>) {
+    let Some(k) = on.iter().position(|between| !between.is_empty()) else { return parts.push([a, b, c]) };
+    let [p, q, r] = [0, 1, 2].map(|i| [a, b, c][(k + i) % 3]);
+    let [first, second, third] = [0, 1, 2].map(|i| &on[(k + i) % 3]);
+    let mut from = p;
+    for &to in first.iter().chain([&q]) {
+        // A triangle whose corners are in a line has its third corner on its first edge.
+        if to != r && from != r {
+            let of_second = if to == q { second.clone() } else { Vec::new() };
+            let of_third = if from == p { third.clone() } else { Vec::new() };
+            cut([from, to, r], [Vec::new(), of_second, of_third], parts);
+        }
+        from = to;
+    }
+}
+
+/// A projection along the axis that a normal is closest to: coordinates are copied, so that points in one place stay so.
+#[derive(Clone, Copy)]
+pub(super) struct Plane {
+    pub(super) axes: [usize; 2],
+    /// The axis along which is projected.
+    pub(super) along: usize,
+    pub(super) normal: DVec3,
+}
+
+impl Plane {
+    pub(super) fn of([a, b, c]: [DVec3; 3]) -> Plane {
+        let normal = scaled_cross(b - a, c - a).0.normalize();
+        let size = normal.abs();
+        let along = if size.x.max(size.y) >= size.z { usize::from(size.x < size.y) } else { 2 };
+        let (x, y) = ((along + 1) % 3, (along + 2) % 3);
+        // Counter-clockwise stays so.
+        let axes = if normal[along] > 0.0 { [x, y] } else { [y, x] };
+        Plane { axes, along, normal }
+    }
+
+    pub(super) fn flat(&self, p: DVec3) -> DVec2 {
+        DVec2::new(p[self.axes[0]], p[self.axes[1]])
+    }
+}
+
+/// A vertex of a triangulation, by its index among the points.
+#[derive(Clone, Copy)]
+pub(super) struct Corner {
+    at: Point2<f64>,
+    pub(super) vertex: usize,
+}
+
+impl HasPosition for Corner {
+    type Scalar = f64;
+
+    fn position(&self) -> Point2<f64> {
+        self.at
+    }
+}
+
+pub(super) type Cdt = ConstrainedDelaunayTriangulation<Corner>;
+
+/// A vertex that is made where constraints cross unforeseen.
+pub(super) const UNNAMED: usize = usize::MAX;
+
+/// Triangulates vertices with some edges that must be kept.
+pub(super) fn triangulate(points: &[DVec2], vertices: &[usize], edges: &[[usize; 2]]) -> Cdt {
+    // About one unit large, so that no coordinate is beyond what the triangulation takes. By all points, so that some of them
+    // come to lie exactly where they lay among the others: edges that did not cross then do not now.
+    let none = [DVec2::INFINITY, DVec2::NEG_INFINITY];
+    let [low, high] = points.iter().fold(none, |[low, high], &p| [low.min(p), high.max(p)]);
+    let extent = (high - low).max_element();
+    let mut cdt = Cdt::new();
+    let mut handles: HashMap<usize, FixedVertexHandle> = HashMap::new();
+    for &vertex in vertices {
+        let p = (points[vertex] - low) / extent;
+        // Subnormal differences are none.
+        let p = p.to_array().map(|x| if x.abs() < 1e-40 { 0.0 } else { x });
+        let at = Point2::new(p[0], p[1]);
+        handles
+            .insert(vertex, cdt.insert(Corner { at, vertex }).expect("coordinates are finite and not tiny"));
+    }
+    for ends in edges {
+        let [from, to] = ends.map(|v| handles[&v]);
+        if from != to {
+            cdt.add_constraint_and_split(from, to, |at| Corner { at, vertex: UNNAMED });
+        }
+    }
+    cdt
+}
+
+/// The triangles inside an outline: those that an odd number of its edges parts from the outside.
+pub(super) fn within(points: &[DVec2], outline: &[[usize; 2]]) -> Vec<[usize; 3]> {
+    let mut vertices: Vec<usize> = outline.iter().flatten().copied().collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    if vertices.is_empty() {
+        return Vec::new();
+    }
+    let cdt = triangulate(points, &vertices, outline);
+    let mut within: HashMap<usize, bool> = HashMap::new();
+    let outer = cdt.outer_face().fix().index();
+    within.insert(outer, false);
+    let mut neighbours: HashMap<usize, Vec<(usize, bool)>> = HashMap::new();
+    for edge in cdt.undirected_edges() {
+        let [a, b] = [edge.as_directed(), edge.as_directed().rev()].map(|e| e.face().fix().index());
+        neighbours.entry(a).or_default().push((b, edge.is_constraint_edge()));
+        neighbours.entry(b).or_default().push((a, edge.is_constraint_edge()));
+    }
+    let mut open = vec![outer];
+    while let Some(face) = open.pop() {
+        let inside = within[&face];
+        for &(other, crossed) in neighbours.get(&face).into_iter().flatten() {
+            within.entry(other).or_insert_with(|| {
+                open.push(other);
+                inside != crossed
+            });
+        }
+    }
+    let inner = cdt.inner_faces().filter(|face| within.get(&face.fix().index()) == Some(&true));
+    let corners = inner.map(|face| face.vertices().map(|v| v.data().vertex));
+    corners.filter(|corners| !corners.contains(&UNNAMED)).collect()
+}

@@ -1,0 +1,305 @@
+//! Triangles that overlap in one plane, laid over each other: which part of each is left.
+//!
+//! The edges of all of them cut the plane into cells, none of which an edge crosses: a constrained Delaunay triangulation.
+//! Each cell belongs to the frontmost triangle that holds it. The cells of a triangle are then triangulated anew by their
+//! outline alone, so that edges of hidden triangles leave no trace in those in front.
+
+use std::collections::HashMap;
+
+use glam::{DVec2, DVec3};
+use spade::{
+    Triangulation,
+    handles::{FixedVertexHandle, VertexHandle},
+};
+
+use crate::scene::{
+    Scene,
+    cutting::{Chain, Corner, Plane, UNNAMED, triangulate, within},
+};
+
+/// What is left of some triangles.
+pub(super) struct Overlay {
+    /// By member: the triangles that are left, none where all is hidden; `None` where nothing has changed.
+    pub(super) left: Vec<Option<Vec<[u32; 3]>>>,
+    /// The vertices on edges of members.
+    pub(super) chains: Vec<Chain>,
+}
+
+impl Overlay {
+    /// Lays `members` of `scene`, the frontmost first, over each other. Adds vertices to the scene.
+    pub(super) fn new(scene: &mut Scene, members: &[u32], tolerance: f64) -> Overlay {
+        let mut sheet = Sheet::new(scene, members, tolerance);
+        sheet.cut_edges(scene);
+        let cells = sheet.cells(scene);
+        let owners = sheet.owners(&cells);
+        let left = (0..members.len() as u32).map(|m| sheet.left(m, &cells, &owners)).collect();
+        let chain = |edge: Edge| {
+            let ends = edge.ends.map(|v| sheet.vertices[v]);
+            let mut between: Vec<u32> = edge.on.iter().map(|&(v, _)| sheet.vertices[v]).collect();
+            if ends[0] > ends[1] {
+                between.reverse();
+            }
+            Chain { ends: [ends[0].min(ends[1]), ends[0].max(ends[1])], between }
+        };
+        Overlay { left, chains: std::mem::take(&mut sheet.edges).into_iter().map(chain).collect() }
+    }
+}
+
+/// An edge of members, and the vertices on it by their distance from its first end, in order.
+struct Edge {
+    ends: [usize; 2],
+    on: Vec<(usize, f64)>,
+}
+
+/// The members in their plane.
+struct Sheet {
+    plane: Plane,
+    tolerance: f64,
+    /// The scene's vertices, and where they are in the plane.
+    vertices: Vec<u32>,
+    points: Vec<DVec2>,
+    /// By index into `vertices`, counter-clockwise.
+    triangles: Vec<[usize; 3]>,
+    edges: Vec<Edge>,
+}
+
+/// Cells with their corners, counter-clockwise, and their neighbours across the edge from each corner to the next.
+struct Cells {
+    corners: Vec<[usize; 3]>,
+    neighbours: Vec<[Option<usize>; 3]>,
+}
+
+impl Sheet {
+    fn new(scene: &Scene, members: &[u32], tolerance: f64) -> Sheet {
+        let plane = Plane::of(scene.corners(members[0] as usize));
+        let mut sheet = Sheet {
+            plane,
+            tolerance,
+            vertices: Vec::new(),
+            points: Vec::new(),
+            triangles: Vec::new(),
+            edges: Vec::new(),
+        };
+        let mut known = HashMap::new();
+        let mut edges = HashMap::new();
+        for &t in members {
+            let corners = scene.triangles[t as usize].vertices.map(|v| {
+                *known.entry(v).or_insert_with(|| {
+                    sheet.vertices.push(v);
+                    sheet.points.push(plane.flat(scene.vertices[v as usize]));
+                    sheet.vertices.len() - 1
+                })
+            });
+            sheet.triangles.push(corners);
+            let [a, b, c] = corners;
+            for (p, q) in [(a, b), (b, c), (c, a)].into_iter().filter(|(p, q)| p != q) {
+                let ends = [p.min(q), p.max(q)];
+                edges.entry(ends).or_insert_with(|| sheet.edges.push(Edge { ends, on: Vec::new() }));
+            }
+        }
+        sheet
+    }
+
+    /// Finds the vertices on edges, and makes those where edges cross.
+    fn cut_edges(&mut self, scene: &mut Scene) {
+        self.find_on_edges(0);
+        let given = self.points.len();
+        for [e, f] in self.crossing() {
+            self.cross(scene, e, f);
+        }
+        self.find_on_edges(given);
+        for edge in &mut self.edges {
+            edge.on.sort_by(|(v, s), (w, t)| s.total_cmp(t).then(v.cmp(w)));
+            edge.on.dedup_by_key(|(v, _)| *v);
+        }
+    }
+
+    /// Vertices from `first` on that lie on edges.
+    fn find_on_edges(&mut self, first: usize) {
+        let mut order: Vec<usize> = (first..self.points.len()).collect();
+        order.sort_by(|&v, &w| self.points[v].x.total_cmp(&self.points[w].x));
+        for e in 0..self.edges.len() {
+            let [p, q] = self.edges[e].ends.map(|v| self.points[v]);
+            let (low, high) = (p.min(q) - self.tolerance, p.max(q) + self.tolerance);
+            let start = order.partition_point(|&v| self.points[v].x < low.x);
+            for &v in order[start..].iter().take_while(|&&v| self.points[v].x <= high.x) {
+                let r = self.points[v];
+                if r.y < low.y || r.y > high.y || self.edges[e].ends.contains(&v) {
+                    continue;
+                }
+                let along = (q - p).normalize();
+                let (from, off) = (along.dot(r - p), along.perp_dot(r - p).abs());
+                let apart = r.distance(p).min(r.distance(q)) > self.tolerance;
+                if off <= self.tolerance && from > 0.0 && from < p.distance(q) && apart {
+                    self.edges[e].on.push((v, from));
+                }
+            }
+        }
+    }
+
+    /// Pairs of edges that cross.
+    fn crossing(&self) -> Vec<[usize; 2]> {
+        let ends = |e: usize| self.edges[e].ends.map(|v| self.points[v]);
+        let bounds: Vec<[DVec2; 2]> =
+            (0..self.edges.len()).map(ends).map(|[p, q]| [p.min(q), p.max(q)]).collect();
+        let mut order: Vec<usize> = (0..bounds.len()).collect();
+        order.sort_by(|&e, &f| bounds[e][0].x.total_cmp(&bounds[f][0].x));
+        let mut found = Vec::new();
+        for (k, &e) in order.iter().enumerate() {
+            let after = order[k + 1..].iter().take_while(|&&f| bounds[f][0].x <= bounds[e][1].x);
+            for &f in after.filter(|&&f| bounds[f][0].y <= bounds[e][1].y && bounds[e][0].y <= bounds[f][1].y)
+            {
+                let ([p, q], [r, s]) = (ends(e), ends(f));
+                let side = |p: DVec2, q: DVec2, r: DVec2| (q - p).perp_dot(r - p);
+                if side(p, q, r) * side(p, q, s) < 0.0 && side(r, s, p) * side(r, s, q) < 0.0 {
+                    found.push([e, f]);
+                }
+            }
+        }
+        found.sort_unstable();
+        found
+    }
+
+    /// Gives two edges that cross a vertex in common, unless they have one: one of theirs close by, else a new one.
+    fn cross(&mut self, scene: &mut Scene, e: usize, f: usize) {
+        let on = |edge: &Edge, v: usize| edge.ends.contains(&v) || edge.on.iter().any(|&(w, _)| w == v);
+        let (first, second) = (&self.edges[e], &self.edges[f]);
+        let all =
+            |edge: &Edge| edge.ends.into_iter().chain(edge.on.iter().map(|&(v, _)| v)).collect::<Vec<_>>();
+        let ([p, q], [r, s]) = (first.ends.map(|v| self.points[v]), second.ends.map(|v| self.points[v]));
+        let share = (s - r).perp_dot(p - r) / (s - r).perp_dot(p - q);
+        let at = p + (q - p) * share;
+        // Straight edges meet once. Those that are almost parallel would seem to cross somewhere else as well.
+        if all(first).into_iter().any(|v| on(second, v)) {
+            return;
+        }
+        let near = |v: &usize| self.points[*v].distance(at) <= 2.0 * self.tolerance;
+        let known = all(first).into_iter().chain(all(second)).find(near);
+        let [a, b] = first.ends.map(|v| scene.vertices[self.vertices[v] as usize]);
+        let v = known.unwrap_or_else(|| self.make(scene, a + (b - a) * share, at));
+        for (edge, from) in [(e, p), (f, r)] {
+            if !on(&self.edges[edge], v) {
+                let from = self.points[v].distance(from);
+                self.edges[edge].on.push((v, from));
+            }
+        }
+    }
+
+    fn make(&mut self, scene: &mut Scene, position: DVec3, at: DVec2) -> usize {
+        scene.vertices.push(position);
+        self.vertices.push(scene.vertices.len() as u32 - 1);
+        self.points.push(at);
+        self.points.len() - 1
+    }
+
+    /// The cells that all edges make.
+    fn cells(&mut self, scene: &mut Scene) -> Cells {
+        let vertices: Vec<usize> = (0..self.points.len()).collect();
+        let mut edges = Vec::new();
+        for Edge { ends: [a, b], on } in &self.edges {
+            let mut from = *a;
+            for to in on.iter().map(|&(v, _)| v).chain([*b]) {
+                edges.push([from, to]);
+                from = to;
+            }
+        }
+        let cdt = triangulate(&self.points, &vertices, &edges);
+        let unforeseen: Vec<FixedVertexHandle> =
+            cdt.vertices().filter(|v| v.data().vertex == UNNAMED).map(|v| v.fix()).collect();
+        let mut named = HashMap::new();
+        if !unforeseen.is_empty() {
+            let none = [DVec2::INFINITY, DVec2::NEG_INFINITY];
+            let [low, high] = self.points.iter().fold(none, |[l, h], &p| [l.min(p), h.max(p)]);
+            for v in unforeseen {
+                let at = cdt.vertex(v).position();
+                let at = low + DVec2::new(at.x, at.y) * (high - low).max_element();
+                let position = self.lift(scene, at);
+                named.insert(v, self.make(scene, position, at));
+            }
+        }
+        let vertex = |v: VertexHandle<'_, Corner, (), _, ()>| match v.data().vertex {
+            UNNAMED => named[&v.fix()],
+            known => known,
+        };
+        let mut cells = Cells { corners: Vec::new(), neighbours: Vec::new() };
+        let inner: HashMap<_, usize> =
+            cdt.inner_faces().enumerate().map(|(k, face)| (face.fix().index(), k)).collect();
+        for face in cdt.inner_faces() {
+            let edges = face.adjacent_edges();
+            cells.corners.push(edges.map(|edge| vertex(edge.from())));
+            cells.neighbours.push(edges.map(|edge| {
+                let other = edge.rev().face();
+                if other.is_outer() { None } else { inner.get(&other.fix().index()).copied() }
+            }));
+        }
+        cells
+    }
+
+    /// The point of the frontmost plane over a point.
+    fn lift(&self, scene: &Scene, at: DVec2) -> DVec3 {
+        let corners = self.triangles[0].map(|v| scene.vertices[self.vertices[v] as usize]);
+        let [normal, along] = [self.plane.normal, DVec3::AXES[self.plane.along]];
+        let mut p = DVec3::ZERO;
+        (p[self.plane.axes[0]], p[self.plane.axes[1]]) = (at.x, at.y);
+        p + along * (normal.dot(corners[0] - p) / normal[self.plane.along])
+    }
+
+    /// The member that each cell belongs to, if any.
+    fn owners(&self, cells: &Cells) -> Vec<Option<u32>> {
+        let centres: Vec<DVec2> = cells
+            .corners
+            .iter()
+            .map(|corners| corners.iter().map(|&v| self.points[v]).sum::<DVec2>() / 3.0)
+            .collect();
+        let mut order: Vec<usize> = (0..centres.len()).collect();
+        order.sort_by(|&i, &j| centres[i].x.total_cmp(&centres[j].x));
+        let mut owners = vec![None; centres.len()];
+        // Edges bend by the tolerance where they run through vertices beside them: what no triangle holds by then is
+        // a strip beside one.
+        for slack in [0.0, self.tolerance] {
+            for (m, corners) in self.triangles.iter().enumerate() {
+                let [a, b, c] = corners.map(|v| self.points[v]);
+                let (low, high) = (a.min(b).min(c) - slack, a.max(b).max(c) + slack);
+                let start = order.partition_point(|&i| centres[i].x < low.x);
+                for &i in order[start..].iter().take_while(|&&i| centres[i].x <= high.x) {
+                    let p = centres[i];
+                    let inside = |(p, q): (DVec2, DVec2), r: DVec2| {
+                        (q - p).normalize_or_zero().perp_dot(r - p) >= -slack
+                    };
+                    if owners[i].is_none()
+                        && p.y >= low.y
+                        && p.y <= high.y
+                        && [(a, b), (b, c), (c, a)].into_iter().all(|edge| inside(edge, p))
+                    {
+                        owners[i] = Some(m as u32);
+                    }
+                }
+            }
+        }
+        owners
+    }
+
+    /// What is left of a member.
+    fn left(&self, member: u32, cells: &Cells, owners: &[Option<u32>]) -> Option<Vec<[u32; 3]>> {
+        let own = |k: usize| owners[k] == Some(member);
+        let mut outline = Vec::new();
+        for k in (0..owners.len()).filter(|&k| own(k)) {
+            for side in 0..3 {
+                if !cells.neighbours[k][side].is_some_and(own) {
+                    let [from, to] = [cells.corners[k][side], cells.corners[k][(side + 1) % 3]];
+                    outline.push([from.min(to), from.max(to)]);
+                }
+            }
+        }
+        let corners = self.triangles[member as usize];
+        let mut whole =
+            [[0, 1], [1, 2], [2, 0]].map(|[i, j]| [corners[i].min(corners[j]), corners[i].max(corners[j])]);
+        whole.sort_unstable();
+        outline.sort_unstable();
+        if outline == whole {
+            return None;
+        }
+        let pieces = within(&self.points, &outline).into_iter();
+        Some(pieces.map(|corners| corners.map(|v| self.vertices[v])).collect())
+    }
+}
