@@ -10,10 +10,10 @@ use radiosity::{
     Error, Result, Scene,
     energy::EnergyLedger,
     lightmap::{
-        self, Atlas, BakeOptions, Coordinates, LARGEST, Layout, Lightmap, PAGE,
+        self, Atlas, AtlasOptions, BakeOptions, Coordinates, LARGEST, Layout, Lightmap, PAGE,
         gltf::Encoding,
         report::{BakeReport, BakeSeconds},
-        write::{self, Picture, page_name},
+        write::{Picture, page_name},
     },
     monte_carlo::PictureFormat,
     output::{
@@ -46,16 +46,18 @@ const RESOLUTION: u32 = 512;
     Written to DIR:\n  \
       lightmap.exr, .hdr      irradiance, W/m2, linear R G B\n  \
       lightmap.png            the same for viewing\n  \
-      scene.obj, .mtl         the mesh; its texture coordinates address the map\n  \
-      scene.png               what leaves the surfaces, the texture of scene.mtl: any viewer shows the scene lit\n  \
-      scene-original-uv.obj   the same faces with the scene's own texture coordinates, where those were not used\n  \
-      report.json             all figures\n\
+      scene.obj, .mtl         the mesh; its texture coordinates address the map, its materials emit scene.png\n  \
+      scene.png               what leaves the surfaces: any viewer shows scene.obj lit, without lights\n  \
+      scene-original-uv.obj   the same faces and corners with the scene's own texture coordinates and materials, for\n                              \
+      a second set of coordinates in an engine, where those of the map are new\n  \
+      report.json             all figures\n  \
+      .radiosity              which files a later bake may replace\n\
     Further pages are called lightmap-2.exr and so on.\n\n\
     With -o NAME.glb one glTF file holds the lit scene, all else that is in a glTF scene included; NAME.exr beside it holds \
     the irradiance.\n\n\
-    The map is of the fronts of triangles, or of the back where only that is lit. The scene's own texture coordinates \
+    A face is shown by the side that has more light, or with --two-sided by both. The scene's own texture coordinates \
     are used when they lie in 0..1 without overlap and leave room between charts; the report says why where they do \
-    not. An existing file that no earlier bake wrote is never replaced.")]
+    not. Long faces may be cut for new ones. A file that no earlier bake wrote is never replaced.")]
 pub struct BakeArgs {
     #[command(flatten)]
     scene: SceneArgs,
@@ -85,6 +87,12 @@ pub struct BakeArgs {
     /// Make new texture coordinates even if the scene's own would do
     #[arg(long, conflicts_with = "keep_uv")]
     new_uv: bool,
+    /// Give both sides of a face texels where light reaches both, and the mesh a second face for the back
+    #[arg(long, conflicts_with = "keep_uv")]
+    two_sided: bool,
+    /// Make the texels of a material FACTOR times shorter than the others'. May be given several times
+    #[arg(long, value_name = "MATERIAL=FACTOR", value_parser = density, conflicts_with = "keep_uv")]
+    density: Vec<(String, f64)>,
     /// Leave the noise of the final gather in
     #[arg(long)]
     no_denoise: bool,
@@ -144,6 +152,26 @@ impl BakeArgs {
         }
     }
 
+    /// How to lay the map out; both sides are for the solution to tell.
+    fn atlas(&self, scene: &Scene) -> Result<AtlasOptions> {
+        let mut options = AtlasOptions::new(self.layout(), self.coordinates());
+        for (name, factor) in &self.density {
+            let before = options.density.len();
+            let of_name = scene.materials.iter().enumerate().filter(|(_, m)| m.name == *name);
+            options.density.extend(of_name.map(|(m, _)| (m as u32, *factor)));
+            if options.density.len() == before {
+                return Err(Error::Usage {
+                    message: format!(
+                        "--density: no face of {} has material `{name}`",
+                        self.scene.path.display()
+                    ),
+                    hint: Some("`radiosity inspect` lists the materials".into()),
+                });
+            }
+        }
+        Ok(options)
+    }
+
     fn options(&self) -> BakeOptions {
         BakeOptions::default()
             .with_final_gather(self.final_gather)
@@ -181,15 +209,20 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     let (scene, tracer) =
         pipeline::load(&args.scene, &report_file.iter().collect::<Vec<_>>(), &watch, &mut times.stages)?;
     args.job().check(&scene, &watch)?;
-    let atlas;
-    (atlas, times.atlas) =
-        watch.stage("atlas", || Atlas::new(&scene, &tracer, args.layout(), args.coordinates()))?;
-    args.common.limit().check_map(atlas.texels() as f64)?;
-    let directory = if outputs::is_glb(&args.output) {
-        None
-    } else {
-        Some(Directory::new(&args.output, "bake", ("scene.obj", write::SIGNATURE))?)
+    let directory = match outputs::is_glb(&args.output) {
+        true => None,
+        false => Some(Directory::new(&args.output, "bake")?),
     };
+    let mut layout = args.atlas(&scene)?;
+    // Which faces need two sides is known once there is light; else the layout comes first, because it may be refused.
+    let solve = |times: &mut BakeSeconds| args.job().solve(&scene, &tracer, &watch, &mut times.stages);
+    let solved = if args.two_sided { Some(solve(&mut times)?) } else { None };
+    if let Some(Solved { patches, solution, .. }) = &solved {
+        layout.two_sided = lightmap::lit_on_both_sides(patches, solution);
+    }
+    let atlas;
+    (atlas, times.atlas) = watch.stage("atlas", || Atlas::with(&scene, &tracer, &layout))?;
+    args.common.limit().check_map(atlas.texels() as f64)?;
     let files = match &directory {
         Some(directory) => Files::new(args, directory, &atlas, &scene)?,
         None => Files::of_glb(args, &atlas)?,
@@ -198,15 +231,22 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     outputs::check_distinct(&all)?;
     all.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
 
-    let (map, mut report, exposures) = compute(args, &scene, &tracer, atlas, &watch, &mut times)?;
+    let solved = solved.map_or_else(|| solve(&mut times), Ok)?;
+    let (map, mut report, exposures) = compute(args, (&scene, &tracer), atlas, solved, &watch, &mut times)?;
     for warning in &report.warnings {
         watch.warn(warning);
     }
     watch.begin_writing();
     report.files = files.0.iter().map(|file| file.name.clone()).collect();
-    let mut pending;
-    (pending, times.stages.output) =
+    let mut pending = Vec::new();
+    if let Some(directory) = &directory {
+        let names = report.files.iter().map(String::as_str).chain([REPORT]);
+        pending.push(directory.marker(names)?);
+    }
+    let written;
+    (written, times.stages.output) =
         watch.stage("writing", || files.write(args, &map, &scene, &exposures))?;
+    pending.extend(written);
     times.stages.total = seconds(start.elapsed());
     report.seconds = times;
     report.peak_bytes = peak_bytes();
@@ -225,6 +265,18 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// A material's name and a positive factor; names may contain `=`.
+fn density(text: &str) -> std::result::Result<(String, f64), String> {
+    let (name, factor) = text.rsplit_once('=').ok_or("MATERIAL=FACTOR is wanted, as in floor=2")?;
+    let factor: f64 = factor.trim().parse().map_err(|_| format!("`{factor}` is not a number"))?;
+    // Wider than this no page holds both kinds of charts.
+    if (1e-3..=1e3).contains(&factor) {
+        Ok((name.to_owned(), factor))
+    } else {
+        Err("a factor from 0.001 to 1000 is wanted".into())
+    }
+}
+
 /// Exposures of the pictures of irradiance and of radiosity.
 struct Exposures {
     irradiance: Exposure,
@@ -233,14 +285,12 @@ struct Exposures {
 
 fn compute(
     args: &BakeArgs,
-    scene: &Scene,
-    tracer: &Tracer,
+    (scene, tracer): (&Scene, &Tracer),
     atlas: Atlas,
+    Solved { patches, form_factors, solution }: Solved,
     watch: &Watch,
     times: &mut BakeSeconds,
 ) -> Result<(Lightmap, BakeReport, Exposures)> {
-    let Solved { patches, form_factors, solution } =
-        args.job().solve(scene, tracer, watch, &mut times.stages)?;
     let energy = EnergyLedger::of(&form_factors, &patches, &solution);
     // Texels need the light alone, and memory.
     drop(form_factors);
@@ -274,6 +324,26 @@ enum Kind {
     Materials,
     OriginalCoordinates,
     Glb,
+}
+
+/// The scene's material libraries, as files in a directory name them.
+fn libraries(scene: &Scene, directory: &Path) -> Vec<String> {
+    let is_library = |file: &&PathBuf| file.extension().is_some_and(|e| e.eq_ignore_ascii_case("mtl"));
+    scene.files.iter().filter(is_library).map(|file| relative(file, directory)).collect()
+}
+
+/// The way to a file from a directory, with `/` on every system; the whole path where there is none.
+fn relative(file: &Path, directory: &Path) -> String {
+    let [Ok(file), Ok(directory)] = [file, directory].map(std::fs::canonicalize) else {
+        return file.display().to_string();
+    };
+    let common = file.components().zip(directory.components()).take_while(|(a, b)| a == b).count();
+    if common == 0 {
+        return file.display().to_string();
+    }
+    let up = directory.components().skip(common).map(|_| "..".into());
+    let down = file.components().skip(common).map(|part| part.as_os_str().to_string_lossy());
+    up.chain(down).collect::<Vec<std::borrow::Cow<str>>>().join("/")
 }
 
 /// All files but the report.
@@ -348,9 +418,12 @@ impl Files {
             Kind::Materials => file
                 .output
                 .write(|out| map.write_mtl(scene, |page| page_name("scene", page, PictureFormat::Png), out)),
-            Kind::OriginalCoordinates => file.output.write(|out| write::write_original(scene, out)),
+            Kind::OriginalCoordinates => {
+                let libraries = libraries(scene, &args.output);
+                file.output.write(|out| map.write_original(scene, &libraries, out))
+            }
             Kind::Glb => {
-                let source = gltf::Source::of(scene, &args.scene.path)?;
+                let source = gltf::Source::of(map.atlas().scene(scene), &args.scene.path)?;
                 let names = exr_names(&args.output, map.atlas().pages);
                 let bytes = map.glb(scene, &source, args.encoding(), exposures.radiosity, &names)?;
                 file.output.write(|out| out.write_all(&bytes))

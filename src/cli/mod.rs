@@ -31,7 +31,10 @@ use std::{
     process::ExitCode,
 };
 
-use clap::{Arg, Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
+use clap::{
+    Arg, Args, CommandFactory, FromArgMatches, Parser, Subcommand,
+    error::{ContextKind, ContextValue, ErrorKind},
+};
 use radiosity::{Error, Result, Setting};
 
 /// Compute how light spreads between diffuse surfaces, with error bars
@@ -188,6 +191,14 @@ fn usage_error(error: &clap::Error) -> ExitCode {
     if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let _ = error.print();
         return if error.use_stderr() { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS };
+    }
+    if let Some(ContextValue::String(given)) = error.get(ContextKind::InvalidSubcommand)
+        && Path::new(given).extension().is_some()
+    {
+        // Most likely the file that a command is wanted for.
+        to_stderr(format_args!("error: `{given}` is not a command"));
+        to_stderr(format_args!("hint: say what to do with it, as in `radiosity solve {given} -o out.ply`"));
+        return ExitCode::from(BAD_INPUT);
     }
     let text = error.render().to_string();
     let (mut what, mut hints) = (String::new(), Vec::new());

@@ -83,6 +83,7 @@ impl SceneArgs {
             &LoadOptions::default()
                 .with_reflectance(plain)
                 .with_unlit_emits(self.unlit_emits)
+                .with_faces(true)
                 .with_keep_overlaps(true),
         )?;
         ignore(&mut scene, &self.path, &self.ignore)?;
@@ -193,6 +194,17 @@ impl CastArgs {
         let name = self.named().to_possible_value().map_or(String::new(), |v| v.get_name().to_owned());
         let patches = self.quality().patches;
         (Subdivision::Count(patches), format!("about {patches} for quality {name}"))
+    }
+
+    /// A warning where the triangles outnumber the wanted patches: each triangle is at least one patch.
+    pub fn too_few(&self, scene: &Scene) -> Option<String> {
+        let triangles = scene.triangles.len();
+        match self.subdivision().0 {
+            Subdivision::Count(patches) if triangles > patches => Some(format!(
+                "the scene has {triangles} triangles, more than the {patches} patches asked for: each triangle is at least one patch"
+            )),
+            _ => None,
+        }
     }
 
     /// Rays per patch.

@@ -1,13 +1,17 @@
 //! The files that a command writes. They are checked before the work, and all written together after it.
 
 use std::{
+    collections::BTreeSet,
     fs,
-    io::Read,
     path::{Path, PathBuf},
     sync::Mutex,
 };
 
-use radiosity::{Error, Result, monte_carlo::PictureFormat, output::file::OutputFile};
+use radiosity::{
+    Error, Result,
+    monte_carlo::PictureFormat,
+    output::file::{OutputFile, Pending},
+};
 
 /// Kinds of files that scenes consist of. A text output may not have such a name, because the file might belong to another scene.
 /// The files of this scene are compared with each output once they are known (`pipeline::read`).
@@ -94,24 +98,29 @@ pub fn remove_made() {
     made.drain(..).rev().for_each(|path| drop(fs::remove_dir(path)));
 }
 
+/// The file in a directory of outputs that lists what this program wrote there and may replace. The files themselves may be
+/// edited and saved by other programs.
+const MARKER: &str = ".radiosity";
+const MARKER_TITLE: &str = "# Files here that radiosity wrote and may replace";
+
 /// A directory for the files of a command. It is removed again if it was made here and nothing was written into it.
 #[derive(Debug)]
 pub struct Directory {
     path: PathBuf,
     command: &'static str,
-    /// Whether what is there comes from an earlier run of the command, and may be replaced.
-    is_ours: bool,
+    /// Files there of earlier runs.
+    ours: Vec<String>,
 }
 
 impl Directory {
-    /// Makes the directory if it is missing. A file of the command's that is there tells by its first bytes whose the others are.
-    pub fn new(path: &Path, command: &'static str, (file, start): (&str, &str)) -> Result<Directory> {
+    /// Makes the directory if it is missing.
+    pub fn new(path: &Path, command: &'static str) -> Result<Directory> {
         let missing: Vec<PathBuf> = path
             .ancestors()
             .take_while(|p| !p.as_os_str().is_empty() && !p.exists())
             .map(Path::to_owned)
             .collect();
-        let mut directory = Directory { path: path.to_owned(), command, is_ours: false };
+        let mut directory = Directory { path: path.to_owned(), command, ours: Vec::new() };
         for path in missing.into_iter().rev() {
             let mut made = MADE.lock().expect("no thread panics holding it");
             fs::create_dir(&path).map_err(|e| Error::io(&path, e))?;
@@ -120,21 +129,32 @@ impl Directory {
         if !path.is_dir() {
             return Err(Error::io(path, std::io::ErrorKind::NotADirectory.into()));
         }
-        let mut there = vec![0; start.len()];
-        directory.is_ours = fs::File::open(path.join(file))
-            .and_then(|mut file| file.read_exact(&mut there))
-            .is_ok_and(|()| there == start.as_bytes());
+        let marker = fs::read_to_string(path.join(MARKER)).unwrap_or_default();
+        let mut lines = marker.lines();
+        if lines.next() == Some(MARKER_TITLE) {
+            directory.ours = lines.map(str::to_owned).collect();
+        }
         Ok(directory)
     }
 
     /// A file in it. One that is there already and no earlier run's might belong to a scene: it is never replaced.
     pub fn file(&self, name: &str, inputs: &[&Path]) -> Result<OutputFile> {
         let path = self.path.join(name);
-        if path.exists() && !self.is_ours {
+        if path.exists() && !self.ours.iter().any(|ours| ours == name) {
             let message = format!("there is a file of this name that no earlier {} wrote", self.command);
             return Err(usage(&path, &message, "give a directory of its own with -o"));
         }
         OutputFile::new(&path, inputs)
+    }
+
+    /// The list of what is written, for later runs. It has to be the first of the files that get their names.
+    pub fn marker<'a>(&'a self, names: impl Iterator<Item = &'a str>) -> Result<Pending> {
+        let still_there = self.ours.iter().map(String::as_str).filter(|name| self.path.join(name).exists());
+        let names: BTreeSet<&str> = names.chain(still_there).collect();
+        OutputFile::new(&self.path.join(MARKER), &[])?.write(|out| {
+            writeln!(out, "{MARKER_TITLE}")?;
+            names.iter().try_for_each(|name| writeln!(out, "{name}"))
+        })
     }
 }
 

@@ -142,9 +142,8 @@ impl Job<'_> {
             bytes: &bytes,
             options: forecast::USUAL,
         };
-        if let Some(warning) = self.limit.check(&work)? {
-            watch.warn(&warning);
-        }
+        let warnings = [self.limit.check(&work)?, self.cast.too_few(scene)];
+        warnings.iter().flatten().for_each(|warning| watch.warn(warning));
         Ok(())
     }
 

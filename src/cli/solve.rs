@@ -292,6 +292,10 @@ fn compute(
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
     let camera = args.picture.as_ref().map(|_| camera(&scene, &tracer, watch)).transpose()?;
     let checkpoint = args.checkpoint.as_ref().map(|path| open(path, &scene, args, watch)).transpose()?;
+    // With a wanted error or a time the number of patches is the program's to choose.
+    if args.cast.given_patches().is_some() || (args.error.is_none() && args.time.is_none()) {
+        args.cast.too_few(&scene).iter().for_each(|warning| watch.warn(warning));
+    }
     let with_backs = forecast::with_backs(&scene, &tracer, args.seed);
     let sampling = Sampling {
         args,

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use radiosity::{
-    lightmap::report::BakeReport,
+    lightmap::report::{BakeReport, MapMaterialReport},
     output::{
         report::{ErrorReport, Seconds, SolveReport},
         sampling_report::{PictureReport, SamplingReport, SamplingSeconds},
@@ -73,7 +73,12 @@ pub fn table(
         let (emitted, absorbed, escaped) = (energy.emitted[c], energy.absorbed[c], energy.escaped[c]);
         row(
             &format!("power{name}"),
-            format!("emitted {emitted:.6e} W, absorbed {absorbed:.6e} W, escaped {escaped:.6e} W"),
+            format!(
+                "emitted {} W, absorbed {} W, escaped {} W",
+                figure(emitted, 6),
+                figure(absorbed, 6),
+                figure(escaped, 6)
+            ),
         );
     }
     let parts = match (energy.sampled_imbalance, energy.sampled_imbalance_error) {
@@ -105,7 +110,7 @@ pub fn table(
         let largest = parts.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
         largest.into_iter().for_each(|(_, what)| row("largest error", what));
     }
-    row("exposure", format!("white is {:.4e} W/m2 (automatic {stops:+} stops)", report.options.white));
+    row("exposure", format!("white is {} W/m2 (automatic {stops:+} stops)", figure(report.options.white, 4)));
     row("seconds", times(seconds));
     row("wrote", written.into());
     text
@@ -131,7 +136,7 @@ pub fn picture(report: &SamplingReport, fixed: bool, stops: f64, written: &str) 
             "camera",
             &format!("{width} x {height}, --eye {eye} --look-at {look_at} --up {up} --fov {fov}"),
         );
-        row(&mut text, "radiance", &format!("mean {r:.4e} {g:.4e} {b:.4e} W/(m2 sr)"));
+        row(&mut text, "radiance", &format!("mean {} W/(m2 sr)", [r, g, b].map(|x| figure(x, 4)).join(" ")));
         let chosen = if fixed { "--white" } else { "automatic" };
         row(&mut text, "exposure", &format!("white is {white:.4e} W/(m2 sr) ({chosen} {stops:+} stops)"));
     }
@@ -147,12 +152,19 @@ pub fn probes(report: &SamplingReport, written: &str) -> String {
         row(
             &mut text,
             "irradiance",
-            &format!("{}, mean {r:.4e} {g:.4e} {b:.4e} W/m2", count(probes.points, "point")),
+            &format!(
+                "{}, mean {} W/m2",
+                count(probes.points, "point"),
+                [r, g, b].map(|x| figure(x, 4)).join(" ")
+            ),
         );
         row(&mut text, "error", &format!("{error:.3} % RMS standard error"));
     }
     finish(text, report, written)
 }
+
+/// Materials that a line lists.
+const MOST_MATERIALS: usize = 6;
 
 /// The figures of a lightmap.
 pub fn bake(report: &BakeReport, directory: &str) -> String {
@@ -181,10 +193,35 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
     row(
         "texels",
         format!(
-            "{} of surface, {} hidden, {} filled from neighbours, {} empty",
-            texels.valid, texels.hidden, texels.dilated, texels.empty
+            "{} of surface, {} hidden, {} filled from neighbours, {} empty; {:.1} % used",
+            texels.valid,
+            texels.hidden,
+            texels.dilated,
+            texels.empty,
+            100.0 * atlas.used_share
         ),
     );
+    if atlas.cut_triangles > 0 {
+        row("cut", format!("{} into smaller ones, to fit", count(atlas.cut_triangles, "triangle")));
+    }
+    let shares = |what: &str, share: &dyn Fn(&MapMaterialReport) -> f64| {
+        let shown = report.materials.iter().map(|m| (share(m), m)).filter(|(share, _)| *share >= 5e-4);
+        let listed: Vec<String> =
+            shown.map(|(share, m)| format!("{:.1} % of {}", 100.0 * share, m.name)).collect();
+        let rest = listed.len().saturating_sub(MOST_MATERIALS);
+        let more = if rest > 0 { format!(" and of {rest} more") } else { String::new() };
+        let named = &listed[..listed.len() - rest];
+        (!named.is_empty()).then(|| format!("{what}: {}{more}", named.join(", ")))
+    };
+    let of_area = |part: f64, m: &MapMaterialReport| if m.area > 0.0 { part / m.area } else { 0.0 };
+    let sides = [
+        shares("shown by the back, which has more light", &|m| of_area(m.by_back, m)),
+        shares("shown by both sides", &|m| of_area(m.by_both, m)),
+    ];
+    sides.into_iter().flatten().for_each(|text| row("sides", text));
+    if let Some(text) = shares("inside solids, with values of neighbours", &|m| m.hidden_share) {
+        row("hidden", text);
+    }
     let relative = |e: f64| 100.0 * e / flux.solver.iter().sum::<f64>().max(f64::MIN_POSITIVE);
     let sampling = relative(flux.standard_error.iter().sum());
     row(
@@ -204,7 +241,7 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
     if seams.samples > 0 {
         let largest = |x: [f64; 3]| x.into_iter().fold(0.0, f64::max);
         let (before, after) = (largest(seams.before), largest(seams.after));
-        row("across seams", format!("{before:.3e} W/m2 before, {after:.3e} after (RMS)"));
+        row("across seams", format!("{} W/m2 before, {} after (RMS)", figure(before, 3), figure(after, 3)));
     }
     let s = &seconds.stages;
     row(
@@ -263,8 +300,12 @@ fn finish(mut text: String, report: &SamplingReport, written: &str) -> String {
 
 /// A figure with two digits and its order of magnitude.
 pub fn small(x: Option<f64>) -> String {
-    // Adding zero removes the sign of -0.
-    x.map_or("unknown".into(), |x| format!("{:.1e}", x + 0.0))
+    x.map_or("unknown".into(), |x| figure(x, 1))
+}
+
+/// A figure with a number of decimals and its power of ten. Zero is plain `0`.
+pub fn figure(x: f64, decimals: usize) -> String {
+    if x == 0.0 { "0".into() } else { format!("{x:.decimals$e}") }
 }
 
 /// Rounded to a number of decimals. A value that is shown as zero has no sign.
@@ -303,7 +344,7 @@ mod tests {
     fn zero_has_no_sign_and_one_no_plural() {
         let shown = |x| format!("{:+.2}", super::rounded(x, 2));
         assert_eq!([shown(-0.001), shown(-0.0), shown(-0.006)], ["+0.00", "+0.00", "-0.01"]);
-        assert_eq!(super::small(Some(-0.0)), "0.0e0");
+        assert_eq!([super::small(Some(-0.0)), super::figure(1.25e-3, 2)], ["0", "1.25e-3"]);
         assert_eq!([0, 1, 2].map(|n| super::count(n, "page")), ["0 pages", "1 page", "2 pages"]);
     }
 }

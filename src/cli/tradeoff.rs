@@ -14,7 +14,7 @@ use radiosity::{
         file::{OutputFile, Pending},
         report::Seconds,
         tradeoff_plot,
-        tradeoff_report::{CSV_NAMES, TradeoffReport},
+        tradeoff_report::TradeoffReport,
     },
     patch::{Patches, Subdivision},
     solve::Solver,
@@ -60,7 +60,6 @@ pub struct TradeoffArgs {
 }
 
 const JSON: &str = "tradeoff.json";
-/// A later run recognises by this file that the directory is its own.
 const CSV: &str = "tradeoff.csv";
 const SVG: &str = "tradeoff.svg";
 
@@ -69,7 +68,7 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     args.common.start_threads()?;
     // Before the directory is made: a signal would otherwise leave it behind.
     let watch = Watch::new(args.common.quiet);
-    let directory = Directory::new(&args.output, "tradeoff", (CSV, CSV_NAMES))?;
+    let directory = Directory::new(&args.output, "tradeoff")?;
     let file = |name: &str| directory.file(name, &[&args.scene.path]);
     let (csv, json, svg) = (file(CSV)?, file(JSON)?, file(SVG)?);
     // The report in the output directory is written anyway.
@@ -109,7 +108,8 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     let report = TradeoffReport::new(&file, &scene, options.seed, threads, &tradeoff);
     let plot = tradeoff_plot::svg(&file, &tradeoff);
     watch.begin_writing();
-    let mut pending = vec![csv.write(|out| report.write_csv(out))?];
+    let marker = directory.marker([CSV, JSON, SVG].into_iter())?;
+    let mut pending = vec![marker, csv.write(|out| report.write_csv(out))?];
     for file in std::iter::once(json).chain(report_file) {
         pending.push(file.write(|out| report.write_json(out))?);
     }

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use glam::DVec2;
 
-use super::{overlap, raster, unwrap::unwrap};
+use super::{cut::Cut, overlap, raster, unwrap::unwrap};
 use crate::{Error, Result, Setting, output::surfaces::DisjointSets, scene::Scene, trace::Tracer};
 
 /// No chart.
@@ -42,7 +42,52 @@ pub enum Coordinates {
     New,
 }
 
+/// How a map is laid out.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct AtlasOptions {
+    /// How large it is.
+    pub layout: Layout,
+    /// Whose texture coordinates it has.
+    pub coordinates: Coordinates,
+    /// Materials whose texels are shorter by a factor than others', by index.
+    pub density: Vec<(u32, f64)>,
+    /// Triangles of which both sides have texels; none where it is empty.
+    pub two_sided: Vec<bool>,
+}
+
+setters!(AtlasOptions {
+    with_density(density: Vec<(u32, f64)>),
+    with_two_sided(two_sided: Vec<bool>),
+});
+
+impl AtlasOptions {
+    /// Texels of one density, one side of each triangle.
+    pub fn new(layout: Layout, coordinates: Coordinates) -> AtlasOptions {
+        AtlasOptions { layout, coordinates, density: Vec::new(), two_sided: Vec::new() }
+    }
+
+    /// By how much shorter the texels of a material are.
+    pub(super) fn factor(&self, material: u32) -> f64 {
+        self.density.iter().rev().find(|(m, _)| *m == material).map_or(1.0, |(_, factor)| *factor)
+    }
+
+    /// Why the file's own coordinates are out of the question, if they are.
+    fn wants_new(&self) -> Option<&'static str> {
+        match self {
+            AtlasOptions { density, .. } if !density.is_empty() => Some("they have a density of their own"),
+            AtlasOptions { two_sided, .. } if two_sided.contains(&true) => {
+                Some("they have one place for both sides of a face")
+            }
+            _ => None,
+        }
+    }
+}
+
 /// Texture coordinates that address a lightmap.
+///
+/// They are of *facets*: the triangles of the scene; parts of them where charts would be too large; and second copies of
+/// triangles of which both sides have texels.
 #[derive(Debug, Clone)]
 pub struct Atlas {
     /// Texels in a row.
@@ -53,28 +98,43 @@ pub struct Atlas {
     pub pages: usize,
     /// Texture coordinates in \[0, 1\], v upwards.
     pub coordinates: Vec<DVec2>,
-    /// The coordinates of each triangle's corners.
+    /// The coordinates of each facet's corners.
     pub corners: Vec<[u32; 3]>,
-    /// Chart of each triangle, [`NONE`] where it has no place in the map.
+    /// Chart of each facet, [`NONE`] where it has no place in the map.
     pub chart: Vec<u32>,
-    /// Page of each triangle.
+    /// Page of each facet.
     pub page: Vec<u32>,
     /// Number of charts.
     pub charts: usize,
     /// Why the file's coordinates were not used: `None` where they were.
     pub refused: Option<String>,
+    /// The facets, where they are not the triangles of the scene.
+    pub(super) cut: Option<Cut>,
 }
 
 impl Atlas {
+    /// Lays a scene out, with texels of one density and one side of each triangle.
+    ///
+    /// # Errors
+    /// Those of [`Atlas::with`].
+    pub fn new(scene: &Scene, tracer: &Tracer, layout: Layout, coordinates: Coordinates) -> Result<Atlas> {
+        Atlas::with(scene, tracer, &AtlasOptions::new(layout, coordinates))
+    }
+
     /// Lays a scene out.
     ///
     /// # Errors
     /// [`Error::Usage`] when the map would be too small for the charts or too large altogether, or when the file's
     /// coordinates are demanded and do not suit.
-    pub fn new(scene: &Scene, tracer: &Tracer, layout: Layout, coordinates: Coordinates) -> Result<Atlas> {
+    pub fn with(scene: &Scene, tracer: &Tracer, options: &AtlasOptions) -> Result<Atlas> {
+        let &AtlasOptions { layout, coordinates, .. } = options;
+        let suitable = || match options.wants_new() {
+            Some(why) => Err(why.to_owned()),
+            None => own(scene, layout, coordinates == Coordinates::File),
+        };
         let refused = match coordinates {
             Coordinates::New => "new ones were demanded".to_owned(),
-            Coordinates::Auto | Coordinates::File => match own(scene, layout) {
+            Coordinates::Auto | Coordinates::File => match suitable() {
                 Ok(atlas) => {
                     let shared = atlas.shared_texels();
                     if shared == 0 || coordinates == Coordinates::File {
@@ -92,12 +152,63 @@ impl Atlas {
                 Err(why) => why,
             },
         };
-        let mut atlas = unwrap(scene, tracer, layout)?;
+        let mut atlas = unwrap(scene, tracer, options)?;
         atlas.refused = Some(refused);
         Ok(atlas)
     }
 
-    /// The corners of a triangle in texels of its page; `None` where it has no place in the map.
+    /// The facets as triangles of a scene: this one where none is cut.
+    pub fn scene<'a>(&'a self, scene: &'a Scene) -> &'a Scene {
+        self.cut.as_ref().map_or(scene, |cut| &cut.scene)
+    }
+
+    /// Triangles of the scene.
+    pub fn triangles(&self) -> usize {
+        self.cut.as_ref().map_or(self.corners.len(), Cut::triangles)
+    }
+
+    /// The triangle of the scene that a facet is of.
+    pub fn triangle(&self, facet: usize) -> usize {
+        self.cut.as_ref().map_or(facet, |cut| cut.facets[facet].triangle as usize)
+    }
+
+    /// The facets of a triangle's first copy.
+    pub(super) fn facets_of(&self, t: usize) -> std::ops::Range<usize> {
+        self.cut.as_ref().map_or(t..t + 1, |cut| cut.facets_of(t, false))
+    }
+
+    /// Whether a facet is the second copy of a triangle, for its back.
+    pub fn is_second(&self, facet: usize) -> bool {
+        self.cut.as_ref().is_some_and(|cut| cut.facets[facet].turned)
+    }
+
+    /// A point of a facet as one of its triangle, in barycentric coordinates.
+    pub fn in_triangle(&self, facet: usize, barycentric: [f64; 3]) -> [f64; 3] {
+        match &self.cut {
+            None => barycentric,
+            Some(cut) => {
+                let corners = &cut.facets[facet].corners;
+                std::array::from_fn(|c| (0..3).map(|k| barycentric[k] * corners[k][c]).sum())
+            }
+        }
+    }
+
+    /// The facet of a triangle's side at a point, and the point there, in barycentric coordinates. `second` asks for the
+    /// copy for the back.
+    pub(super) fn facet_at(
+        &self,
+        t: usize,
+        barycentric: [f64; 3],
+        second: bool,
+    ) -> Option<(usize, [f64; 3])> {
+        let Some(cut) = &self.cut else { return (!second).then_some((t, barycentric)) };
+        let places = cut.facets_of(t, second).map(|f| (f, cut.facets[f].place(barycentric)));
+        // A point on a border is in both, and rounding may put it in none.
+        let least = |place: &[f64; 3]| place.iter().copied().fold(f64::INFINITY, f64::min);
+        places.max_by(|(_, a), (_, b)| least(a).total_cmp(&least(b)))
+    }
+
+    /// The corners of a facet in texels of its page; `None` where it has no place in the map.
     pub fn texel_corners(&self, t: usize) -> Option<[DVec2; 3]> {
         let size = DVec2::new(self.width as f64, self.height as f64);
         (self.chart[t] != NONE).then(|| self.corners[t].map(|i| self.coordinates[i as usize] * size))
@@ -138,19 +249,36 @@ impl Atlas {
         points.into_iter().map(width).collect()
     }
 
+    /// The longest side of a box round a chart, in texels.
+    pub(super) fn longest_chart(&self) -> f64 {
+        let mut boxes = vec![[DVec2::INFINITY, DVec2::NEG_INFINITY]; self.charts];
+        for f in 0..self.corners.len() {
+            for corner in self.texel_corners(f).into_iter().flatten() {
+                let [low, high] = &mut boxes[self.chart[f] as usize];
+                (*low, *high) = (low.min(corner), high.max(corner));
+            }
+        }
+        boxes.into_iter().map(|[low, high]| (high - low).max_element()).fold(0.0, f64::max)
+    }
+
     /// How many charts are thinner than two texels, and the share of the mapped surface that they hold.
     pub fn thin_charts(&self, scene: &Scene) -> (usize, f64) {
+        let scene = self.scene(scene);
         let thin: Vec<bool> = self.chart_widths().into_iter().map(|w| w < THIN).collect();
         let (mut area, mut total) = (0.0, 0.0);
         for t in (0..self.chart.len()).filter(|&t| self.chart[t] != NONE) {
             total += scene.area(t);
             area += if thin[self.chart[t] as usize] { scene.area(t) } else { 0.0 };
         }
-        (thin.iter().filter(|&&t| t).count(), if total > 0.0 { area / total } else { 0.0 })
+        let mut is_there = vec![false; self.charts];
+        self.chart.iter().filter(|&&chart| chart != NONE).for_each(|&chart| is_there[chart as usize] = true);
+        let count = thin.iter().zip(is_there).filter(|&(&thin, there)| thin && there).count();
+        (count, if total > 0.0 { area / total } else { 0.0 })
     }
 
     /// Root of the mean surface area a texel, in the file's unit.
     pub fn texel_length(&self, scene: &Scene) -> f64 {
+        let scene = self.scene(scene);
         let (mut surface, mut texels) = (0.0, 0.0);
         for t in 0..self.corners.len() {
             if let Some([a, b, c]) = self.texel_corners(t) {
@@ -164,6 +292,7 @@ impl Atlas {
     /// Root mean square over the surface of ln(texels a surface area / its mean): 0 where texels are equally dense
     /// everywhere, 0.1 where they vary by 10 %.
     pub fn density_spread(&self, scene: &Scene) -> f64 {
+        let scene = self.scene(scene);
         let mean = self.texel_length(scene).powi(2);
         let (mut squares, mut total) = (0.0, 0.0);
         for t in 0..self.corners.len() {
@@ -179,40 +308,55 @@ impl Atlas {
     }
 }
 
-/// The file's own coordinates; the error says what is wrong with them.
-fn own(scene: &Scene, layout: Layout) -> std::result::Result<Atlas, String> {
+/// Coordinates outside 0 to 1 by less than this are rounded.
+const OUTSIDE: f64 = 1e-5;
+/// Triangles whose coordinates enclose no area may hold this share of the surface, unless the coordinates are demanded.
+const WITHOUT_AREA: f64 = 1e-3;
+
+/// The file's own coordinates; the error says what is wrong with them. Where they are `demanded`, triangles whose
+/// coordinates enclose no area have no place in the map.
+fn own(scene: &Scene, layout: Layout, demanded: bool) -> std::result::Result<Atlas, String> {
     if scene.texcoords.is_empty() {
         return Err("there are none".into());
     }
     let triangle = |t: usize| format!("triangle {}", scene.triangles[t].source + 1);
-    if let Some(t) = (0..scene.texcoords.len())
-        .find(|&t| scene.texcoords[t].iter().any(|uv| uv.min_element() < 0.0 || uv.max_element() > 1.0))
-    {
+    let is_outside = |uv: &DVec2| uv.min_element() < -OUTSIDE || uv.max_element() > 1.0 + OUTSIDE;
+    if let Some(t) = (0..scene.texcoords.len()).find(|&t| scene.texcoords[t].iter().any(is_outside)) {
         return Err(format!("those of {} lie outside 0..1", triangle(t)));
     }
+    let texcoords: Vec<[DVec2; 3]> =
+        scene.texcoords.iter().map(|uv| uv.map(|uv| uv.clamp(DVec2::ZERO, DVec2::ONE) + 0.0)).collect();
     let doubled = |[a, b, c]: [DVec2; 3]| (b - a).perp_dot(c - a).abs();
-    if let Some(t) = (0..scene.texcoords.len()).find(|&t| doubled(scene.texcoords[t]) == 0.0) {
-        return Err(format!("those of {} enclose no area", triangle(t)));
+    let flat: Vec<bool> = texcoords.iter().map(|&uv| doubled(uv) == 0.0).collect();
+    if let Some(t) = flat.iter().position(|&flat| flat) {
+        let area = |keep: &dyn Fn(usize) -> bool| -> f64 {
+            (0..flat.len()).filter(|&t| keep(t)).map(|t| scene.area(t)).sum()
+        };
+        let (without, whole) = (area(&|t| flat[t]), area(&|_| true));
+        if without > if demanded { 0.5 * whole } else { WITHOUT_AREA * whole } {
+            return Err(format!("those of {} enclose no area", triangle(t)));
+        }
     }
-    let pairs = overlap::find(&scene.texcoords, 3);
+    let pairs = overlap::find(&texcoords, 3);
     if !pairs.is_empty() {
         let named: Vec<_> =
             pairs.iter().map(|&[t, u]| format!("{} and {}", triangle(t), triangle(u))).collect();
         return Err(format!("those of {} overlap", named.join(", of ")));
     }
-    let area: f64 = scene.texcoords.iter().map(|&uv| 0.5 * doubled(uv)).sum();
+    let area: f64 = texcoords.iter().map(|&uv| 0.5 * doubled(uv)).sum();
     let side = match layout {
         Layout::Resolution(side) => side,
         Layout::Texel(length, _) => {
-            let surface: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
+            let surface: f64 = (0..flat.len()).filter(|&t| !flat[t]).map(|t| scene.area(t)).sum();
             ((surface / area).sqrt() / length).ceil().max(1.0) as usize
         }
     };
     if side > LARGEST {
         return Err(format!("texels of this length would need {side} of them a side"));
     }
-    let (coordinates, corners) = share(scene);
-    let (chart, charts) = components(&corners);
+    let (coordinates, corners) = share(scene, &texcoords);
+    let (mut chart, charts) = components(&corners);
+    chart.iter_mut().zip(&flat).filter(|(_, flat)| **flat).for_each(|(chart, _)| *chart = NONE);
     let page = vec![0; corners.len()];
     Ok(Atlas {
         width: side,
@@ -224,16 +368,17 @@ fn own(scene: &Scene, layout: Layout) -> std::result::Result<Atlas, String> {
         page,
         charts,
         refused: None,
+        cut: None,
     })
 }
 
 /// Corners of the same vertex with the same coordinates share them.
-fn share(scene: &Scene) -> (Vec<DVec2>, Vec<[u32; 3]>) {
+fn share(scene: &Scene, texcoords: &[[DVec2; 3]]) -> (Vec<DVec2>, Vec<[u32; 3]>) {
     let (mut known, mut coordinates) = (HashMap::new(), Vec::new());
     let corners = (0..scene.triangles.len())
         .map(|t| {
             std::array::from_fn(|k| {
-                let uv = scene.texcoords[t][k] + 0.0;
+                let uv = texcoords[t][k];
                 let key = (scene.triangles[t].vertices[k], uv.to_array().map(f64::to_bits));
                 *known.entry(key).or_insert_with(|| {
                     coordinates.push(uv);

@@ -12,6 +12,15 @@ use crate::{
     trace::Tracer,
 };
 
+/// Light on the darker side of a triangle, relative to the brighter, from which both sides are shown. Less comes of patches that
+/// reach under a wall.
+const BOTH: f64 = 1e-2;
+
+/// Triangles of which both sides are worth texels: for [`AtlasOptions::two_sided`](super::AtlasOptions::two_sided).
+pub fn lit_on_both_sides(patches: &Patches, solution: &Solution) -> Vec<bool> {
+    texels::lit_on_both_sides(patches, solution, BOTH)
+}
+
 /// Computes a map from a solution.
 ///
 /// # Errors
@@ -27,8 +36,15 @@ pub fn bake(
     options: &BakeOptions,
     progress: &Progress,
 ) -> Result<Lightmap> {
-    assert_eq!(atlas.corners.len(), scene.triangles.len(), "the atlas is of another scene");
-    let sides = texels::lit_sides(patches, solution);
+    assert_eq!(atlas.triangles(), scene.triangles.len(), "the atlas is of another scene");
+    let lit = texels::lit_sides(patches, solution);
+    let two_sided = |t: usize| atlas.facet_at(t, [1.0, 0.0, 0.0], true).is_some();
+    let sides: Vec<bool> = (0..atlas.corners.len())
+        .map(|facet| {
+            let t = atlas.triangle(facet);
+            if two_sided(t) { !atlas.is_second(facet) } else { lit[t] }
+        })
+        .collect();
     let coverage = Coverage::new(scene, &atlas);
     let source = FinalGather::new(scene, tracer, patches, solution, 1);
     let mut cells = if options.final_gather == 0 {
@@ -53,10 +69,10 @@ pub fn bake(
         sides,
     };
     map.add_up_solution(patches, solution);
-    map.show(&cells);
+    let grid = Grid::new(&map.atlas, &map.coverage);
+    map.show(&cells.pooled(&grid, &map.coverage));
     map.flux.map = map.surface_flux();
     map.flux.standard_error = map.flux_error();
-    let grid = Grid::new(&map.atlas, &map.coverage);
     progress.check()?;
     if options.final_gather == 0 {
         // Counted by the patches above, which tell nothing of it; a final gather knows from its rays.
@@ -77,7 +93,7 @@ pub fn bake(
     }
     progress.check()?;
     if options.close_seams {
-        let seams = Seams::new(scene, &map.atlas, &map.sides);
+        let seams = Seams::new(map.atlas.scene(scene), &map.atlas, &map.sides);
         map.seam_samples = seams.points();
         map.seam_differences[0] = seams.difference(&map.irradiance);
         map.step("seams", |map| {
@@ -119,6 +135,17 @@ impl Cells {
             means.into_iter().map(|mean| Noisy { mean, variance: [0.0; 3] }).collect();
         let n = reflected.len();
         Cells { direct: vec![Noisy::default(); n], reflected, open: vec![1.0; n], sampled: false }
+    }
+
+    /// The same values, with error bars that are averaged over neighbours.
+    fn pooled(&self, grid: &Grid, coverage: &Coverage) -> Cells {
+        if !self.sampled {
+            return self.clone();
+        }
+        let counts = |i: usize| self.open[i] > 0.0;
+        let [direct, reflected] =
+            [&self.direct, &self.reflected].map(|signal| denoise::pooled(grid, coverage, signal, counts));
+        Cells { direct, reflected, ..self.clone() }
     }
 
     fn denoised(&self, grid: &Grid, coverage: &Coverage) -> Cells {

@@ -9,10 +9,10 @@ use super::{
 };
 use crate::{patch::Patches, scene::Scene};
 
-/// The part of a triangle in a texel.
+/// The part of a facet in a texel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Piece {
-    /// Index of the triangle in the scene.
+    /// Index of the facet ([`Atlas`]): of the triangle where none is cut.
     pub triangle: u32,
     /// Surface area in the file's unit squared.
     pub area: f64,
@@ -33,6 +33,7 @@ pub struct Coverage {
 impl Coverage {
     /// Clips all triangles of a scene to the texels of its map.
     pub fn new(scene: &Scene, atlas: &Atlas) -> Coverage {
+        let scene = atlas.scene(scene);
         let of_triangle = |t: usize| {
             let mut found = Vec::new();
             let Some(corners) = atlas.texel_corners(t) else { return found };
@@ -107,6 +108,14 @@ impl Coverage {
 pub struct Barycentric(Polygon);
 
 impl Barycentric {
+    /// The same part of a facet in coordinates of its triangle.
+    pub fn in_triangle(self, atlas: &Atlas, facet: usize) -> Barycentric {
+        Barycentric(self.0.map(|p| {
+            let [x, y, _] = atlas.in_triangle(facet, barycentric(p));
+            DVec2::new(x, y)
+        }))
+    }
+
     fn new([a, b, c]: [DVec2; 3], part: Polygon) -> Barycentric {
         let doubled = (b - a).perp_dot(c - a);
         Barycentric(part.map(|p| {

@@ -7,7 +7,8 @@
 //! plane. All texels in a disc weigh the same: weights by their own estimated errors would favour the dark ones.
 //!
 //! What the planes leave is fitted once more in the same discs and added ("twicing", Tukey, Exploratory Data Analysis,
-//! 1977, section 16): that gives back what curvature loses, and the energy with it.
+//! 1977, section 16): that gives back what curvature loses, and the energy with it. It also gives back noise: the variance
+//! of a mean over a disc doubles about, and error bars count that ([`twicing`]).
 
 use rayon::prelude::*;
 
@@ -32,20 +33,11 @@ pub fn filter(
     counts: impl Fn(usize) -> bool + Sync,
 ) -> Vec<Noisy> {
     let places = coverage.texels();
-    let mut chart = vec![NONE; grid.places()];
-    (0..signal.len()).filter(|&i| counts(i)).for_each(|i| chart[places[i] as usize] = grid.chart(i));
     let mut values = vec![[0.0; 3]; grid.places()];
-    let mut variances = vec![[0.0; 3]; grid.places()];
     for (noisy, &place) in signal.iter().zip(places) {
         values[place as usize] = noisy.mean;
-        variances[place as usize] = noisy.variance;
     }
-    let mut fits = Fits { grid, chart, discs: discs(grid.width), pooled: Vec::new() };
-    let mut pooled = vec![[0.0; 3]; grid.places()];
-    let of_neighbours: Vec<[f32; 3]> =
-        places.par_iter().map(|&place| fits.pool(&variances, place as usize)).collect();
-    places.iter().zip(of_neighbours).for_each(|(&place, v)| pooled[place as usize] = v);
-    fits.pooled = pooled;
+    let fits = Fits::new(grid, coverage, signal, &counts);
 
     let smooth: Vec<(Noisy, usize)> = places
         .par_iter()
@@ -62,9 +54,26 @@ pub fn filter(
         .map(|(&(noisy, reach), &place)| {
             let more = fits.within(&values, place as usize, reach);
             let mean = std::array::from_fn(|c| (noisy.mean[c] + more[c] as f32).max(0.0));
-            Noisy { mean, ..noisy }
+            let factor = reach.checked_sub(1).map_or(1.0, |k| fits.discs[k].twicing as f32);
+            Noisy { mean, variance: noisy.variance.map(|v| v * factor) }
         })
         .collect()
+}
+
+/// The signal as it is, with variances averaged over neighbours: four replicates know their own to a factor of two only, and
+/// intervals by them hold the truth in 86 % of the cases for 95 %.
+pub fn pooled(
+    grid: &Grid,
+    coverage: &Coverage,
+    signal: &[Noisy],
+    counts: impl Fn(usize) -> bool + Sync,
+) -> Vec<Noisy> {
+    let fits = Fits::new(grid, coverage, signal, &counts);
+    let pooled = |(i, noisy): (usize, &Noisy)| match counts(i) {
+        true => Noisy { variance: fits.pooled[coverage.texels()[i] as usize], ..*noisy },
+        false => *noisy,
+    };
+    signal.iter().enumerate().map(pooled).collect()
 }
 
 /// Planes through texels. What it holds, and the values it is given, are by place in the map.
@@ -77,7 +86,29 @@ struct Fits<'a> {
     pooled: Vec<[f32; 3]>,
 }
 
-impl Fits<'_> {
+impl<'a> Fits<'a> {
+    fn new(
+        grid: &'a Grid,
+        coverage: &Coverage,
+        signal: &[Noisy],
+        counts: &(impl Fn(usize) -> bool + Sync),
+    ) -> Self {
+        let places = coverage.texels();
+        let mut chart = vec![NONE; grid.places()];
+        (0..signal.len()).filter(|&i| counts(i)).for_each(|i| chart[places[i] as usize] = grid.chart(i));
+        let mut variances = vec![[0.0; 3]; grid.places()];
+        for (noisy, &place) in signal.iter().zip(places) {
+            variances[place as usize] = noisy.variance;
+        }
+        let mut fits = Fits { grid, chart, discs: discs(grid.width), pooled: Vec::new() };
+        let of_neighbours: Vec<[f32; 3]> =
+            places.par_iter().map(|&place| fits.pool(&variances, place as usize)).collect();
+        let mut pooled = vec![[0.0; 3]; grid.places()];
+        places.iter().zip(of_neighbours).for_each(|(&place, v)| pooled[place as usize] = v);
+        fits.pooled = pooled;
+        fits
+    }
+
     /// The estimate of the largest disc that contradicts no smaller one, and how many discs that took.
     fn largest(&self, values: &[[f32; 3]], place: usize) -> (Noisy, usize) {
         let alone = (values[place].map(f64::from), self.pooled[place].map(f64::from));
@@ -146,6 +177,23 @@ struct Disc {
     /// Columns, rows, and places in the map.
     offsets: Vec<(isize, isize, isize)>,
     reach: usize,
+    /// By how much twicing in the disc raises the variance.
+    twicing: f64,
+}
+
+/// By how much the variance rises when what a mean over a disc leaves is averaged once more and added: with the mean's
+/// weights w, |2 w - w * w|² / |w|². At the centre of a disc a fitted plane is the mean.
+fn twicing(radius: f64) -> f64 {
+    let reach = radius.floor() as isize;
+    let is_in = |x: isize, y: isize| ((x * x + y * y) as f64) <= radius * radius;
+    let square = |reach: isize| (-reach..=reach).flat_map(move |y| (-reach..=reach).map(move |x| (x, y)));
+    let disc: Vec<(isize, isize)> = square(reach).filter(|&(x, y)| is_in(x, y)).collect();
+    let n = disc.len() as f64;
+    let weight = |x: isize, y: isize| {
+        let twice = disc.iter().filter(|&&(dx, dy)| is_in(x - dx, y - dy)).count() as f64 / (n * n);
+        if is_in(x, y) { 2.0 / n - twice } else { -twice }
+    };
+    n * square(2 * reach).map(|(x, y)| weight(x, y).powi(2)).sum::<f64>()
 }
 
 /// The discs of a map so wide.
@@ -162,7 +210,7 @@ fn discs(width: usize) -> Vec<Disc> {
             let square = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
             let offsets = square.filter(is_new).map(|(dx, dy)| (dx, dy, dy * width as isize + dx)).collect();
             inner = radius * radius;
-            Disc { offsets, reach: reach as usize }
+            Disc { offsets, reach: reach as usize, twicing: twicing(radius) }
         })
         .collect()
 }

@@ -2,9 +2,11 @@
 //!
 //! A sample is a point, a ray to a point of a lamp, and a hemisphere ray that reads the solved radiosity where it hits.
 //! Points are uniform on the pieces of surface that the texel covers, so each starts on its own triangle and sees from
-//! there what it sees: nothing is interpolated across a wall. Points from which rays meet the inside of a solid are buried in
-//! it and do not count: the mean is over the part of the surface that light could reach. Other rays decide that than those
-//! that are averaged: dropping these where they are dark made a floor under a shell with a narrow gap 56 times too bright.
+//! there what it sees: nothing is interpolated across a wall. Points inside a solid are buried in it and do not count: the mean
+//! is over the part of the surface that light can reach. A point is inside a solid where rays meet nothing but backs of faces,
+//! and where no walk from there finds light or a way out: a house of single faces whose fronts face outward is no solid, for
+//! light comes in by its windows. Other rays decide that than those that are averaged: dropping these where they are dark made a
+//! floor under a shell with a narrow gap 56 times too bright.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -24,6 +26,9 @@ use crate::{
 const REPLICATES: u32 = 4;
 /// Rays that decide whether a point is inside a solid, where some ray of its texel suggests it.
 const PROBES: u32 = 16;
+/// Walks that look for light from a point that seems to be inside a solid, and the hits of each.
+const WALKS: u32 = 4;
+const STEPS: u32 = 16;
 /// Points of a texel that all must be inside a solid for it to be hidden, where nothing is gathered.
 const HIDDEN_POINTS: u32 = 4;
 const PROBE_SEED: u64 = 0x6275_7269_6564;
@@ -86,10 +91,10 @@ pub fn gather(
                     gathered.push((k as usize, at, mix(&[seed, s.into(), PROBE_SEED]), found));
                 }
             }
-            let suspect = gathered.iter().any(|(.., found)| met_inside(sides, found));
+            let suspect = gathered.iter().any(|(.., found)| met_back(found));
             let mut replicates = [Replicate::default(); REPLICATES as usize];
             for (k, at, seed, found) in gathered {
-                if !(suspect && is_buried(source, sides, *at, *seed)) {
+                if !(suspect && is_buried(source, tracer, *at, *seed)) {
                     replicates[*k].add(found);
                 }
             }
@@ -130,45 +135,55 @@ pub fn hidden(
                     let mut samples = Samples::new(s, seed);
                     let at = surface.receiver(tracer, sides, &mut samples);
                     let found = source.gather(at, &mut samples);
-                    met_inside(sides, &found)
-                        && is_buried(source, sides, at, mix(&[seed, s.into(), PROBE_SEED]))
+                    met_back(&found) && is_buried(source, tracer, at, mix(&[seed, s.into(), PROBE_SEED]))
                 })
         })
         .collect()
 }
 
-/// Whether a ray met a side of a surface that the map is not of.
-fn met_inside(sides: &[bool], found: &Gathered) -> bool {
-    found.met.is_some_and(|(t, front)| sides[t as usize] != front)
+/// Whether a ray met the back of a face.
+fn met_back(found: &Gathered) -> bool {
+    found.hit.is_some_and(|hit| !hit.front)
 }
 
-/// Whether a place is inside a solid: lamps do not light it, and rays meet sides of surfaces that the map is not of, next to all
-/// of them. That such a side be dark is not asked for: patches that reach under a wall carry some light there.
-fn is_buried(source: &FinalGather, sides: &[bool], at: Receiver, seed: u64) -> bool {
-    let is_inside = |found: &Gathered| found.direct == [0.0; 3] && met_inside(sides, found);
+/// Whether a place is inside a solid: rays meet backs, next to all of them; and walks from there, from hit to hit, find neither
+/// a point that an emitter shines on nor a way out of the scene. That the backs be dark is not asked for: patches that reach
+/// under a wall carry some light there.
+fn is_buried(source: &FinalGather, tracer: &Tracer, at: Receiver, seed: u64) -> bool {
+    let is_inside = |found: &Gathered| found.direct == [0.0; 3] && met_back(found);
     let inside = (0..PROBES).filter(|&s| is_inside(&source.gather(at, &mut Samples::new(s, seed)))).count();
-    inside + 1 >= PROBES as usize
+    inside + 1 >= PROBES as usize && (0..WALKS).all(|walk| is_dark(source, tracer, at, (PROBES + walk, seed)))
 }
 
-/// The surface in a texel as triangles, each with the sum of the areas up to it.
-struct Surface<'a>(&'a [(f64, u32, [[f64; 3]; 3])]);
+/// Whether a walk from a place finds no light within its steps.
+fn is_dark(source: &FinalGather, tracer: &Tracer, mut at: Receiver, (walk, seed): (u32, u64)) -> bool {
+    let mut samples = Samples::new(walk, seed);
+    for _ in 0..STEPS {
+        let found = source.gather(at, &mut samples);
+        match found.hit {
+            Some(hit) if found.direct == [0.0; 3] => at = Receiver::of_hit(tracer, &hit),
+            _ => return false,
+        }
+    }
+    true
+}
+
+/// The surface in a texel as parts of triangles, each with the sum of the areas up to it, its facet and its triangle.
+struct Surface<'a>(&'a [Part]);
+
+type Part = (f64, [u32; 2], [[f64; 3]; 3]);
 
 impl<'a> Surface<'a> {
-    fn new(
-        parts: &'a mut Vec<(f64, u32, [[f64; 3]; 3])>,
-        atlas: &Atlas,
-        coverage: &Coverage,
-        i: usize,
-    ) -> Surface<'a> {
+    fn new(parts: &'a mut Vec<Part>, atlas: &Atlas, coverage: &Coverage, i: usize) -> Surface<'a> {
         parts.clear();
         let mut sum = 0.0;
         for piece in coverage.pieces(i) {
             let t = piece.triangle as usize;
-            let part = coverage.barycentric_part(atlas, i, t);
+            let part = coverage.barycentric_part(atlas, i, t).in_triangle(atlas, t);
             let whole: f64 = part.fan().map(|(_, share)| share).sum();
             for (corners, share) in part.fan().filter(|(_, share)| *share > 0.0) {
                 sum += piece.area * share / whole;
-                parts.push((sum, piece.triangle, corners));
+                parts.push((sum, [piece.triangle, atlas.triangle(t) as u32], corners));
             }
         }
         Surface(parts)
@@ -181,13 +196,12 @@ impl<'a> Surface<'a> {
         let wanted = f64::from(x) * total;
         let k = self.0.partition_point(|part| part.0 <= wanted).min(self.0.len() - 1);
         let below = if k == 0 { 0.0 } else { self.0[k - 1].0 };
-        let (upto, triangle, corners) = self.0[k];
+        let (upto, [facet, triangle], corners) = self.0[k];
         // What is left of the number that chose the part is uniform again.
         let rest = ((wanted - below) / (upto - below)).clamp(0.0, 1.0) as f32;
         let weights = square_to_triangle(rest, y).map(f64::from);
         let barycentric = std::array::from_fn(|c| (0..3).map(|k| weights[k] * corners[k][c]).sum());
-        let t = triangle as usize;
-        Receiver::on_triangle(tracer, t, barycentric, sides[t])
+        Receiver::on_triangle(tracer, triangle as usize, barycentric, sides[facet as usize])
     }
 }
 

@@ -34,7 +34,7 @@ const HEADROOM: f64 = 4.0;
 const WHOLE: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 impl Lightmap {
-    /// A binary glTF file of the scene with this map. `exposure` says how bright emission is shown, `files` the names of the
+    /// A binary glTF file of the scene with this map. `source` is of the facets ([`Atlas::scene`](super::Atlas::scene)), `exposure` says how bright emission is shown, `files` the names of the
     /// files that hold the irradiance, a page each.
     ///
     /// # Errors
@@ -68,14 +68,15 @@ impl Lightmap {
             }
             Encoding::Coordinates => Show::Coordinates,
         };
-        lit(scene, source, layout, &show, extras)
+        lit(self.atlas.scene(scene), source, layout, &show, extras)
     }
 
     fn emissive(&self, scene: &Scene, exposure: Exposure) -> Show {
         let plain: Vec<Option<[f64; 3]>> =
             (0..scene.materials.len()).map(|m| self.too_bright(scene, m, exposure)).collect();
         let radiosity = self.dilated_radiosity(scene);
-        let is_plain = |t: u32| plain[scene.triangles[t as usize].material as usize].is_some();
+        let facets = &self.atlas.scene(scene).triangles;
+        let is_plain = |facet: u32| plain[facets[facet as usize].material as usize].is_some();
         let mut most = 0f32;
         for (i, &at) in self.coverage.texels().iter().enumerate() {
             if !self.coverage.pieces(i).iter().any(|piece| is_plain(piece.triangle)) {
@@ -102,7 +103,7 @@ impl Lightmap {
         let (mut sum, mut area) = ([0.0; 3], 0.0);
         for (i, &at) in self.coverage.texels().iter().enumerate() {
             for piece in self.coverage.pieces(i) {
-                let t = piece.triangle as usize;
+                let t = self.atlas.triangle(piece.triangle as usize);
                 if scene.triangles[t].material as usize == m {
                     let rho = scene.mean_reflectance(t, &WHOLE);
                     let e = self.irradiance[at as usize];

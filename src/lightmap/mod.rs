@@ -5,16 +5,18 @@
 //! and then prepares the map for bilinear sampling: noise is taken out, texels without surface get values, seams are
 //! closed. Each of these steps can be left out and says what it did to the energy.
 //!
-//! The map is of the fronts of triangles; of the back where no light reaches the front but some reaches the back.
+//! A triangle is shown by the side that has more light; or by both, where the atlas has a place for each.
 
 mod atlas;
 mod bake;
 mod coverage;
+mod cut;
 mod denoise;
 mod dilation;
 mod gather;
 pub mod gltf;
 mod grid;
+mod mesh;
 mod overlap;
 mod raster;
 pub mod report;
@@ -29,8 +31,8 @@ use glam::DVec2;
 use serde::Serialize;
 
 pub use self::{
-    atlas::{Atlas, Coordinates, LARGEST, Layout, NONE, PAGE},
-    bake::bake,
+    atlas::{Atlas, AtlasOptions, Coordinates, LARGEST, Layout, NONE, PAGE},
+    bake::{bake, lit_on_both_sides},
     coverage::{Coverage, Piece},
 };
 use self::{bake::Cells, grid::Grid};
@@ -122,7 +124,7 @@ pub struct Flux {
 pub struct Lightmap {
     atlas: Atlas,
     coverage: Coverage,
-    /// Whether the map is of the front of each triangle.
+    /// Whether the map is of the front of each facet's triangle.
     sides: Vec<bool>,
     irradiance: Vec<[f32; 3]>,
     texels: Vec<Texel>,
@@ -150,9 +152,35 @@ impl Lightmap {
         &self.coverage
     }
 
-    /// Whether the map is of the front of a triangle, not of its back.
+    /// Whether the map is of the front of a triangle, not of its back alone.
     pub fn is_of_front(&self, triangle: usize) -> bool {
-        self.sides[triangle]
+        self.is_of(triangle, true)
+    }
+
+    /// Whether the map is of a side of a triangle.
+    pub fn is_of(&self, triangle: usize, front: bool) -> bool {
+        self.facet(triangle, [1.0, 0.0, 0.0], front).is_some()
+    }
+
+    /// The facet that shows a side of a triangle at a point, and the point there.
+    fn facet(&self, triangle: usize, barycentric: [f64; 3], front: bool) -> Option<(usize, [f64; 3])> {
+        let second =
+            self.atlas.facet_at(triangle, barycentric, true).filter(|&(f, _)| self.sides[f] == front);
+        second.or_else(|| {
+            self.atlas.facet_at(triangle, barycentric, false).filter(|&(f, _)| self.sides[f] == front)
+        })
+    }
+
+    /// Area of surface that no light can reach, inside solids, by material of the scene.
+    pub fn hidden_areas(&self, scene: &Scene) -> Vec<f64> {
+        let mut areas = vec![0.0; scene.materials.len()];
+        for i in 0..self.coverage.len() {
+            for piece in self.coverage.pieces(i) {
+                let t = self.atlas.triangle(piece.triangle as usize);
+                areas[scene.triangles[t].material as usize] += piece.area * f64::from(1.0 - self.open[i]);
+            }
+        }
+        areas
     }
 
     /// Irradiance of all texels, W/m²: page by page, row by row from below.
@@ -202,13 +230,19 @@ impl Lightmap {
         self.coverage.area(i) * f64::from(self.open[i])
     }
 
-    /// Irradiance at a point of a triangle, read from the map bilinearly as a viewer does; `None` for triangles without a
-    /// place in it.
+    /// Irradiance at a point of a triangle, of its front where the map has both sides, read from the map bilinearly as a
+    /// viewer does; `None` for triangles without a place in it.
     pub fn at(&self, triangle: usize, barycentric: [f64; 3]) -> Option<[f64; 3]> {
-        let corners = self.atlas.texel_corners(triangle)?;
+        self.at_side(triangle, barycentric, self.is_of_front(triangle))
+    }
+
+    /// Irradiance at a point of a side of a triangle; `None` where the map does not show it.
+    pub fn at_side(&self, triangle: usize, barycentric: [f64; 3], front: bool) -> Option<[f64; 3]> {
+        let (facet, barycentric) = self.facet(triangle, barycentric, front)?;
+        let corners = self.atlas.texel_corners(facet)?;
         let p: DVec2 = (0..3).map(|k| corners[k] * barycentric[k]).sum();
         let mut sum = [0.0; 3];
-        for (at, weight) in bilinear(&self.atlas, self.atlas.page[triangle] as usize, p) {
+        for (at, weight) in bilinear(&self.atlas, self.atlas.page[facet] as usize, p) {
             (0..3).for_each(|c| sum[c] += weight * f64::from(self.irradiance[at as usize][c]));
         }
         Some(sum)
@@ -218,7 +252,7 @@ impl Lightmap {
     /// what they emit.
     pub fn radiance(&self, scene: &Scene, hit: &Hit) -> [f64; 3] {
         let t = hit.triangle as usize;
-        let irradiance = self.at(t, hit.barycentric.map(f64::from)).filter(|_| hit.front == self.sides[t]);
+        let irradiance = self.at_side(t, hit.barycentric.map(f64::from), hit.front);
         outgoing(scene, hit, irradiance.unwrap_or_default().into())
     }
 
@@ -250,13 +284,16 @@ impl Lightmap {
                 let e = self.irradiance[self.coverage.texels()[i] as usize];
                 let (mut sum, mut total) = ([0.0; 3], 0.0);
                 for piece in self.coverage.pieces(i) {
-                    let t = piece.triangle as usize;
-                    let part = self.coverage.barycentric_part(&self.atlas, i, t);
+                    let facet = piece.triangle as usize;
+                    let t = self.atlas.triangle(facet);
+                    let part = self.coverage.barycentric_part(&self.atlas, i, facet);
+                    let part = part.in_triangle(&self.atlas, facet);
                     let whole: f64 = part.fan().map(|(_, share)| share).sum();
                     for (corners, share) in part.fan().filter(|(_, share)| *share > 0.0) {
                         let weight = piece.area * share / whole;
                         let rho = scene.mean_reflectance(t, &corners);
-                        let emitted = if self.sides[t] { scene.mean_emission(t, &corners) } else { [0.0; 3] };
+                        let emitted =
+                            if self.sides[facet] { scene.mean_emission(t, &corners) } else { [0.0; 3] };
                         (0..3).for_each(|c| sum[c] += weight * (PI * emitted[c] + rho[c] * f64::from(e[c])));
                         total += weight;
                     }
@@ -346,12 +383,12 @@ impl Lightmap {
         for i in 0..patches.len() {
             let t = patches.triangle(i);
             let e = rgb(&solution.irradiance[i * channels..][..channels]);
-            let of_map = patches.is_front(i) == self.sides[t];
+            let of_map = self.is_of(t, patches.is_front(i));
             let area = patches.area(i);
             let sum = if !of_map {
                 self.other_sides_area += if luminance(e) > 0.0 { area } else { 0.0 };
                 &mut self.flux.other_sides
-            } else if self.atlas.chart[t] == NONE {
+            } else if self.atlas.facets_of(t).all(|facet| self.atlas.chart[facet] == NONE) {
                 self.unmapped_area += area;
                 &mut self.flux.unmapped
             } else {

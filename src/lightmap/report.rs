@@ -36,6 +36,8 @@ pub struct BakeReport {
     pub seams: SeamsReport,
     /// Surface that the map is not of.
     pub left_out: LeftOutReport,
+    /// Which sides are shown, and what is hidden, by material, in the scene's order.
+    pub materials: Vec<MapMaterialReport>,
     /// Root mean square over the surface of the texels' standard errors, relative to the mean irradiance, of the worst
     /// channel, as denoised; `null` without a final gather. What the solution is off by is not in it.
     pub rms_relative: Option<f64>,
@@ -72,6 +74,10 @@ pub struct AtlasReport {
     pub thin_share: f64,
     /// Texels that two charts share.
     pub shared_texels: usize,
+    /// Share of all texels that hold surface.
+    pub used_share: f64,
+    /// Triangles that were cut into smaller ones, because charts would have been too large.
+    pub cut_triangles: usize,
     /// Root of the mean surface area a texel, in the scene's unit.
     pub texel_length: f64,
     /// Root mean square of ln(texels an area / its mean).
@@ -124,12 +130,63 @@ pub struct LeftOutReport {
     pub other_sides_area: f64,
     /// Flux on them, W.
     pub other_sides_flux: [f64; 3],
-    /// Triangles mapped by their backs, because only those are lit.
+    /// Triangles shown by their backs, because those have more light.
     pub mapped_by_back: usize,
+    /// Triangles shown by both sides.
+    pub mapped_twice: usize,
     /// Area of triangles that are too thin to have a place in the map.
     pub unmapped_area: f64,
     /// Flux on them, W.
     pub unmapped_flux: [f64; 3],
+}
+
+/// A material's surface in the map.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MapMaterialReport {
+    /// Its name.
+    pub name: String,
+    /// Area of its triangles.
+    pub area: f64,
+    /// The part that is shown by its back alone.
+    pub by_back: f64,
+    /// The part that is shown by both sides.
+    pub by_both: f64,
+    /// Share of the area in the map that no light can reach, because it is inside a solid. Its texels have values of
+    /// neighbours.
+    pub hidden_share: f64,
+}
+
+impl MapMaterialReport {
+    fn all(map: &Lightmap, scene: &Scene) -> Vec<MapMaterialReport> {
+        let material = |m: &crate::scene::Material| MapMaterialReport {
+            name: m.name.clone(),
+            area: 0.0,
+            by_back: 0.0,
+            by_both: 0.0,
+            hidden_share: 0.0,
+        };
+        let mut all: Vec<MapMaterialReport> = scene.materials.iter().map(material).collect();
+        let mut shown = vec![0.0; all.len()];
+        for t in 0..scene.triangles.len() {
+            let (m, area) = (scene.triangles[t].material as usize, scene.area(t));
+            all[m].area += area;
+            match (map.is_of(t, true), map.is_of(t, false)) {
+                (true, true) => all[m].by_both += area,
+                (false, true) => all[m].by_back += area,
+                _ => {}
+            }
+        }
+        for i in 0..map.coverage().len() {
+            for piece in map.coverage().pieces(i) {
+                let t = map.atlas().triangle(piece.triangle as usize);
+                shown[scene.triangles[t].material as usize] += piece.area;
+            }
+        }
+        for ((material, hidden), shown) in all.iter_mut().zip(map.hidden_areas(scene)).zip(shown) {
+            material.hidden_share = if shown > 0.0 { hidden / shown } else { 0.0 };
+        }
+        all
+    }
 }
 
 /// Wall-clock time of each stage in seconds.
@@ -183,10 +240,14 @@ impl BakeReport {
             },
             steps: map.steps().to_vec(),
             seams: SeamsReport { samples, before, after },
+            materials: MapMaterialReport::all(map, scene),
             left_out: LeftOutReport {
                 other_sides_area: map.other_sides_area(),
                 other_sides_flux: flux.other_sides,
                 mapped_by_back: (0..scene.triangles.len()).filter(|&t| !map.is_of_front(t)).count(),
+                mapped_twice: (0..scene.triangles.len())
+                    .filter(|&t| map.is_of(t, true) && map.is_of(t, false))
+                    .count(),
                 unmapped_area: map.unmapped_area(),
                 unmapped_flux: flux.unmapped,
             },
@@ -230,14 +291,15 @@ impl BakeReport {
         let other_sides = share(left_out.other_sides_flux, self.flux.solver);
         if other_sides > NOTABLE_OTHER_SIDES {
             warnings.push(format!(
-                "lit on both sides, mapped on one: an area of {:.4e} with {:.2} % of the flux has no texels",
+                "lit on both sides, shown by the brighter one: an area of {:.4e} with {:.2} % of the flux has no texels; \
+                 show both sides to give it some",
                 left_out.other_sides_area,
                 100.0 * other_sides
             ));
         }
         if left_out.unmapped_area > 0.0 {
             warnings.push(format!(
-                "triangles too thin for the map, with an area of {:.4e}, have no texels",
+                "triangles without area in the map, of {:.4e} on the surface, have no texels",
                 left_out.unmapped_area
             ));
         }
@@ -273,6 +335,8 @@ impl AtlasReport {
             thin_charts,
             thin_share,
             shared_texels: atlas.shared_texels(),
+            used_share: map.coverage().len() as f64 / atlas.texels().max(1) as f64,
+            cut_triangles: (0..scene.triangles.len()).filter(|&t| atlas.facets_of(t).len() > 1).count(),
             texel_length: atlas.texel_length(scene),
             density_spread: atlas.density_spread(scene),
         }

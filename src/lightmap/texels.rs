@@ -3,21 +3,38 @@
 use rayon::prelude::*;
 
 use super::{atlas::Atlas, coverage::Coverage};
-use crate::{patch::Patches, solve::Solution, tone::rgb};
+use crate::{
+    patch::Patches,
+    solve::Solution,
+    tone::{luminance, rgb},
+};
 
 /// Texels that one task works on.
 pub(super) const STRETCH: usize = 64;
 
-/// Which side of each triangle the map is of: the front, but the back where only that is lit.
+/// Whether each triangle has more light on its front than on its back, by flux. Without light
+/// the front counts as the lit side.
 pub fn lit_sides(patches: &Patches, solution: &Solution) -> Vec<bool> {
+    let flux = side_fluxes(patches, solution);
+    flux.into_iter().map(|[front, back]| front >= back).collect()
+}
+
+/// Triangles with light on both sides, where the darker side has more than `least` of the brighter one's.
+pub fn lit_on_both_sides(patches: &Patches, solution: &Solution, least: f64) -> Vec<bool> {
+    let flux = side_fluxes(patches, solution);
+    flux.into_iter().map(|[front, back]| front.min(back) > least * front.max(back)).collect()
+}
+
+/// Luminous part of the flux on the front and on the back of each triangle.
+fn side_fluxes(patches: &Patches, solution: &Solution) -> Vec<[f64; 2]> {
     let channels = solution.channels;
-    let lit = |i: usize| solution.irradiance[i * channels..][..channels].iter().any(|&e| e > 0.0);
-    (0..patches.triangle_areas().len())
-        .map(|t| {
-            let fronts = patches.fronts_of(t);
-            fronts.clone().any(lit) || !fronts.filter_map(|i| patches.back_of(i)).any(|i| lit(i as usize))
-        })
-        .collect()
+    let mut flux = vec![[0.0; 2]; patches.triangle_areas().len()];
+    for i in 0..patches.len() {
+        let e = rgb(&solution.irradiance[i * channels..][..channels]);
+        let side = usize::from(!patches.is_front(i));
+        flux[patches.triangle(i)][side] += patches.area(i) * luminance(e).max(0.0);
+    }
+    flux
 }
 
 /// Mean irradiance of each covered texel, W/m²: Σ area · E over the patches in it, over Σ area.
@@ -38,16 +55,12 @@ pub fn means(
             for piece in coverage.pieces(i) {
                 let t = piece.triangle as usize;
                 let (mut sum, mut weight) = ([0.0; 3], 0.0);
-                coverage.barycentric_part(atlas, i, t).for_each_patch(
-                    patches,
-                    t,
-                    sides[t],
-                    |patch, share| {
-                        let e = patch.map_or([0.0; 3], irradiance);
-                        (0..3).for_each(|c| sum[c] += share * e[c]);
-                        weight += share;
-                    },
-                );
+                let part = coverage.barycentric_part(atlas, i, t).in_triangle(atlas, t);
+                part.for_each_patch(patches, atlas.triangle(t), sides[t], |patch, share| {
+                    let e = patch.map_or([0.0; 3], irradiance);
+                    (0..3).for_each(|c| sum[c] += share * e[c]);
+                    weight += share;
+                });
                 if weight > 0.0 {
                     (0..3).for_each(|c| flux[c] += piece.area * sum[c] / weight);
                     total += piece.area;

@@ -1,21 +1,19 @@
 //! A map as files: images, and a mesh whose texture coordinates address them.
 
-use std::{
-    collections::HashMap,
-    io::{self, Write},
+use std::io::{self, Write};
+
+use super::{
+    Lightmap, Texel,
+    atlas::NONE,
+    dilation,
+    grid::Grid,
+    mesh::{self, Set},
 };
-
-use glam::DVec2;
-
-use super::{Lightmap, Texel, atlas::NONE, dilation, grid::Grid};
 use crate::{
     monte_carlo::{Film, PictureFormat},
     scene::Scene,
     tone::{Exposure, luminance},
 };
-
-/// The first line of every mesh and material library written here.
-pub const SIGNATURE: &str = "# radiosity bake";
 
 /// What an image shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -87,29 +85,26 @@ impl Lightmap {
         values
     }
 
-    /// Name of a page's material for a material of the scene.
-    fn material_name(&self, names: &[String], t: usize, scene: &Scene) -> String {
-        let name = &names[scene.triangles[t].material as usize];
-        match self.atlas.page[t] {
-            0 => name.clone(),
-            page => format!("{name} page {}", page + 1),
-        }
-    }
-
     /// Writes the mesh with the texture coordinates of the map; `library` names its materials' file.
     ///
     /// # Errors
-    /// What `out` says.
+    /// What `out` says; those of reading the scene's file, where that is an OBJ file: the mesh is a copy of it.
     pub fn write_obj(&self, scene: &Scene, library: &str, out: &mut dyn Write) -> io::Result<()> {
-        writeln!(out, "{SIGNATURE}: texture coordinates address the lightmap, v upwards")?;
-        writeln!(out, "mtllib {library}")?;
-        let names = distinct_names(scene);
-        let name = |t: usize| self.material_name(&names, t, scene);
-        mesh(scene, &self.atlas.coordinates, &self.atlas.corners, name, out)
+        mesh::write(scene, &self.atlas, Set::Map(library), out)
     }
 
-    /// Writes the material library of [`Lightmap::write_obj`]: every material shows the radiosity of its page, whose
-    /// image has the name `image(page)`, without regard to lights.
+    /// Writes the mesh with the texture coordinates that the scene's file has, face by face and corner by corner as
+    /// [`Lightmap::write_obj`] does, with the names of the scene's own material libraries.
+    ///
+    /// # Errors
+    /// Those of [`Lightmap::write_obj`].
+    pub fn write_original(&self, scene: &Scene, libraries: &[String], out: &mut dyn Write) -> io::Result<()> {
+        mesh::write(scene, &self.atlas, Set::Own(libraries), out)
+    }
+
+    /// Writes the material library of [`Lightmap::write_obj`]: every material shines with the radiosity of its page,
+    /// whose image has the name `image(page)`, and reflects nothing. Viewers show the same with and without lights of
+    /// their own.
     ///
     /// # Errors
     /// What `out` says.
@@ -121,86 +116,22 @@ impl Lightmap {
     ) -> io::Result<()> {
         writeln!(
             out,
-            "{SIGNATURE}: the texture is what leaves the surface, lamps and reflections, exposed for viewing"
+            "# radiosity bake: the texture is what leaves the surface, lamps and reflections, exposed for viewing"
         )?;
-        let names = distinct_names(scene);
+        let scene = self.atlas.scene(scene);
         let mut written = std::collections::BTreeSet::new();
         for t in 0..scene.triangles.len() {
-            let name = self.material_name(&names, t, scene);
-            if written.insert(name.clone()) {
-                let material = scene.material(t);
-                let [r, g, b] = material.reflectance;
+            let name = mesh::material_name(scene, &self.atlas, t);
+            if !written.contains(&*name) {
+                let [r, g, b] = scene.material(t).reflectance;
                 writeln!(out, "\nnewmtl {name}\n# reflectance of the scene's material: {r} {g} {b}")?;
-                writeln!(out, "Kd 1 1 1\nKa 0 0 0\nKs 0 0 0\nillum 0")?;
-                writeln!(out, "map_Kd {}", image(self.atlas.page[t] as usize))?;
+                writeln!(out, "Ka 0 0 0\nKd 0 0 0\nKs 0 0 0\nKe 1 1 1\nillum 1")?;
+                writeln!(out, "map_Ke {}", image(self.atlas.page[t] as usize))?;
+                written.insert(name.into_owned());
             }
         }
         Ok(())
     }
-}
-
-/// Writes the scene's mesh with the texture coordinates that its own file has, vertex by vertex and face by face as
-/// [`Lightmap::write_obj`] does.
-///
-/// # Errors
-/// What `out` says.
-pub fn write_original(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
-    writeln!(
-        out,
-        "{SIGNATURE}: the same vertices and faces as scene.obj, with the scene's own texture coordinates"
-    )?;
-    let (mut known, mut coordinates) = (HashMap::new(), Vec::new());
-    let mut corner = |uv: DVec2| {
-        *known.entry(uv.to_array().map(f64::to_bits)).or_insert_with(|| {
-            coordinates.push(uv);
-            coordinates.len() as u32 - 1
-        })
-    };
-    let corners: Vec<[u32; 3]> = scene.texcoords.iter().map(|uv| uv.map(&mut corner)).collect();
-    let names = distinct_names(scene);
-    mesh(scene, &coordinates, &corners, |t| names[scene.triangles[t].material as usize].clone(), out)
-}
-
-fn mesh(
-    scene: &Scene,
-    coordinates: &[DVec2],
-    corners: &[[u32; 3]],
-    material: impl Fn(usize) -> String,
-    out: &mut dyn Write,
-) -> io::Result<()> {
-    for v in &scene.vertices {
-        writeln!(out, "v {} {} {}", v.x, v.y, v.z)?;
-    }
-    for uv in coordinates {
-        writeln!(out, "vt {} {}", uv.x, uv.y)?;
-    }
-    let mut used = None;
-    for (t, triangle) in scene.triangles.iter().enumerate() {
-        let name = material(t);
-        if used.as_ref() != Some(&name) {
-            writeln!(out, "usemtl {name}")?;
-            used = Some(name);
-        }
-        let [a, b, c] = triangle.vertices.map(|v| v + 1);
-        let [ta, tb, tc] = corners[t].map(|i| i + 1);
-        writeln!(out, "f {a}/{ta} {b}/{tb} {c}/{tc}")?;
-    }
-    Ok(())
-}
-
-/// Names of the scene's materials, with a number where two have the same.
-fn distinct_names(scene: &Scene) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
-    for material in &scene.materials {
-        let mut name = material.name.clone();
-        let mut number = 2;
-        while names.contains(&name) {
-            name = format!("{} {number}", material.name);
-            number += 1;
-        }
-        names.push(name);
-    }
-    names
 }
 
 /// The name of a page's image: `stem.ext`, `stem-2.ext`, `stem-3.ext`.

@@ -29,8 +29,8 @@ pub struct Gathered {
     pub direct: [f64; 3],
     /// Reflected by other surfaces.
     pub reflected: [f64; 3],
-    /// What the hemisphere ray met: the triangle, and whether it was its front.
-    pub met: Option<(u32, bool)>,
+    /// What the hemisphere ray met.
+    pub hit: Option<Hit>,
 }
 
 /// Gathers light from a radiosity solution.
@@ -87,7 +87,7 @@ impl<'a> FinalGather<'a> {
         let (direct, hit) = self.direct.direct(at, samples);
         let Some(hit) = hit else { return Gathered { direct, ..Gathered::default() } };
         let reflected = self.reflected(&hit).to_array();
-        Gathered { direct, reflected, met: Some((hit.triangle, hit.front)) }
+        Gathered { direct, reflected, hit: Some(hit) }
     }
 
     /// Irradiance of places, with the spread of the gathering; what the solution itself is off by is not in it.

@@ -12,10 +12,13 @@ pub mod lambert_report;
 mod lit_sides;
 mod meeting;
 pub mod picture;
+#[cfg(feature = "cli")]
+mod plot;
 pub mod ply;
 pub mod report;
 pub mod sampling_report;
 pub(crate) mod surfaces;
+#[cfg(feature = "cli")]
 pub mod tradeoff_plot;
 pub mod tradeoff_report;
 pub mod validation_report;

@@ -1,182 +1,128 @@
 //! Speed against accuracy as a drawing: error over seconds, both logarithmic.
 
-use std::fmt::Write;
+use plotters::{
+    element::{Circle, Cross, EmptyElement, PathElement, Polygon, Rectangle, Text},
+    prelude::{IntoDrawingArea, SVGBackend},
+    series::{DashedLineSeries, LineSeries},
+    style::{Color, RGBColor, ShapeStyle, WHITE},
+};
 
+use super::plot::{Area, Axis, Chart, Drawn, FONT, GREY, TEXT, Words, chart, printable, text_style};
 use crate::{
     accuracy::tradeoff::{Point, Series, Tradeoff},
     solve::Solver,
 };
 
-const WIDTH: f64 = 1000.0;
-const TOP: f64 = 84.0;
-const BOTTOM: f64 = 450.0;
-const LEGEND: f64 = 520.0;
-const LEGEND_LINE: f64 = 19.0;
+const WIDTH: u32 = 1000;
+const CHARTS: u32 = 430;
+const HEADER: u32 = 84;
+const LEGEND_LINE: u32 = 20;
+/// Where the second chart begins.
+const MIDDLE: u32 = 640;
 /// From Okabe and Ito's palette, which the colour-blind can tell apart.
-const LINES: [&str; 3] = ["#56b4e9", "#0072b2", "#00335a"];
-const PATH: &str = "#d55e00";
-const PRESET: &str = "#cc79a7";
-const ESTIMATOR: &str = "#333333";
-const SOLVERS: [(Solver, &str); 5] = [
-    (Solver::ConjugateGradient, "#0072b2"),
-    (Solver::GaussSeidel, "#009e73"),
-    (Solver::Jacobi, "#e69f00"),
-    (Solver::Southwell, "#cc79a7"),
-    (Solver::Direct, "#333333"),
+const LINES: [RGBColor; 3] = [RGBColor(86, 180, 233), RGBColor(0, 114, 178), RGBColor(0, 51, 90)];
+const PATH: RGBColor = RGBColor(213, 94, 0);
+const PRESET: RGBColor = RGBColor(204, 121, 167);
+const ESTIMATOR: RGBColor = RGBColor(51, 51, 51);
+const BAND: RGBColor = RGBColor(238, 238, 238);
+const SOLVERS: [(Solver, RGBColor); 5] = [
+    (Solver::ConjugateGradient, RGBColor(0, 114, 178)),
+    (Solver::GaussSeidel, RGBColor(0, 158, 115)),
+    (Solver::Jacobi, RGBColor(230, 159, 0)),
+    (Solver::Southwell, RGBColor(204, 121, 167)),
+    (Solver::Direct, RGBColor(51, 51, 51)),
 ];
 
-/// A logarithmic axis: values from `low` to `high` on pixels from `start` to `end`.
-struct Axis {
-    low: f64,
-    high: f64,
-    start: f64,
-    end: f64,
+/// How a point looks.
+#[derive(Clone, Copy, PartialEq)]
+enum Mark {
+    Dot,
+    Ring,
+    Diamond,
+    Cross,
+    /// Only in the legend: a line with a dot, a dotted line.
+    Line,
+    Dotted,
 }
 
-impl Axis {
-    /// With room for all positive values; a decade where there is none.
-    fn over(values: impl Iterator<Item = f64>, start: f64, end: f64) -> Axis {
-        let (mut low, mut high) = (f64::INFINITY, 0f64);
-        for value in values.filter(|v| *v > 0.0 && v.is_finite()) {
-            (low, high) = (low.min(value), high.max(value));
-        }
-        if !(low <= high) {
-            (low, high) = (0.01, 0.1);
-        }
-        Axis { low: low / 1.4, high: high * 1.4, start, end }
-    }
-
-    fn at(&self, value: f64) -> f64 {
-        self.start + (self.end - self.start) * (value / self.low).ln() / (self.high / self.low).ln()
-    }
-
-    /// Where lines are drawn, and whether they get a number.
-    fn ticks(&self) -> Vec<(f64, bool)> {
-        let decade_length = (self.end - self.start).abs() / (self.high / self.low).log10();
-        // Numbers at 1, 2 and 5 where there is room for them; at every few decades where there is little.
-        let between = decade_length > 120.0;
-        let every = (40.0 / decade_length).ceil() as i32;
-        let mut ticks = Vec::new();
-        for decade in self.low.log10().floor() as i32..=self.high.log10().ceil() as i32 {
-            for digit in 1..10 {
-                // Divided by a whole power, so that 0.3 is the double that prints as 0.3.
-                let power = 10f64.powi(decade.abs());
-                let value = if decade < 0 { f64::from(digit) / power } else { f64::from(digit) * power };
-                let numbered = match digit {
-                    1 => decade % every == 0,
-                    2 | 5 => between,
-                    _ => false,
-                };
-                if (self.low..=self.high).contains(&value) && (digit == 1 || every == 1) {
-                    ticks.push((value, numbered));
-                }
-            }
-        }
-        ticks
-    }
-}
-
-/// One field of the drawing.
-struct Panel {
-    x: Axis,
-    y: Axis,
-}
+/// What the marks mean.
+type Legend = Vec<(RGBColor, Mark, String)>;
 
 /// The drawing as SVG.
 ///
 /// On the left error over all seconds: a line a patch size, path tracing, the presets and the estimators. On the right error
 /// over the seconds of the solver alone.
 pub fn svg(file: &str, tradeoff: &Tradeoff) -> String {
-    let (mut legend, mut body) = (Vec::new(), String::new());
     let of_solver = |p: &&Point| p.series == Series::Solver;
     let (right, left): (Vec<&Point>, Vec<&Point>) = tradeoff.points.iter().partition(of_solver);
-    let known = tradeoff.reference.error();
-    let errors = || {
-        let told = left.iter().filter(|p| line_of(p).is_some()).map(|p| p.estimated());
-        tradeoff.points.iter().map(|p| p.error).chain(told).chain([known])
-    };
-    let y = || Axis::over(errors(), BOTTOM, TOP);
-    let main = Panel { x: Axis::over(left.iter().map(|p| p.seconds.total()), 78.0, 640.0), y: y() };
-    let side = Panel { x: Axis::over(right.iter().map(|p| p.seconds.solving), 712.0, 980.0), y: y() };
-    main.frame(&mut body, "seconds: casting, solving and error bars", known);
-    side.frame(&mut body, "seconds: solving alone", known);
+    let legends = [legend(&left), solver_legend(&right)];
+    let lines = legends.iter().map(Vec::len).max().unwrap_or(0) as u32;
+    let height = HEADER + CHARTS + LEGEND_LINE * (lines + 1);
+    let mut out = String::new();
+    let root = SVGBackend::with_string(&mut out, (WIDTH, height)).into_drawing_area();
+    draw(&root, file, tradeoff, [&left, &right], legends).expect("memory takes what is drawn");
+    drop(root);
+    out
+}
 
-    for (line, colour) in LINES.iter().enumerate() {
-        let points: Vec<&Point> = left.iter().copied().filter(|p| line_of(p) == Some(line)).collect();
-        let Some(most) = points.last() else { continue };
-        main.line(&mut body, &points, colour);
-        let mib = most.bytes as f64 / f64::from(1 << 20);
-        let rays = format!("{:.0} to {:.0}", points[0].rays, most.rays);
-        let text = format!("{} patches, {rays} rays each, up to {mib:.1} MiB", most.patches);
-        legend.push((*colour, "line", text));
-    }
-    let paths: Vec<&Point> = left.iter().copied().filter(|p| p.series == Series::PathTracing).collect();
-    if let (Some(first), Some(last)) = (paths.first(), paths.last()) {
-        main.line(&mut body, &paths, PATH);
-        let text =
-            format!("path tracing with next event, {:.0} to {:.0} paths a patch", first.rays, last.rays);
-        legend.push((PATH, "line", text));
-    }
-    legend.push(("#777777", "dotted", "the same with the error that the solution itself estimates".into()));
-    let mut letters = 'a'..='z';
-    for p in &left {
-        let (x, y) = (p.seconds.total(), p.error);
-        match p.series {
-            Series::Preset(name) => {
-                main.mark(&mut body, x, y, PRESET, "diamond", &name.to_uppercase());
-                let mib = p.bytes as f64 / f64::from(1 << 20);
-                let text = format!(
-                    "preset {}: {} patches, {:.0} rays, {mib:.1} MiB",
-                    name.to_uppercase(),
-                    p.patches,
-                    p.rays
-                );
-                legend.push((PRESET, "diamond", text));
-            }
-            Series::Estimator(name) => {
-                let letter = letters.next().unwrap_or('z').to_string();
-                main.mark(&mut body, x, y, ESTIMATOR, "cross", &letter);
-                legend.push((
-                    ESTIMATOR,
-                    "cross",
-                    format!("{letter}: {name}, {} patches, {:.0} rays", p.patches, p.rays),
-                ));
-            }
-            _ => {}
-        }
-    }
-    let mut solvers = Vec::new();
+fn draw(
+    root: &Area,
+    file: &str,
+    tradeoff: &Tradeoff,
+    [left, right]: [&[&Point]; 2],
+    legends: [Legend; 2],
+) -> Drawn {
+    root.fill(&WHITE)?;
+    let known = tradeoff.reference.error();
+    let told = left.iter().filter(|p| line_of(p).is_some()).map(|p| p.estimated());
+    let y = Axis::over(tradeoff.points.iter().map(|p| p.error).chain(told).chain([known]));
+    heading(root, file, tradeoff, right)?;
+    let (_, below) = root.split_vertically(HEADER);
+    let (charts, keys) = below.split_vertically(CHARTS);
+    let (main_area, side_area) = charts.split_horizontally(MIDDLE);
+
+    let x = Axis::over(left.iter().map(|p| p.seconds.total()));
+    let names = ["seconds: casting, solving and error bars", "true error"];
+    let mut main = chart(&main_area, [x, y], names, (" %", 100.0))?;
+    band(&mut main, [x, y], known)?;
+    lines(&mut main, left)?;
+    variants(&mut main, &main_area, left)?;
+
+    let x = Axis::over(right.iter().map(|p| p.seconds.solving));
+    let mut side = chart(&side_area, [x, y], ["seconds: solving alone", ""], (" %", 100.0))?;
+    band(&mut side, [x, y], known)?;
     for (solver, colour) in SOLVERS {
-        let points: Vec<&Point> = right.iter().copied().filter(|p| p.solver == Some(solver)).collect();
-        if !points.is_empty() {
-            side.polyline(&mut body, points.iter().map(|p| (p.seconds.solving, p.error)), colour, "");
-            points.iter().for_each(|p| side.mark(&mut body, p.seconds.solving, p.error, colour, "dot", ""));
-            solvers.push((colour, "line", solver.name().to_owned()));
-        }
+        let of_solver = right.iter().filter(|p| p.solver == Some(solver));
+        let places: Vec<(f64, f64)> = of_solver.filter_map(|p| place(p.seconds.solving, p.error)).collect();
+        side.draw_series(LineSeries::new(places.iter().copied(), colour.stroke_width(2)))?;
+        places.iter().try_for_each(|&at| mark(&mut side, at, colour, Mark::Dot))?;
     }
-    key(&mut body, 60.0, &legend);
-    key(&mut body, 712.0, &solvers);
-    let height = LEGEND + LEGEND_LINE * legend.len().max(solvers.len()) as f64 + 8.0;
-    let tolerances = match (right.first(), right.iter().map(|p| p.tolerance).reduce(f64::min)) {
-        (Some(first), Some(least)) => format!("Solvers, tolerances {:.0e} to {least:.0e}", first.tolerance),
-        _ => String::new(),
+    let (main_key, side_key) = keys.split_horizontally(MIDDLE);
+    key(&main_key, &legends[0])?;
+    key(&side_key, &legends[1])?;
+    root.present()?;
+    Ok(())
+}
+
+fn heading(root: &Area, file: &str, tradeoff: &Tradeoff, right: &[&Point]) -> Drawn {
+    let line = |text: String, (x, y): (i32, i32), size: f64| -> Drawn {
+        root.draw(&Text::new(text, (x, y), text_style(size, TEXT)))?;
+        Ok(())
     };
-    let title = format!("Speed against accuracy: {}", escaped(file));
-    format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" width=\"{WIDTH}\" height=\"{height}\" \
-         font-family=\"Helvetica, Arial, sans-serif\" font-size=\"12\" fill=\"#222222\" role=\"img\">\n\
-         <title>{title}</title>\n<rect width=\"{WIDTH}\" height=\"{height}\" fill=\"white\"/>\n\
-         <text x=\"20\" y=\"28\" font-size=\"18\">{title}</text>\n\
-         <text x=\"20\" y=\"50\">Error: RMS of the mean irradiance of {} patches, by area, relative to their mean; against {} \
-         patches with {:.0} rays each, twice</text>\n\
-         <text x=\"78\" y=\"76\" font-weight=\"bold\">Patch size, rays, estimator; path tracing</text>\n\
-         <text x=\"712\" y=\"76\" font-weight=\"bold\">{tolerances}</text>\n\
-         <text transform=\"translate(22 {}) rotate(-90)\" text-anchor=\"middle\">true error</text>\n{body}</svg>\n",
-        tradeoff.common_patches,
-        tradeoff.reference.patches,
-        tradeoff.reference.rays,
-        0.5 * (TOP + BOTTOM)
-    )
+    line(printable(&format!("Speed against accuracy: {file}")), (20, 10), 20.0)?;
+    let reference = &tradeoff.reference;
+    let against = format!(
+        "Error: RMS of the mean irradiance of {} patches, by area, relative to their mean; against {} patches with {:.0} rays \
+         each, twice",
+        tradeoff.common_patches, reference.patches, reference.rays
+    );
+    line(against, (20, 38), FONT)?;
+    line("Patch size, rays, estimator; path tracing".into(), (82, 64), FONT)?;
+    if let (Some(first), Some(least)) = (right.first(), right.iter().map(|p| p.tolerance).reduce(f64::min)) {
+        let text = format!("Solvers, tolerances {:.0e} to {least:.0e}", first.tolerance);
+        line(text, (MIDDLE as i32 + 82, 64), FONT)?;
+    }
+    Ok(())
 }
 
 fn line_of(point: &Point) -> Option<usize> {
@@ -186,171 +132,169 @@ fn line_of(point: &Point) -> Option<usize> {
     }
 }
 
-impl Panel {
-    /// Grid, numbers, and the errors that the reference cannot tell.
-    fn frame(&self, out: &mut String, label: &str, known: f64) {
-        let Panel { x, y } = self;
-        if known > y.low {
-            let top = y.at(known.min(y.high));
-            let (width, height) = (x.end - x.start, y.start - top);
-            let _ = writeln!(
-                out,
-                "<rect x=\"{:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"#eeeeee\"/>",
-                x.start
-            );
-            if height > 14.0 {
-                let _ = writeln!(
-                    out,
-                    "<text x=\"{:.1}\" y=\"{:.1}\" fill=\"#777777\" font-size=\"10\">below the reference&#39;s own error, {:.2} %</text>",
-                    x.start + 5.0,
-                    top + 12.0,
-                    100.0 * known
-                );
-            }
-        }
-        let rule = |out: &mut String, [x1, y1, x2, y2]: [f64; 4], numbered: bool| {
-            let colour = if numbered { "#cccccc" } else { "#ececec" };
-            let _ = writeln!(
-                out,
-                "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" stroke=\"{colour}\"/>"
-            );
+/// What is zero has no place on a logarithmic axis.
+fn place(x: f64, y: f64) -> Option<(f64, f64)> {
+    (x > 0.0 && y > 0.0).then_some((x, y))
+}
+
+/// The errors that the reference cannot tell.
+fn band(chart: &mut Chart, [x, y]: [Axis; 2], known: f64) -> Drawn {
+    if known > y.low {
+        let top = known.min(y.high);
+        chart.draw_series([Rectangle::new([(x.low, y.low), (x.high, top)], BAND.filled())])?;
+        let text = format!("below the reference's own error, {:.2} %", 100.0 * known);
+        let beside = EmptyElement::at((x.low, top)) + Text::new(text, (6, 4), text_style(11.0, GREY));
+        chart.draw_series([beside])?;
+    }
+    Ok(())
+}
+
+/// The lines of patch sizes and of path tracing, with the errors that solutions estimate themselves dotted.
+fn lines(chart: &mut Chart, left: &[&Point]) -> Drawn {
+    let of_line =
+        |line: usize| -> Vec<&Point> { left.iter().copied().filter(|p| line_of(p) == Some(line)).collect() };
+    let paths: Vec<&Point> = left.iter().copied().filter(|p| p.series == Series::PathTracing).collect();
+    let all = LINES.iter().enumerate().map(|(line, colour)| (*colour, of_line(line))).chain([(PATH, paths)]);
+    for (colour, points) in all {
+        let places = |error: fn(&Point) -> f64| {
+            points.iter().filter_map(move |p| place(p.seconds.total(), error(p))).collect::<Vec<_>>()
         };
-        for (value, numbered) in x.ticks() {
-            let at = x.at(value);
-            rule(out, [at, y.start, at, y.end], numbered);
-            if numbered {
-                let below = y.start + 16.0;
-                let _ = writeln!(
-                    out,
-                    "<text x=\"{at:.1}\" y=\"{below:.1}\" text-anchor=\"middle\">{}</text>",
-                    plain(value)
-                );
-            }
-        }
-        for (value, numbered) in y.ticks() {
-            let at = y.at(value);
-            rule(out, [x.start, at, x.end, at], numbered);
-            if numbered {
-                let (left, percent) = (x.start - 6.0, plain(100.0 * value));
-                let _ = writeln!(
-                    out,
-                    "<text x=\"{left:.1}\" y=\"{:.1}\" text-anchor=\"end\">{percent} %</text>",
-                    at + 4.0
-                );
-            }
-        }
-        let _ = writeln!(
-            out,
-            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" stroke=\"#888888\"/>\n\
-             <text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{label}</text>",
-            x.start,
-            y.end,
-            x.end - x.start,
-            y.start - y.end,
-            0.5 * (x.start + x.end),
-            y.start + 36.0
-        );
-    }
-
-    /// True errors with dots, and the estimated ones dotted.
-    fn line(&self, out: &mut String, points: &[&Point], colour: &str) {
-        let estimated = points.iter().map(|p| (p.seconds.total(), p.estimated()));
-        self.polyline(out, estimated, colour, " stroke-dasharray=\"1.5 3.5\"");
-        self.polyline(out, points.iter().map(|p| (p.seconds.total(), p.error)), colour, "");
-        for p in points {
-            let kind = if p.believed { "dot" } else { "ring" };
-            self.mark(out, p.seconds.total(), p.error, colour, kind, "");
-        }
-    }
-
-    fn polyline(
-        &self,
-        out: &mut String,
-        points: impl Iterator<Item = (f64, f64)>,
-        colour: &str,
-        dashes: &str,
-    ) {
-        let places: Vec<String> = points
-            .filter(|&(x, y)| x > 0.0 && y > 0.0)
-            .map(|(x, y)| format!("{:.1},{:.1}", self.x.at(x), self.y.at(y)))
-            .collect();
-        let _ = writeln!(
-            out,
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.8\"{dashes}/>",
-            places.join(" ")
-        );
-    }
-
-    /// A mark with a word beside it. What is zero has no place on a logarithmic axis.
-    fn mark(&self, out: &mut String, x: f64, y: f64, colour: &str, kind: &str, word: &str) {
-        if x > 0.0 && y > 0.0 {
-            let (x, y) = (self.x.at(x), self.y.at(y));
-            symbol(out, x, y, colour, kind);
-            if !word.is_empty() {
-                // Below and to the left where there is no room to the right.
-                let narrow = x + 9.0 * word.len() as f64 + 12.0 > self.x.end;
-                let (x, y, anchor) = if narrow { (x, y + 20.0, "end") } else { (x + 9.0, y - 7.0, "start") };
-                let _ = writeln!(
-                    out,
-                    "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"{colour}\" font-weight=\"bold\" text-anchor=\"{anchor}\">{word}</text>"
-                );
+        chart.draw_series(DashedLineSeries::new(places(Point::estimated), 2, 4, colour.stroke_width(2)))?;
+        chart.draw_series(LineSeries::new(places(|p| p.error), colour.stroke_width(2)))?;
+        for p in &points {
+            if let Some(at) = place(p.seconds.total(), p.error) {
+                mark(chart, at, colour, if p.believed { Mark::Dot } else { Mark::Ring })?;
             }
         }
     }
+    Ok(())
 }
 
-fn symbol(out: &mut String, x: f64, y: f64, colour: &str, kind: &str) {
-    let place = format!("<g transform=\"translate({x:.1} {y:.1})\"");
-    let _ = match kind {
-        "diamond" => {
-            writeln!(out, "{place} fill=\"{colour}\" stroke=\"white\"><path d=\"M0-8 8 0 0 8-8 0Z\"/></g>")
-        }
-        "cross" => writeln!(
-            out,
-            "{place} stroke=\"{colour}\" stroke-width=\"2\"><path d=\"M-4-4 4 4M-4 4 4-4\"/></g>"
-        ),
-        "ring" => writeln!(
-            out,
-            "{place} fill=\"white\" stroke=\"{colour}\" stroke-width=\"1.5\"><circle r=\"4\"/></g>"
-        ),
-        "dot" => writeln!(out, "{place} fill=\"{colour}\"><circle r=\"3.5\"/></g>"),
-        "dotted" => writeln!(
-            out,
-            "{place} stroke=\"{colour}\" stroke-width=\"1.8\" stroke-dasharray=\"1.5 3.5\"><path d=\"M-12 0H12\"/></g>"
-        ),
-        _ => writeln!(
-            out,
-            "{place} fill=\"{colour}\" stroke=\"{colour}\" stroke-width=\"1.8\"><path d=\"M-12 0H12\"/><circle r=\"3\"/></g>"
-        ),
+/// Presets and estimators, with their names beside them.
+fn variants(chart: &mut Chart, area: &Area, left: &[&Point]) -> Drawn {
+    let mut words = Words::default();
+    let pixel = |chart: &Chart, at: &(f64, f64)| {
+        let (x, y) = chart.plotting_area().map_coordinate(at);
+        let (left, top) = area.get_base_pixel();
+        (x - left, y - top)
     };
-}
-
-/// A number of one digit as people write it.
-fn plain(value: f64) -> String {
-    let digit = format!("{value:.0e}");
-    if (1e-4..1e5).contains(&value) { digit.parse().map_or(digit, |x: f64| x.to_string()) } else { digit }
-}
-
-/// What the marks mean.
-fn key(out: &mut String, x: f64, entries: &[(&str, &str, String)]) {
-    for (k, (colour, kind, text)) in entries.iter().enumerate() {
-        let y = LEGEND + LEGEND_LINE * k as f64;
-        symbol(out, x + 12.0, y - 4.0, colour, kind);
-        let _ = writeln!(out, "<text x=\"{:.1}\" y=\"{y:.1}\">{}</text>", x + 32.0, escaped(text));
-    }
-}
-
-/// Text that XML can hold: control characters have no place in it.
-fn escaped(text: &str) -> String {
-    let mut safe = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => safe.push_str("&amp;"),
-            '<' => safe.push_str("&lt;"),
-            '>' => safe.push_str("&gt;"),
-            c if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') => safe.push('\u{fffd}'),
-            c => safe.push(c),
+    for p in left {
+        if let Some(at) = place(p.seconds.total(), p.error) {
+            words.keep_off(pixel(chart, &at), 6.0);
         }
     }
-    safe
+    let mut letters = 'a'..='z';
+    for p in left {
+        let (colour, kind, word) = match p.series {
+            Series::Preset(name) => (PRESET, Mark::Diamond, name.to_uppercase()),
+            Series::Estimator(_) => (ESTIMATOR, Mark::Cross, letters.next().unwrap_or('z').to_string()),
+            _ => continue,
+        };
+        if let Some(at) = place(p.seconds.total(), p.error) {
+            mark(chart, at, colour, kind)?;
+            let corner = words.place(&word, pixel(chart, &at), f64::from(area.dim_in_pixel().0));
+            area.draw(&Text::new(word, corner, text_style(FONT, colour)))?;
+        }
+    }
+    Ok(())
+}
+
+fn mark(chart: &mut Chart, at: (f64, f64), colour: RGBColor, kind: Mark) -> Drawn {
+    let filled = colour.filled();
+    match kind {
+        Mark::Cross => {
+            chart.draw_series([Cross::new(at, 5, colour.stroke_width(2))])?;
+        }
+        Mark::Diamond => {
+            let shape = [(0, -7), (7, 0), (0, 7), (-7, 0)];
+            chart.draw_series([EmptyElement::at(at) + Polygon::new(shape.to_vec(), filled)])?;
+        }
+        Mark::Ring => {
+            let ring = EmptyElement::at(at)
+                + Circle::new((0, 0), 4, WHITE.filled())
+                + Circle::new((0, 0), 4, colour);
+            chart.draw_series([ring])?;
+        }
+        Mark::Dot | Mark::Line | Mark::Dotted => {
+            chart.draw_series([Circle::new(at, 3, filled)])?;
+        }
+    }
+    Ok(())
+}
+
+fn legend(left: &[&Point]) -> Legend {
+    let mut legend = Vec::new();
+    for (line, colour) in LINES.iter().enumerate() {
+        let points: Vec<&&Point> = left.iter().filter(|p| line_of(p) == Some(line)).collect();
+        if let (Some(first), Some(most)) = (points.first(), points.last()) {
+            let rays = format!("{:.0} to {:.0}", first.rays, most.rays);
+            let text =
+                format!("{} patches, {rays} rays each, up to {:.1} MiB", most.patches, mebibytes(most));
+            legend.push((*colour, Mark::Line, text));
+        }
+    }
+    let paths: Vec<&&Point> = left.iter().filter(|p| p.series == Series::PathTracing).collect();
+    if let (Some(first), Some(last)) = (paths.first(), paths.last()) {
+        let text =
+            format!("path tracing with next event, {:.0} to {:.0} paths a patch", first.rays, last.rays);
+        legend.push((PATH, Mark::Line, text));
+    }
+    legend.push((GREY, Mark::Dotted, "the same with the error that the solution itself estimates".into()));
+    let mut letters = 'a'..='z';
+    for p in left {
+        match p.series {
+            Series::Preset(name) => {
+                let mib = mebibytes(p);
+                let text = format!(
+                    "preset {}: {} patches, {:.0} rays, {mib:.1} MiB",
+                    name.to_uppercase(),
+                    p.patches,
+                    p.rays
+                );
+                legend.push((PRESET, Mark::Diamond, text));
+            }
+            Series::Estimator(name) => {
+                let letter = letters.next().unwrap_or('z');
+                let text = format!("{letter}: {name}, {} patches, {:.0} rays", p.patches, p.rays);
+                legend.push((ESTIMATOR, Mark::Cross, text));
+            }
+            _ => {}
+        }
+    }
+    legend
+}
+
+fn solver_legend(right: &[&Point]) -> Legend {
+    let there = SOLVERS.into_iter().filter(|(solver, _)| right.iter().any(|p| p.solver == Some(*solver)));
+    there.map(|(solver, colour)| (colour, Mark::Line, solver.name().to_owned())).collect()
+}
+
+fn mebibytes(point: &Point) -> f64 {
+    point.bytes as f64 / f64::from(1 << 20)
+}
+
+/// Draws what the marks mean.
+fn key(area: &Area, legend: &Legend) -> Drawn {
+    for (k, (colour, kind, text)) in legend.iter().enumerate() {
+        let (x, y) = (84, (LEGEND_LINE * k as u32) as i32 + 10);
+        let (filled, stroke): (ShapeStyle, ShapeStyle) = (colour.filled(), colour.stroke_width(2));
+        match kind {
+            Mark::Cross => area.draw(&Cross::new((x, y), 5, stroke))?,
+            Mark::Diamond => {
+                let shape = [(0, -7), (7, 0), (0, 7), (-7, 0)].map(|(dx, dy)| (x + dx, y + dy));
+                area.draw(&Polygon::new(shape.to_vec(), filled))?;
+            }
+            Mark::Dotted => {
+                for start in [-12, -6, 0, 6] {
+                    area.draw(&PathElement::new(vec![(x + start, y), (x + start + 2, y)], stroke))?;
+                }
+            }
+            Mark::Line | Mark::Dot | Mark::Ring => {
+                area.draw(&PathElement::new(vec![(x - 12, y), (x + 12, y)], stroke))?;
+                area.draw(&Circle::new((x, y), 3, filled))?;
+            }
+        }
+        area.draw(&Text::new(printable(text), (x + 20, y - 8), text_style(FONT, TEXT)))?;
+    }
+    Ok(())
 }

@@ -78,6 +78,8 @@ pub(super) fn replace(scene: &mut Scene, left: &HashMap<u32, Vec<[u32; 3]>>, cut
     let old = std::mem::take(&mut scene.triangles);
     let texcoords = [&mut scene.texcoords, &mut scene.emission_texcoords].map(std::mem::take);
     let colours = std::mem::take(&mut scene.colours);
+    // Pieces have corners that no face of the file has.
+    scene.face_corners.clear();
     let backs = old.len() - scene.backs_of_lamps;
     scene.backs_of_lamps = 0;
     let mut parts = Vec::new();

@@ -14,7 +14,7 @@ pub(crate) mod ply;
 pub mod quadtree;
 mod specular;
 pub mod surfaces;
-mod text;
+pub(crate) mod text;
 mod texture;
 mod triangulate;
 mod warnings;
@@ -124,6 +124,8 @@ pub struct Scene {
     pub colours: Vec<[[f32; 3]; 3]>,
     /// The faces that the triangles come from, in file order; empty unless [`LoadOptions::faces`] asked for them.
     pub faces: Vec<Face>,
+    /// Which corners of its face each triangle has, counted from 0; empty where the reader does not tell.
+    pub face_corners: Vec<[u32; 3]>,
     /// Objects and groups of the faces.
     pub parts: Vec<Part>,
     /// Materials.
@@ -219,8 +221,7 @@ impl Scene {
             Some("obj") => obj::load(path, options),
             Some("ply") => ply::load(path, options),
             Some("gltf" | "glb") => gltf::load(path, options),
-            _ => Err(Error::input(path, None, "unknown kind of scene")
-                .with_hint("the program reads Wavefront .obj, .ply, .gltf and .glb files")),
+            _ => Err(not_a_scene(path, extension.as_deref())),
         }?;
         scene.cut_holes(path)?;
         if !options.keep_overlaps {
@@ -255,6 +256,8 @@ impl Scene {
         }
         let mut keep = kept.iter();
         self.colours.retain(|_| keep.next() == Some(&true));
+        let mut keep = kept.iter();
+        self.face_corners.retain(|_| keep.next() == Some(&true));
         let backs = &kept[kept.len() - self.backs_of_lamps..];
         self.backs_of_lamps = backs.iter().filter(|&&kept| kept).count();
         self.forget_unused_vertices();
@@ -518,6 +521,30 @@ fn quarters([a, b, c]: &[[f64; 3]; 3]) -> [[[f64; 3]; 3]; 4] {
     [[*a, ab, ca], [ab, *b, bc], [ca, bc, *c], [bc, ca, ab]]
 }
 
+/// Says why a path is no scene that can be read, and what to do.
+fn not_a_scene(path: &Path, extension: Option<&str>) -> Error {
+    const READ: &str = "the program reads Wavefront .obj, .ply, .gltf and .glb files";
+    const EXPORT: &str = "open it in a modelling program and export .glb or Wavefront .obj";
+    let error = |message: &str, hint: &str| Error::input(path, None, message).with_hint(hint);
+    if path.is_dir() {
+        return error("this is a directory", "give the scene's file in it");
+    }
+    match extension {
+        None => error("the name has no extension, so the kind of scene is unknown", READ),
+        Some("blend") => {
+            error("Blender's own files are not read", "export it from Blender as .glb or Wavefront .obj")
+        }
+        Some("mtl") => error("this is a material library", "give the .obj file that names it"),
+        Some("fbx") => error("FBX files are not read", EXPORT),
+        Some("dae") => error("COLLADA files are not read", EXPORT),
+        Some("3ds" | "max") => error("3ds Max files are not read", EXPORT),
+        Some("usd" | "usda" | "usdc" | "usdz") => error("USD files are not read", EXPORT),
+        Some("skp" | "ifc" | "step" | "stp" | "dwg" | "dxf") => error("CAD files are not read", EXPORT),
+        Some("xml" | "pbrt" | "rad") => error("scenes of other renderers are not read", EXPORT),
+        Some(_) => error("unknown kind of scene", READ),
+    }
+}
+
 /// The texture coordinates at a point. Corners that share one have it everywhere: interpolated, a rounding would choose between two
 /// texels where it lies on their border.
 fn interpolate(uv: &[DVec2; 3], b: [f64; 3]) -> DVec2 {
@@ -597,6 +624,21 @@ impl SceneBuilder {
         if texcoords.is_some() || !self.scene.texcoords.is_empty() {
             self.scene.texcoords.resize(self.scene.triangles.len() - 1, Default::default());
             self.scene.texcoords.push(texcoords.unwrap_or_default());
+        }
+    }
+
+    /// Adds the next triangle of the file, some corners of a face whose corners are at `points`.
+    pub(crate) fn push_part(
+        &mut self,
+        points: &[DVec3],
+        corners: [usize; 3],
+        material: u32,
+        texcoords: Option<[DVec2; 3]>,
+    ) {
+        let before = self.scene.triangles.len();
+        self.push(corners.map(|i| points[i]), material, texcoords);
+        if !self.scene.faces.is_empty() && self.scene.triangles.len() > before {
+            self.scene.face_corners.push(corners.map(|i| i as u32));
         }
     }
 

@@ -196,7 +196,7 @@ impl Assembly<'_> {
         for triangle in triangles {
             let uv = uv.as_ref().map(|uv| triangle.map(|i| uv[i]));
             let kept = self.builder.scene.triangles.len();
-            self.builder.push(triangle.map(|i| points[i]), material, uv);
+            self.builder.push_part(&points, triangle, material, uv);
             if let Some(colours) = colours.as_ref().filter(|_| self.builder.scene.triangles.len() > kept) {
                 self.colours.resize(kept, [[1.0; 3]; 3]);
                 self.colours.push(triangle.map(|i| colours[i]));

@@ -6,7 +6,7 @@ use std::path::{Component, Path, PathBuf};
 
 /// The file as text: UTF-16 if it has a byte order mark, otherwise UTF-8. Text that is not UTF-8 is read as Latin-1, which
 /// keeps different names different (a replacement character would not).
-pub(super) fn decode(bytes: Vec<u8>) -> String {
+pub(crate) fn decode(bytes: Vec<u8>) -> String {
     let utf_16 = |pair: fn([u8; 2]) -> u16| {
         let units: Vec<u16> = bytes[2..].as_chunks().0.iter().map(|&two| pair(two)).collect();
         String::from_utf16_lossy(&units)
@@ -27,7 +27,7 @@ pub(super) fn decode(bytes: Vec<u8>) -> String {
 
 /// Logical lines, each with the number of its first physical line. LF, CR LF and CR end a line; a backslash at its end
 /// continues it. Comments do not continue, since some end with a Windows path.
-pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
+pub(crate) fn lines(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
     let mut rest = text;
     let mut number = 0;
     std::iter::from_fn(move || {
@@ -66,13 +66,13 @@ fn physical_line<'a>(rest: &mut &'a str) -> &'a str {
 }
 
 /// The keyword of a line and its trimmed rest.
-pub(super) fn split_keyword(line: &str) -> (&str, &str) {
+pub(crate) fn split_keyword(line: &str) -> (&str, &str) {
     let line = line.trim();
     line.split_once(char::is_whitespace).map_or((line, ""), |(key, rest)| (key, rest.trim()))
 }
 
 /// The part before a comment that follows on the same line. Only for lines of numbers: names may contain `#`.
-pub(super) fn without_comment(rest: &str) -> &str {
+pub(crate) fn without_comment(rest: &str) -> &str {
     rest.split_once('#').map_or(rest, |(before, _)| before)
 }
 

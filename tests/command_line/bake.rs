@@ -46,6 +46,7 @@ fn the_files_alone_tell_the_light_at_a_point() {
         .collect();
     names.sort();
     let expected = [
+        ".radiosity",
         "lightmap.exr",
         "lightmap.hdr",
         "lightmap.png",
@@ -58,7 +59,7 @@ fn the_files_alone_tell_the_light_at_a_point() {
     ];
     assert_eq!(names, expected);
     let report = here.json("out/deep/report.json");
-    assert_eq!(report["files"].as_array().unwrap().len(), expected.len() - 1);
+    assert_eq!(report["files"].as_array().unwrap().len(), expected.len() - 2);
     assert_eq!((&report["atlas"]["width"], &report["atlas"]["pages"]), (&128.into(), &1.into()));
 
     // On the floor, on the green and red walls, on top of the short block.
@@ -143,7 +144,7 @@ fn pages_have_their_own_files_and_materials() {
     assert!(pages > 1);
     let materials = String::from_utf8(here.read("out/scene.mtl")).unwrap();
     for page in 2..=pages {
-        assert!(materials.contains(&format!("map_Kd scene-{page}.png")));
+        assert!(materials.contains(&format!("map_Ke scene-{page}.png")));
         assert!(here.path(&format!("out/lightmap-{page}.exr")).exists());
     }
     let scene = Scene::load(here.path("out/scene.obj")).unwrap();
@@ -160,8 +161,10 @@ fn bad_input_is_told_and_leaves_nothing() {
     assert!(errors.contains("there are none"), "{errors}");
     let errors = here.fails(&format!("bake {} -o out --resolution 8", cornell()), 2);
     assert!(errors.contains("8 x 8 texels is too small") && errors.contains("--resolution"), "{errors}");
-    let errors = here.fails(&format!("bake {} -o out --texel 10 --resolution 30", cornell()), 2);
-    assert!(errors.contains("the smallest page that works has a resolution of"), "{errors}");
+    let errors = here.fails("bake scene.obj -o out --density floor=2", 2);
+    assert!(errors.contains("no face of scene.obj has material `floor`"), "{errors}");
+    here.fails("bake scene.obj -o out --density wall=0", 2);
+    here.fails("bake scene.obj -o out --density wall", 2);
     let errors = here.fails(&format!("bake {} -o out --texel 1e-4", cornell()), 2);
     assert!(errors.contains("longer texels (--texel)"), "{errors}");
     here.fails("bake scene.obj -o out --texel 0", 2);
@@ -184,13 +187,77 @@ fn files_of_a_scene_are_never_replaced() {
     let errors = here.fails("bake room.obj -o .", 2);
     assert!(errors.contains("scene.mtl") && errors.contains("no earlier bake wrote"), "{errors}");
     assert_eq!((here.read("room.obj"), here.read("scene.mtl")), before);
-    // What was baked may be baked anew, but not onto itself.
+    // What was baked may be baked anew, also when another program has saved it meanwhile, but not onto itself.
     bake(&here, "room.obj -o out --resolution 32 --final-gather 0");
+    fs::write(here.path("out/scene.obj"), "# saved elsewhere\n").unwrap();
     bake(&here, "room.obj -o out --resolution 40 --final-gather 0");
     assert_eq!(here.json("out/report.json")["atlas"]["width"], 40);
     fs::write(here.path("out/scene.mtl"), MTL).unwrap();
     let errors = here.fails("bake out/scene.obj -o out", 2);
     assert!(errors.contains("would replace the input"), "{errors}");
+    // A file that came there otherwise stays.
+    fs::write(here.path("out/mask.png"), "mine").unwrap();
+    let errors = here.fails("bake room.obj -o out --mask", 2);
+    assert!(errors.contains("mask.png") && errors.contains("no earlier bake wrote"), "{errors}");
+}
+
+/// What a modelling program writes: objects, groups, smoothing, normals, quads, comments, names of materials.
+const LEVEL: &str = "# made by hand\nmtllib level.mtl\no Floor_01\nv 0 0 0\nv 0 0 4\nv 4 0 4\nv 4 0 0\nvn 0 1 0\n\
+    vt 0 0\nvt 0 4\nvt 4 4\nvt 4 0\nusemtl tiles\ns off\nf 1/1/1 2/2/1 3/3/1 4/4/1\n\
+    o Bent\ng cloth folds\nv 1 1 1\nv 2 1 1\nv 2 2 2\nv 1 1 2\nusemtl tiles\ns 1\nf -4/1 -3/2 -2/3 -1/4\n\
+    o Lamp.001\nusemtl lamp\nf 8//1 7//1 6//1\nv 1 3 1\nv 3 3 1\nv 3 3 3\nv 1 3 3\nvn 0 -1 0\nf 9//2 10//2 11//2 12//2\n\
+    f 9 9 10\n# the end\n";
+
+#[test]
+fn the_mesh_that_comes_back_is_the_file_with_other_texture_coordinates() {
+    let here = Here::new("", "");
+    fs::create_dir(here.path("level")).unwrap();
+    fs::write(here.path("level/level.obj"), LEVEL).unwrap();
+    let materials = "newmtl tiles\nKd 0.6 0.5 0.4\nnewmtl lamp\nKd 0 0 0\nKe 10 10 10\n";
+    fs::write(here.path("level/level.mtl"), materials).unwrap();
+    bake(&here, "level/level.obj -o out --resolution 64 --final-gather 0");
+    let text = |name: &str| String::from_utf8(here.read(&format!("out/{name}"))).unwrap();
+    let (map, own) = (text("scene.obj"), text("scene-original-uv.obj"));
+    let but = |text: &str, keywords: &[&str]| -> Vec<String> {
+        let kept = |line: &&str| !keywords.contains(&line.split(' ').next().unwrap());
+        text.lines().filter(kept).map(str::to_owned).collect()
+    };
+    let changed = ["mtllib", "vt", "usemtl", "f"];
+    assert_eq!(but(&map, &changed)[1..], but(LEVEL, &changed));
+    assert_eq!(but(&own, &["mtllib", "f"])[1..], but(LEVEL, &["mtllib", "f"]));
+    assert!(own.contains("mtllib ../level/level.mtl\n"), "{own}");
+
+    // Quads stay quads, but for the one that lies on two charts. Vertices and normals stay, counted from the first.
+    let faces = |text: &str| -> Vec<Vec<(String, String)>> {
+        let corner = |corner: &str| {
+            let mut parts = corner.split('/');
+            let (v, _) = (parts.next().unwrap().to_owned(), parts.next());
+            (v, parts.next().unwrap_or_default().to_owned())
+        };
+        let lines = text.lines().filter_map(|line| line.strip_prefix("f "));
+        lines.map(|line| line.split(' ').map(corner).collect()).collect()
+    };
+    assert_eq!(faces(&map), faces(&own));
+    let of_file = faces(&LEVEL.replace("-4/1 -3/2 -2/3 -1/4", "5/1 6/2 7/3 8/4"));
+    let arities: Vec<usize> = faces(&map).iter().map(Vec::len).collect();
+    assert_eq!(arities, [4, 3, 3, 3, 4, 3]);
+    assert_eq!((&faces(&map)[0], &faces(&map)[3..]), (&of_file[0], &of_file[2..]));
+    for cut in &faces(&map)[1..3] {
+        assert!(cut.iter().all(|corner| of_file[1].contains(corner)), "{cut:?}");
+    }
+
+    // The first is a scene of its own that shines, the second the scene as it was.
+    let [map, own, file] = ["out/scene.obj", "out/scene-original-uv.obj", "level/level.obj"]
+        .map(|name| Scene::load(here.path(name)).unwrap());
+    assert!(map.warnings.is_empty() && own.warnings.is_empty(), "{:?} {:?}", map.warnings, own.warnings);
+    assert_eq!((&own.vertices, &own.texcoords), (&file.vertices, &file.texcoords));
+    assert_eq!(own.materials, file.materials);
+    let names = |scene: &Scene| -> Vec<String> {
+        (0..scene.triangles.len()).map(|t| scene.material(t).name.clone()).collect()
+    };
+    assert_eq!(names(&map), names(&file));
+    assert!(map.materials.iter().all(|m| m.emission == [1.0; 3] && m.reflectance == [0.0; 3]));
+    assert!(map.texcoords.iter().flatten().all(|uv| uv.min_element() >= 0.0 && uv.max_element() <= 1.0));
 }
 
 /// Two signals at once, as timeout(1) sends them: the second does not wait for what stops at the first.

@@ -1,0 +1,276 @@
+//! Triangles of a scene cut smaller, and second copies of triangles for their backs.
+//!
+//! A chart that is longer than a page has no place on it, and one that is almost as long as the page leaves the rest of it
+//! empty. Edges that are too long are halved until none is, on both sides of an edge alike, so that the pieces still share
+//! their vertices. The light is computed on the scene as it is: each piece knows which part of which triangle it is.
+
+use std::collections::HashMap;
+
+use glam::DVec2;
+
+use crate::scene::{Scene, Triangle};
+
+/// Corners of faces from here on are vertices that the file does not have: [`Cut::first_vertex`] is the first.
+pub(super) const NEW_CORNER: u32 = 1 << 31;
+
+/// What a triangle of the cut scene is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Facet {
+    /// The triangle of the scene.
+    pub triangle: u32,
+    /// Where its corners are in that triangle, in barycentric coordinates.
+    pub corners: [[f64; 3]; 3],
+    /// Whether it is a second copy, wound the other way round, for the back.
+    pub turned: bool,
+}
+
+impl Facet {
+    /// Barycentric coordinates in the facet of a point of its triangle.
+    pub(super) fn place(&self, barycentric: [f64; 3]) -> [f64; 3] {
+        let point = |b: [f64; 3]| DVec2::new(b[0], b[1]);
+        let ([a, b, c], p) = (self.corners.map(point), point(barycentric));
+        let whole = (b - a).perp_dot(c - a);
+        [(b - p).perp_dot(c - p), (c - p).perp_dot(a - p), (a - p).perp_dot(b - p)].map(|x| x / whole)
+    }
+}
+
+/// A scene with more triangles at the same place.
+#[derive(Debug, Clone)]
+pub(super) struct Cut {
+    /// Its triangles are the facets. Copies for backs come after the faces of the file, and the backs of lamps last.
+    pub scene: Scene,
+    pub facets: Vec<Facet>,
+    /// The first vertex that the uncut scene does not have.
+    pub first_vertex: usize,
+    /// Where the facets of each triangle begin and end, and those of its second copy.
+    ranges: Vec<[(u32, u32); 2]>,
+}
+
+impl Cut {
+    /// Halves edges longer than `longest`, and copies the triangles that `turned` marks, if any.
+    pub(super) fn new(scene: &Scene, longest: f64, turned: &[bool]) -> Cut {
+        let mut cutter = Cutter { scene, longest, middles: HashMap::new(), cut: Cut::empty(scene) };
+        // The backs of lamps are no faces of the file and stay last.
+        let faces = scene.triangles.len() - scene.backs_of_lamps;
+        (0..faces).for_each(|t| cutter.facets_of(t));
+        let mut copies: HashMap<u32, u32> = HashMap::new();
+        for t in (0..faces).filter(|&t| turned.get(t) == Some(&true)) {
+            let cut = &mut cutter.cut;
+            let start = cut.facets.len() as u32;
+            cut.facets_of(t, false).for_each(|f| cut.turn(f, &mut copies));
+            cut.ranges[t][1] = (start, cut.facets.len() as u32);
+        }
+        let before = cutter.cut.facets.len();
+        (faces..scene.triangles.len()).for_each(|t| cutter.facets_of(t));
+        let mut cut = cutter.cut;
+        cut.scene.backs_of_lamps = cut.facets.len() - before;
+        cut
+    }
+
+    /// Triangles of the uncut scene.
+    pub(super) fn triangles(&self) -> usize {
+        self.ranges.len()
+    }
+
+    /// The facets of a triangle, or of its second copy.
+    pub(super) fn facets_of(&self, t: usize, turned: bool) -> std::ops::Range<usize> {
+        let (start, end) = self.ranges[t][usize::from(turned)];
+        start as usize..end as usize
+    }
+
+    fn empty(scene: &Scene) -> Cut {
+        let bare =
+            Scene { triangles: Vec::new(), texcoords: Vec::new(), face_corners: Vec::new(), ..scene.clone() };
+        Cut { scene: bare, facets: Vec::new(), first_vertex: scene.vertices.len(), ranges: Vec::new() }
+    }
+
+    fn push(&mut self, piece: &Piece, turned: bool, vertices: [u32; 3]) {
+        self.scene.triangles.push(Triangle { vertices, ..piece.triangle });
+        if let Some(texcoords) = piece.texcoords {
+            self.scene.texcoords.push(texcoords);
+        }
+        self.scene.face_corners.push(piece.names);
+        self.facets.push(Facet { triangle: piece.origin, corners: piece.corners, turned });
+    }
+
+    /// Adds a copy of a facet for the back, with vertices of its own: the two sides share no light.
+    fn turn(&mut self, f: usize, copies: &mut HashMap<u32, u32>) {
+        let swap = |[a, b, c]: [u32; 3]| [a, c, b];
+        let triangle = self.scene.triangles[f];
+        let vertices = swap(triangle.vertices).map(|v| {
+            *copies.entry(v).or_insert_with(|| {
+                self.scene.vertices.push(self.scene.vertices[v as usize]);
+                self.scene.vertices.len() as u32 - 1
+            })
+        });
+        let [a, b, c] = self.facets[f].corners;
+        let piece = Piece {
+            triangle,
+            origin: self.facets[f].triangle,
+            corners: [a, c, b],
+            names: swap(self.scene.face_corners[f]),
+            texcoords: self.scene.texcoords.get(f).map(|&[a, b, c]| [a, c, b]),
+        };
+        self.push(&piece, true, vertices);
+    }
+}
+
+/// A triangle on the way to be small enough.
+#[derive(Clone, Copy)]
+struct Piece {
+    triangle: Triangle,
+    origin: u32,
+    corners: [[f64; 3]; 3],
+    /// The corners of the face that its corners are.
+    names: [u32; 3],
+    texcoords: Option<[DVec2; 3]>,
+}
+
+impl Piece {
+    fn whole(scene: &Scene, t: usize) -> Piece {
+        Piece {
+            triangle: scene.triangles[t],
+            origin: t as u32,
+            corners: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            names: scene.face_corners.get(t).copied().unwrap_or([0, 1, 2]),
+            texcoords: scene.texcoords.get(t).copied(),
+        }
+    }
+
+    /// The same triangle that begins with corner `k`.
+    fn turned_to(&self, k: usize) -> Piece {
+        let mut piece = *self;
+        piece.triangle.vertices.rotate_left(k);
+        piece.corners.rotate_left(k);
+        piece.names.rotate_left(k);
+        if let Some(texcoords) = &mut piece.texcoords {
+            texcoords.rotate_left(k);
+        }
+        piece
+    }
+}
+
+/// A corner of a piece: vertex, place in the triangle, corner of the face, texture coordinate.
+type Corner = (u32, [f64; 3], u32, Option<DVec2>);
+
+struct Cutter<'a> {
+    scene: &'a Scene,
+    longest: f64,
+    /// The vertex in the middle of an edge, by the edge's ends in order.
+    middles: HashMap<(u32, u32), u32>,
+    cut: Cut,
+}
+
+impl Cutter<'_> {
+    /// Adds the facets of a triangle.
+    fn facets_of(&mut self, t: usize) {
+        let start = self.cut.facets.len() as u32;
+        self.cut(&Piece::whole(self.scene, t));
+        self.cut.ranges.push([(start, self.cut.facets.len() as u32), (0, 0)]);
+    }
+
+    /// Cuts a piece until all its edges are short enough. Whether an edge is cut depends on the edge alone.
+    fn cut(&mut self, piece: &Piece) {
+        let is_long = [0, 1, 2].map(|k| self.is_long(piece, k));
+        let long = is_long.iter().filter(|&&long| long).count();
+        // Begin where the pattern begins: with the long edge, or after the short one.
+        let first = match long {
+            0 => return self.cut.push(piece, false, piece.triangle.vertices),
+            1 => is_long.iter().position(|&long| long),
+            2 => is_long.iter().position(|&long| !long).map(|k| (k + 1) % 3),
+            _ => Some(0),
+        };
+        let piece = piece.turned_to(first.unwrap_or(0));
+        let [a, b, c] = [0, 1, 2].map(|k| self.corner(&piece, k));
+        let ab = self.middle(a, b);
+        let parts: Vec<[Corner; 3]> = match long {
+            1 => vec![[a, ab, c], [ab, b, c]],
+            2 => {
+                let bc = self.middle(b, c);
+                vec![[ab, b, bc], [a, ab, bc], [a, bc, c]]
+            }
+            _ => {
+                let (bc, ca) = (self.middle(b, c), self.middle(c, a));
+                vec![[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+            }
+        };
+        for corners in parts {
+            let part = Piece {
+                triangle: Triangle { vertices: corners.map(|corner| corner.0), ..piece.triangle },
+                corners: corners.map(|corner| corner.1),
+                names: corners.map(|corner| corner.2),
+                texcoords: piece.texcoords.map(|_| corners.map(|corner| corner.3.unwrap_or_default())),
+                ..piece
+            };
+            self.cut(&part);
+        }
+    }
+
+    fn is_long(&self, piece: &Piece, k: usize) -> bool {
+        let [from, to] =
+            [k, (k + 1) % 3].map(|k| self.cut.scene.vertices[piece.triangle.vertices[k] as usize]);
+        (to - from).length() > self.longest
+    }
+
+    fn corner(&self, piece: &Piece, k: usize) -> Corner {
+        (piece.triangle.vertices[k], piece.corners[k], piece.names[k], piece.texcoords.map(|uv| uv[k]))
+    }
+
+    fn middle(&mut self, a: Corner, b: Corner) -> Corner {
+        let ends = (a.0.min(b.0), a.0.max(b.0));
+        let (vertices, first) = (&mut self.cut.scene.vertices, self.scene.vertices.len());
+        let vertex = *self.middles.entry(ends).or_insert_with(|| {
+            let middle = vertices[ends.0 as usize] * 0.5 + vertices[ends.1 as usize] * 0.5;
+            vertices.push(middle);
+            vertices.len() as u32 - 1
+        });
+        let corner = std::array::from_fn(|k| 0.5 * (a.1[k] + b.1[k]));
+        (vertex, corner, NEW_CORNER | (vertex - first as u32), a.3.zip(b.3).map(|(a, b)| 0.5 * (a + b)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Material;
+    use glam::DVec3;
+
+    #[test]
+    fn pieces_make_up_the_triangles_and_share_their_vertices() {
+        let (x, y) = (DVec3::X, DVec3::Y);
+        let triangles = [([DVec3::ZERO, 9.0 * x, 0.5 * y], 0), ([9.0 * x, 9.0 * x + 0.5 * y, 0.5 * y], 0)];
+        let scene = Scene::new(&triangles, vec![Material::new("m", [0.5; 3], [0.0; 3])]);
+        let cut = Cut::new(&scene, 1.0, &[true, false]);
+        let mut edges = HashMap::new();
+        let mut areas = [0.0; 2];
+        let turned = cut.facets.iter().filter(|facet| facet.turned).count();
+        for (f, facet) in cut.facets.iter().enumerate() {
+            let corners = cut.scene.corners(f);
+            let whole = scene.corners(facet.triangle as usize);
+            for k in 0..3 {
+                assert!((corners[(k + 1) % 3] - corners[k]).length() <= 1.0);
+                let there: DVec3 = (0..3).map(|c| whole[c] * facet.corners[k][c]).sum();
+                assert!((there - corners[k]).length() < 1e-15);
+                if !facet.turned {
+                    let v = cut.scene.triangles[f].vertices;
+                    *edges.entry((v[k], v[(k + 1) % 3])).or_insert(0) += 1;
+                }
+            }
+            let sign = if facet.turned { -1.0 } else { 1.0 };
+            assert!(sign * cut.scene.normal(f).z > 0.0);
+            areas[usize::from(facet.turned)] += cut.scene.area(f);
+        }
+        assert!((areas[0] - 4.5).abs() < 1e-12 && (areas[1] - 2.25).abs() < 1e-12, "{areas:?}");
+        assert!(turned > 9 && turned < cut.facets.len() / 2 + 1);
+        // Every edge is whole on both sides: one of the other direction, or the rim of the rectangle.
+        let is_rim = |v: u32| {
+            let p = cut.scene.vertices[v as usize];
+            p.x == 0.0 || p.x == 9.0 || p.y == 0.0 || p.y == 0.5
+        };
+        assert!(
+            edges
+                .iter()
+                .all(|(&(a, b), &n)| n == 1 && (edges.contains_key(&(b, a)) || is_rim(a) && is_rim(b)))
+        );
+    }
+}

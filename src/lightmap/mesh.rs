@@ -1,0 +1,406 @@
+//! The scene's mesh as an OBJ file, with texture coordinates that address the map or with its own.
+//!
+//! An OBJ file has one set of texture coordinates, and engines want two: the file's own for the materials, and those of the
+//! map. Two files hold them. Their faces and corners are the same in the same order, so that corner k of face i has the
+//! first coordinates in one and the second in the other.
+//!
+//! A scene that was read from an OBJ file is written as a copy of that file. Only texture coordinates, names of material
+//! libraries and, on further pages, of materials change: objects, groups, smoothing groups, normals, comments and polygons
+//! stay as they are. A polygon whose parts lie on different charts is cut into its triangles, in both files. So is one that was
+//! cut to make charts smaller; its new vertices come first in the file. Second copies of faces, for their backs, come last.
+
+use std::{
+    borrow::Cow,
+    collections::{BTreeSet, HashMap},
+    io::{self, Write},
+    ops::Range,
+    path::Path,
+};
+
+use glam::DVec2;
+
+use super::{
+    atlas::{Atlas, NONE},
+    cut::NEW_CORNER,
+};
+use crate::scene::{Part, Scene, text};
+
+/// Whose texture coordinates a mesh has, and which material libraries it names.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Set<'a> {
+    /// Those that address the map.
+    Map(&'a str),
+    /// Those of the scene's file.
+    Own(&'a [String]),
+}
+
+impl Set<'_> {
+    fn libraries(&self) -> Vec<&str> {
+        match *self {
+            Set::Map(library) => vec![library],
+            Set::Own(libraries) => libraries.iter().map(String::as_str).collect(),
+        }
+    }
+}
+
+/// Writes the mesh.
+pub(super) fn write(scene: &Scene, atlas: &Atlas, set: Set, out: &mut dyn Write) -> io::Result<()> {
+    let what = match set {
+        Set::Map(_) => "texture coordinates address the lightmap, v upwards",
+        Set::Own(_) => "the faces and corners of scene.obj with the scene's own texture coordinates",
+    };
+    writeln!(out, "# radiosity bake: {what}")?;
+    for library in set.libraries() {
+        writeln!(out, "mtllib {library}")?;
+    }
+    let mesh = Mesh { scene: atlas.scene(scene), atlas, set };
+    let is_obj = |file: &&std::path::PathBuf| file.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
+    match scene.files.first().filter(is_obj) {
+        Some(source) if !scene.faces.is_empty() && scene.face_corners.len() == scene.triangles.len() => {
+            mesh.copy(source, out)
+        }
+        _ => mesh.write(out),
+    }
+}
+
+/// The name of the material in scene.mtl of a facet on its page; `facets` is their scene.
+pub(super) fn material_name<'a>(facets: &'a Scene, atlas: &Atlas, t: usize) -> Cow<'a, str> {
+    let name = facets.material(t).name.as_str();
+    match atlas.page[t] {
+        0 => name.into(),
+        page => format!("{name} page {}", page + 1).into(),
+    }
+}
+
+struct Mesh<'a> {
+    /// The scene of the facets.
+    scene: &'a Scene,
+    atlas: &'a Atlas,
+    set: Set<'a>,
+}
+
+/// A polygon, or a triangle of one that is cut.
+struct Outline {
+    /// A facet that is part of it; none where all of it is without area.
+    facet: Option<usize>,
+    /// Corners of the face, or new ones, and the texture coordinate of the map that each has.
+    corners: Vec<(u32, Option<u32>)>,
+}
+
+/// A corner of a face of the file: where it stands in the file that is written, counted from 1.
+#[derive(Debug, Clone, Copy)]
+struct Word {
+    vertex: i64,
+    coordinate: Option<i64>,
+    normal: Option<i64>,
+}
+
+/// What has been read of a file, to tell what its indices mean.
+#[derive(Debug, Default)]
+struct Words {
+    vertices: i64,
+    coordinates: i64,
+    normals: i64,
+    /// Vertices and texture coordinates that come before the file's own.
+    new: [usize; 2],
+}
+
+impl Words {
+    fn count(&mut self, keyword: &str) {
+        match keyword {
+            "v" => self.vertices += 1,
+            "vt" => self.coordinates += 1,
+            "vn" => self.normals += 1,
+            _ => {}
+        }
+    }
+
+    /// The corners of a face.
+    fn of(&self, rest: &str) -> Vec<Word> {
+        let index = |text: Option<&str>, so_far: i64, new: usize| -> Option<i64> {
+            let index: i64 = text?.parse().ok()?;
+            Some(new as i64 + if index < 0 { so_far + 1 + index } else { index })
+        };
+        let word = |word: &str| {
+            let mut parts = word.split('/');
+            let vertex = index(parts.next(), self.vertices, self.new[0]);
+            let coordinate = index(parts.next(), self.coordinates, self.new[1]);
+            Word { vertex: vertex.unwrap_or(0), coordinate, normal: index(parts.next(), self.normals, 0) }
+        };
+        text::without_comment(rest).split_whitespace().map(word).collect()
+    }
+}
+
+/// What the scene's file does not have, because its triangles are cut.
+#[derive(Debug, Default)]
+struct New {
+    /// Vertices of the cut scene.
+    vertices: Vec<u32>,
+    /// Texture coordinates of the file's kind, each once.
+    coordinates: Vec<DVec2>,
+    /// Which of them a corner of a facet has.
+    of_corner: HashMap<(usize, usize), usize>,
+}
+
+impl New {
+    fn of(atlas: &Atlas) -> New {
+        let mut new = New::default();
+        let Some(cut) = &atlas.cut else { return new };
+        let (mut vertices, mut known) = (BTreeSet::new(), HashMap::new());
+        for (f, names) in cut.scene.face_corners.iter().enumerate() {
+            for k in (0..3).filter(|&k| names[k] & NEW_CORNER != 0) {
+                vertices.insert(cut.first_vertex as u32 + (names[k] & !NEW_CORNER));
+                if let Some(uv) = cut.scene.texcoords.get(f).map(|uv| uv[k]) {
+                    let next = new.coordinates.len();
+                    let index = *known.entry(uv.to_array().map(f64::to_bits)).or_insert(next);
+                    if index == next {
+                        new.coordinates.push(uv);
+                    }
+                    new.of_corner.insert((f, k), index);
+                }
+            }
+        }
+        new.vertices = vertices.into_iter().collect();
+        new
+    }
+}
+
+impl Mesh<'_> {
+    /// A copy of the OBJ file that the scene comes from.
+    fn copy(&self, source: &Path, out: &mut dyn Write) -> io::Result<()> {
+        let of_source = |e: io::Error| io::Error::new(e.kind(), format!("{}: {e}", source.display()));
+        let changed = || {
+            of_source(io::Error::new(io::ErrorKind::InvalidData, "the file has changed since it was read"))
+        };
+        let source_text = text::decode(std::fs::read(source).map_err(of_source)?);
+        let new = New::of(self.atlas);
+        let is_map = matches!(self.set, Set::Map(_));
+        for &vertex in &new.vertices {
+            let v = self.scene.vertices[vertex as usize];
+            writeln!(out, "v {} {} {}", v.x, v.y, v.z)?;
+        }
+        match is_map {
+            true => self.coordinates(&self.atlas.coordinates, out)?,
+            false => new.coordinates.iter().try_for_each(|uv| writeln!(out, "vt {} {}", uv.x, uv.y))?,
+        }
+        let mut words = Words { new: [new.vertices.len(), new.coordinates.len()], ..Words::default() };
+        let (mut faces, mut used) = (self.faces().peekable(), None);
+        let mut seconds = Vec::new();
+        for (number, line) in text::lines(&source_text) {
+            let (keyword, rest) = text::split_keyword(&line);
+            match keyword {
+                "mtllib" => {}
+                "vt" | "usemtl" if is_map => {}
+                "f" | "fo" => {
+                    let of_line =
+                        |face: &(usize, Range<usize>)| self.scene.faces[face.0].line == Some(number);
+                    // Faces with fewer than three corners are none of the scene's.
+                    let Some((_, facets)) = faces.next_if(of_line) else { continue };
+                    let corners = words.of(rest);
+                    for outline in self.outlines(facets.clone(), corners.len()) {
+                        self.face(&outline, (&corners, &new), &mut used, out)?.ok_or_else(changed)?;
+                    }
+                    if let Some(cut) = &self.atlas.cut {
+                        let triangles =
+                            cut.facets[facets.clone()].iter().map(|facet| facet.triangle as usize);
+                        let copies: BTreeSet<usize> =
+                            triangles.flat_map(|t| cut.facets_of(t, true)).collect();
+                        if !copies.is_empty() {
+                            seconds.push((corners, copies));
+                        }
+                    }
+                }
+                // The texture coordinates of lines are gone.
+                "l" | "p" if is_map || !new.vertices.is_empty() => {
+                    let corners = words.of(rest);
+                    let bare = corners.iter().map(|corner| corner.vertex.to_string());
+                    writeln!(out, "{keyword} {}", bare.collect::<Vec<_>>().join(" "))?;
+                }
+                _ => {
+                    words.count(keyword);
+                    writeln!(out, "{line}")?;
+                }
+            }
+            if is_map && keyword == "vt" {
+                words.count(keyword);
+            }
+        }
+        for (corners, copies) in seconds {
+            for f in copies {
+                let outline = self.triangle(f, None);
+                self.face(&outline, (&corners, &new), &mut used, out)?.ok_or_else(changed)?;
+            }
+        }
+        if faces.next().is_some() { Err(changed()) } else { Ok(()) }
+    }
+
+    /// Writes a face of the file or a triangle of it; `None` where the file has changed.
+    fn face(
+        &self,
+        outline: &Outline,
+        (corners, new): (&[Word], &New),
+        used: &mut Option<String>,
+        out: &mut dyn Write,
+    ) -> io::Result<Option<()>> {
+        let is_map = matches!(self.set, Set::Map(_));
+        let is_there =
+            |&(corner, _): &(u32, Option<u32>)| corner & NEW_CORNER != 0 || (corner as usize) < corners.len();
+        if corners.is_empty() || !outline.corners.iter().all(is_there) {
+            return Ok(None);
+        }
+        self.use_material(outline, used, out)?;
+        write!(out, "f")?;
+        for (k, &(corner, coordinate)) in outline.corners.iter().enumerate() {
+            let is_new = corner & NEW_CORNER != 0;
+            // A new corner has the normal of another one of its face.
+            let word = &corners[if is_new { k % corners.len() } else { corner as usize }];
+            let vertex = if is_new { i64::from(corner & !NEW_CORNER) + 1 } else { word.vertex };
+            let own = match outline.facet.filter(|_| is_new) {
+                Some(f) => {
+                    new.of_corner.get(&(f, k)).filter(|_| word.coordinate.is_some()).map(|i| *i as i64 + 1)
+                }
+                None => word.coordinate,
+            };
+            // Without a place in the map: the last coordinate, which is there for it.
+            let map = coordinate.map_or(self.atlas.coordinates.len(), |i| i as usize) as i64 + 1;
+            let coordinate = if is_map { Some(map) } else { own };
+            match (coordinate, word.normal) {
+                (Some(vt), Some(normal)) => write!(out, " {vertex}/{vt}/{normal}")?,
+                (Some(vt), None) => write!(out, " {vertex}/{vt}")?,
+                (None, Some(normal)) => write!(out, " {vertex}//{normal}")?,
+                (None, None) => write!(out, " {vertex}")?,
+            }
+        }
+        writeln!(out)?;
+        Ok(Some(()))
+    }
+
+    /// The scene's faces and the triangles of each that have an area.
+    fn faces(&self) -> impl Iterator<Item = (usize, Range<usize>)> {
+        let Scene { faces, triangles, .. } = self.scene;
+        let firsts = (0..triangles.len()).take_while(|&f| !self.atlas.is_second(f)).count();
+        let triangles = &triangles[..firsts];
+        let mut start = 0;
+        (0..faces.len()).map(move |i| {
+            let next = faces.get(i + 1).map_or(u32::MAX, |face| face.first);
+            let end = start + triangles[start..].iter().take_while(|t| t.source < next).count();
+            (i, std::mem::replace(&mut start, end)..end)
+        })
+    }
+
+    /// A face of `arity` corners as one polygon where each corner has one texture coordinate, else as triangles.
+    fn outlines(&self, facets: Range<usize>, arity: usize) -> Vec<Outline> {
+        let mut coordinates = vec![None; arity];
+        let mut agree = true;
+        for f in facets.clone() {
+            for (corner, new) in self.scene.face_corners[f].into_iter().zip(self.atlas.corners[f]) {
+                match coordinates.get_mut(corner as usize) {
+                    Some(known) if self.is_mapped(f) => {
+                        agree &= known.replace(new).is_none_or(|old| old == new)
+                    }
+                    Some(_) => {}
+                    // A new corner.
+                    None => agree = false,
+                }
+            }
+        }
+        let any = coordinates.iter().copied().find_map(|coordinate| coordinate);
+        if agree {
+            let corners = (0..).zip(coordinates).map(|(corner, coordinate)| (corner, coordinate.or(any)));
+            let facet = facets.clone().find(|&f| self.is_mapped(f)).or(facets.clone().next());
+            return vec![Outline { facet, corners: corners.collect() }];
+        }
+        facets.map(|f| self.triangle(f, any)).collect()
+    }
+
+    fn is_mapped(&self, f: usize) -> bool {
+        self.atlas.chart[f] != NONE
+    }
+
+    /// A facet by itself; without a place in the map its corners have `other` coordinates.
+    fn triangle(&self, f: usize, other: Option<u32>) -> Outline {
+        let corners = self.scene.face_corners[f].into_iter().zip(self.atlas.corners[f]);
+        let corners = corners.map(|(corner, new)| (corner, self.is_mapped(f).then_some(new).or(other)));
+        Outline { facet: Some(f), corners: corners.collect() }
+    }
+
+    fn use_material(
+        &self,
+        outline: &Outline,
+        used: &mut Option<String>,
+        out: &mut dyn Write,
+    ) -> io::Result<()> {
+        // The file's own statements are there where its own texture coordinates are.
+        let is_there = |f: &usize| {
+            matches!(self.set, Set::Own(_)) && !outline.corners.is_empty() && !self.atlas.is_second(*f)
+        };
+        let Some(f) = outline.facet.filter(|f| !is_there(f)) else { return Ok(()) };
+        let name = match self.set {
+            Set::Map(_) => material_name(self.scene, self.atlas, f),
+            Set::Own(_) => self.scene.material(f).name.as_str().into(),
+        };
+        if used.as_deref() != Some(&*name) {
+            writeln!(out, "usemtl {name}")?;
+            *used = Some(name.into_owned());
+        }
+        Ok(())
+    }
+
+    fn coordinates(&self, coordinates: &[DVec2], out: &mut dyn Write) -> io::Result<()> {
+        for uv in coordinates {
+            writeln!(out, "vt {} {}", uv.x, uv.y)?;
+        }
+        // For faces without a place in the map.
+        writeln!(out, "vt 0 0")
+    }
+
+    /// The triangles, by object and group where the scene has such.
+    fn write(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Scene { vertices, triangles, faces, parts, .. } = self.scene;
+        for v in vertices {
+            writeln!(out, "v {} {} {}", v.x, v.y, v.z)?;
+        }
+        let own;
+        let (coordinates, corners): (&[DVec2], &[[u32; 3]]) = match self.set {
+            Set::Map(_) => (&self.atlas.coordinates, &self.atlas.corners),
+            Set::Own(_) => {
+                own = own_coordinates(self.scene);
+                (&own.0, &own.1)
+            }
+        };
+        self.coordinates(coordinates, out)?;
+        let nothing = Part::default();
+        let (mut used, mut part, mut face) = (None, &nothing, 0);
+        for (t, triangle) in triangles.iter().enumerate() {
+            while faces.get(face + 1).is_some_and(|next| next.first <= triangle.source) {
+                face += 1;
+            }
+            let here = faces.get(face).and_then(|face| parts.get(face.part as usize)).unwrap_or(&nothing);
+            for (keyword, before, now) in [("o", &part.object, &here.object), ("g", &part.group, &here.group)]
+            {
+                if before != now {
+                    writeln!(out, "{keyword} {}", now.as_deref().unwrap_or_default())?;
+                }
+            }
+            part = here;
+            self.use_material(&Outline { facet: Some(t), corners: Vec::new() }, &mut used, out)?;
+            let [a, b, c] = triangle.vertices.map(|v| v + 1);
+            let [ta, tb, tc] = corners[t].map(|i| i + 1);
+            writeln!(out, "f {a}/{ta} {b}/{tb} {c}/{tc}")?;
+        }
+        Ok(())
+    }
+}
+
+/// The scene's own texture coordinates, each once, and those of each triangle's corners.
+fn own_coordinates(scene: &Scene) -> (Vec<DVec2>, Vec<[u32; 3]>) {
+    let (mut known, mut coordinates) = (HashMap::new(), Vec::new());
+    let mut corner = |uv: DVec2| {
+        *known.entry(uv.to_array().map(f64::to_bits)).or_insert_with(|| {
+            coordinates.push(uv);
+            coordinates.len() as u32 - 1
+        })
+    };
+    let corners = scene.texcoords.iter().map(|uv| uv.map(&mut corner)).collect();
+    (coordinates, corners)
+}
