@@ -1,10 +1,10 @@
 //! Triangles of a scene cut smaller, and second copies of triangles for their backs.
 //!
 //! A chart that is longer than a page has no place on it, and one that is almost as long as the page leaves the rest of it
-//! empty. Edges that are too long are halved until none is, on both sides of an edge alike, so that the pieces still share
-//! their vertices. The light is computed on the scene as it is: each piece knows which part of which triangle it is.
+//! empty. Where a surface is longer than charts may be, edges that are too long are halved until none is, on both sides of an
+//! edge alike, so that the pieces still share their vertices. The light is computed on the scene as it is: each piece knows which part of which triangle it is.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::DVec2;
 
@@ -47,9 +47,13 @@ pub(super) struct Cut {
 }
 
 impl Cut {
-    /// Halves edges longer than `longest`, and copies the triangles that `turned` marks, if any.
-    pub(super) fn new(scene: &Scene, longest: f64, turned: &[bool]) -> Cut {
-        let mut cutter = Cutter { scene, longest, middles: HashMap::new(), cut: Cut::empty(scene) };
+    /// Halves edges longer than `longest` of the triangles that `long` marks, and copies those that `turned` marks, if any.
+    pub(super) fn new(scene: &Scene, longest: f64, long: &[bool], turned: &[bool]) -> Cut {
+        let of = |t: usize| scene.triangles[t].vertices;
+        let edges = |t: usize| [0, 1, 2].map(|k| ends(of(t)[k], of(t)[(k + 1) % 3]));
+        let shared = (0..long.len()).filter(|&t| long[t]).flat_map(edges).collect();
+        let mut cutter =
+            Cutter { scene, longest, long, shared, middles: HashMap::new(), cut: Cut::empty(scene) };
         // The backs of lamps are no faces of the file and stay last.
         let faces = scene.triangles.len() - scene.backs_of_lamps;
         (0..faces).for_each(|t| cutter.facets_of(t));
@@ -106,6 +110,7 @@ impl Cut {
         let [a, b, c] = self.facets[f].corners;
         let piece = Piece {
             triangle,
+            is_long: false,
             origin: self.facets[f].triangle,
             corners: [a, c, b],
             names: swap(self.scene.face_corners[f]),
@@ -115,10 +120,17 @@ impl Cut {
     }
 }
 
+/// An edge, whichever way it is run through.
+fn ends(a: u32, b: u32) -> (u32, u32) {
+    (a.min(b), a.max(b))
+}
+
 /// A triangle on the way to be small enough.
 #[derive(Clone, Copy)]
 struct Piece {
     triangle: Triangle,
+    /// Whether it is of a surface that is too long.
+    is_long: bool,
     origin: u32,
     corners: [[f64; 3]; 3],
     /// The corners of the face that its corners are.
@@ -130,6 +142,7 @@ impl Piece {
     fn whole(scene: &Scene, t: usize) -> Piece {
         Piece {
             triangle: scene.triangles[t],
+            is_long: false,
             origin: t as u32,
             corners: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             names: scene.face_corners.get(t).copied().unwrap_or([0, 1, 2]),
@@ -156,6 +169,9 @@ type Corner = (u32, [f64; 3], u32, Option<DVec2>);
 struct Cutter<'a> {
     scene: &'a Scene,
     longest: f64,
+    long: &'a [bool],
+    /// Edges of surfaces that are too long: they are halved on both sides.
+    shared: HashSet<(u32, u32)>,
     /// The vertex in the middle of an edge, by the edge's ends in order.
     middles: HashMap<(u32, u32), u32>,
     cut: Cut,
@@ -165,7 +181,7 @@ impl Cutter<'_> {
     /// Adds the facets of a triangle.
     fn facets_of(&mut self, t: usize) {
         let start = self.cut.facets.len() as u32;
-        self.cut(&Piece::whole(self.scene, t));
+        self.cut(&Piece { is_long: self.long.get(t) == Some(&true), ..Piece::whole(self.scene, t) });
         self.cut.ranges.push([(start, self.cut.facets.len() as u32), (0, 0)]);
     }
 
@@ -207,9 +223,9 @@ impl Cutter<'_> {
     }
 
     fn is_long(&self, piece: &Piece, k: usize) -> bool {
-        let [from, to] =
-            [k, (k + 1) % 3].map(|k| self.cut.scene.vertices[piece.triangle.vertices[k] as usize]);
-        (to - from).length() > self.longest
+        let [a, b] = [k, (k + 1) % 3].map(|k| piece.triangle.vertices[k]);
+        let [from, to] = [a, b].map(|v| self.cut.scene.vertices[v as usize]);
+        (piece.is_long || self.shared.contains(&ends(a, b))) && (to - from).length() > self.longest
     }
 
     fn corner(&self, piece: &Piece, k: usize) -> Corner {
@@ -217,13 +233,16 @@ impl Cutter<'_> {
     }
 
     fn middle(&mut self, a: Corner, b: Corner) -> Corner {
-        let ends = (a.0.min(b.0), a.0.max(b.0));
+        let ends = ends(a.0, b.0);
         let (vertices, first) = (&mut self.cut.scene.vertices, self.scene.vertices.len());
         let vertex = *self.middles.entry(ends).or_insert_with(|| {
             let middle = vertices[ends.0 as usize] * 0.5 + vertices[ends.1 as usize] * 0.5;
             vertices.push(middle);
             vertices.len() as u32 - 1
         });
+        if self.shared.contains(&ends) {
+            self.shared.extend([self::ends(a.0, vertex), self::ends(vertex, b.0)]);
+        }
         let corner = std::array::from_fn(|k| 0.5 * (a.1[k] + b.1[k]));
         (vertex, corner, NEW_CORNER | (vertex - first as u32), a.3.zip(b.3).map(|(a, b)| 0.5 * (a + b)))
     }
@@ -240,7 +259,7 @@ mod tests {
         let (x, y) = (DVec3::X, DVec3::Y);
         let triangles = [([DVec3::ZERO, 9.0 * x, 0.5 * y], 0), ([9.0 * x, 9.0 * x + 0.5 * y, 0.5 * y], 0)];
         let scene = Scene::new(&triangles, vec![Material::new("m", [0.5; 3], [0.0; 3])]);
-        let cut = Cut::new(&scene, 1.0, &[true, false]);
+        let cut = Cut::new(&scene, 1.0, &[true; 2], &[true, false]);
         let mut edges = HashMap::new();
         let mut areas = [0.0; 2];
         let turned = cut.facets.iter().filter(|facet| facet.turned).count();

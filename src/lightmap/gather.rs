@@ -26,7 +26,8 @@ use crate::{
 const REPLICATES: u32 = 4;
 /// Rays that decide whether a point is inside a solid, where some ray of its texel suggests it.
 const PROBES: u32 = 16;
-/// Walks that look for light from a point that seems to be inside a solid, and the hits of each.
+/// Walks that look for light from a point that seems to be inside a solid where nothing is gathered; else one a sample. And
+/// the hits of each.
 const WALKS: u32 = 4;
 const STEPS: u32 = 16;
 /// Points of a texel that all must be inside a solid for it to be hidden, where nothing is gathered.
@@ -73,7 +74,7 @@ pub fn gather(
     (0..coverage.len())
         .into_par_iter()
         .with_min_len(super::texels::STRETCH)
-        .map_init(Default::default, |(parts, gathered): &mut (Vec<_>, Vec<_>), i| {
+        .map_init(Default::default, |(parts, gathered): &mut (Vec<_>, Vec<Sample>), i| {
             progress.check()?;
             let surface = Surface::new(parts, atlas, coverage, i);
             let (tile, number) = tile(atlas, coverage.texels()[i]);
@@ -88,14 +89,15 @@ pub fn gather(
                     let mut samples = Samples::new(s, seed);
                     let at = surface.receiver(tracer, sides, &mut samples);
                     let found = source.gather(at, &mut samples);
-                    gathered.push((k as usize, at, mix(&[seed, s.into(), PROBE_SEED]), found));
+                    let seed = mix(&[seed, s.into(), PROBE_SEED]);
+                    gathered.push(Sample { replicate: k as usize, at, seed, found });
                 }
             }
-            let suspect = gathered.iter().any(|(.., found)| met_back(found));
+            let buried = buried(source, tracer, gathered);
             let mut replicates = [Replicate::default(); REPLICATES as usize];
-            for (k, at, seed, found) in gathered {
-                if !(suspect && is_buried(source, tracer, *at, *seed)) {
-                    replicates[*k].add(found);
+            for (sample, buried) in gathered.iter().zip(buried) {
+                if !buried {
+                    replicates[sample.replicate].add(&sample.found);
                 }
             }
             progress.advance(u64::from(each * REPLICATES));
@@ -146,13 +148,42 @@ fn met_back(found: &Gathered) -> bool {
     found.hit.is_some_and(|hit| !hit.front)
 }
 
-/// Whether a place is inside a solid: rays meet backs, next to all of them; and walks from there, from hit to hit, find neither
-/// a point that an emitter shines on nor a way out of the scene. That the backs be dark is not asked for: patches that reach
-/// under a wall carry some light there.
-fn is_buried(source: &FinalGather, tracer: &Tracer, at: Receiver, seed: u64) -> bool {
+/// A sample of a texel.
+struct Sample {
+    replicate: usize,
+    at: Receiver,
+    /// For the rays that look whether it is inside a solid.
+    seed: u64,
+    found: Gathered,
+}
+
+/// Which samples of a texel are inside a solid. Those that seem to be are in one region, most likely: if light is found from
+/// one of them, none is inside a solid.
+fn buried(source: &FinalGather, tracer: &Tracer, samples: &[Sample]) -> Vec<bool> {
+    if !samples.iter().any(|sample| met_back(&sample.found)) {
+        return vec![false; samples.len()];
+    }
+    let inside: Vec<bool> = samples.iter().map(|s| seems_inside(source, s.at, s.seed)).collect();
+    let mut there = samples.iter().zip(&inside).filter(|(_, inside)| **inside).map(|(sample, _)| sample);
+    match there.all(|s| is_dark(source, tracer, s.at, (PROBES, s.seed))) {
+        true => inside,
+        false => vec![false; samples.len()],
+    }
+}
+
+/// Whether a place seems to be inside a solid: rays meet backs, next to all of them, and no emitter shines on it. That the
+/// backs be dark is not asked for: patches that reach under a wall carry some light there.
+fn seems_inside(source: &FinalGather, at: Receiver, seed: u64) -> bool {
     let is_inside = |found: &Gathered| found.direct == [0.0; 3] && met_back(found);
     let inside = (0..PROBES).filter(|&s| is_inside(&source.gather(at, &mut Samples::new(s, seed)))).count();
-    inside + 1 >= PROBES as usize && (0..WALKS).all(|walk| is_dark(source, tracer, at, (PROBES + walk, seed)))
+    inside + 1 >= PROBES as usize
+}
+
+/// Whether a place is inside a solid: it seems so, and walks from there, from hit to hit, find neither a point that an emitter
+/// shines on nor a way out of the scene.
+fn is_buried(source: &FinalGather, tracer: &Tracer, at: Receiver, seed: u64) -> bool {
+    seems_inside(source, at, seed)
+        && (0..WALKS).all(|walk| is_dark(source, tracer, at, (PROBES + walk, seed)))
 }
 
 /// Whether a walk from a place finds no light within its steps.

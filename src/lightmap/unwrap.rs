@@ -7,7 +7,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use uvunwrap::{Density, MeshInput, Options};
 
 use super::{
@@ -70,32 +70,24 @@ impl<'a> Unwrapper<'a> {
     /// `longest` is how long charts may be, about, where they are to be split.
     fn new(scene: &'a Scene, tracer: &'a Tracer, options: &'a AtlasOptions, longest: Option<f64>) -> Self {
         let has_copies = options.two_sided.contains(&true);
+        let long = longest.map(|longest| longer(scene, &surfaces(scene, options), longest));
         // Pieces reach beyond the cell that their middle is in, by up to two thirds of an edge on each side.
         let edge = longest.map_or(f64::INFINITY, |longest| 0.42 * longest);
-        let cut = (longest.is_some() || has_copies).then(|| Cut::new(scene, edge, &options.two_sided));
+        let cut = (long.is_some() || has_copies)
+            .then(|| Cut::new(scene, edge, long.as_deref().unwrap_or_default(), &options.two_sided));
         let facets = cut.as_ref().map_or(scene, |cut| &cut.scene);
-        let mut sets = DisjointSets::new(facets.triangles.len());
-        for [e, f] in smooth_edges(facets, CREASE) {
-            let (t, u) = (e as usize / 3, f as usize / 3);
-            // Where a lamp is flush with a wall, what leaves is not continuous though what arrives is: viewers that
-            // show the map would blur the lamp's edge. Where densities differ there is no common chart.
-            let factor = |t: usize| options.factor(facets.triangles[t].material);
-            if facets.emits(t) == facets.emits(u) && factor(t) == factor(u) {
-                sets.unite(t, u);
-            }
-        }
         let mut unwrapper = Unwrapper {
             scene,
             tracer,
             options,
             positions: facets.vertices.iter().map(|&v| tracer.to_unit(v).to_array()).collect(),
             groups: Vec::new(),
-            surfaces: sets.numbers().0,
+            surfaces: surfaces(facets, options),
             polygons: polygons(scene, cut.as_ref()),
             cut,
         };
-        if let Some(longest) = longest {
-            unwrapper.split(0.42 * longest);
+        if let Some(long) = long {
+            unwrapper.split(edge, &long);
         }
         let facets = unwrapper.facets();
         let mut groups: BTreeMap<u64, (f64, Vec<u32>)> = BTreeMap::new();
@@ -111,10 +103,15 @@ impl<'a> Unwrapper<'a> {
         self.cut.as_ref().map_or(self.scene, |cut| &cut.scene)
     }
 
-    /// Lets no chart run from one cell of a grid to another. A polygon is where its first triangle is.
-    fn split(&mut self, cell: f64) {
+    /// Lets no chart of the triangles that `long` marks run from one cell of a grid to another. A polygon is where its first
+    /// triangle is.
+    fn split(&mut self, cell: f64, long: &[bool]) {
         let facets = self.facets();
+        let is_long = |f: usize| long[self.cut.as_ref().map_or(f, |cut| cut.facets[f].triangle as usize)];
         let place = |f: usize| {
+            if !is_long(f) {
+                return [0; 3];
+            }
             let [a, b, c] = facets.corners(f);
             (((a + b + c) / 3.0) / cell).floor().to_array().map(|x| x as i64)
         };
@@ -323,6 +320,38 @@ impl<'a> Unwrapper<'a> {
     }
 }
 
+/// The surface of each triangle: what may be one chart.
+fn surfaces(facets: &Scene, options: &AtlasOptions) -> Vec<u32> {
+    let mut sets = DisjointSets::new(facets.triangles.len());
+    for [e, f] in smooth_edges(facets, CREASE) {
+        let (t, u) = (e as usize / 3, f as usize / 3);
+        // Where a lamp is flush with a wall, what leaves is not continuous though what arrives is: viewers that
+        // show the map would blur the lamp's edge. Where densities differ there is no common chart.
+        let factor = |t: usize| options.factor(facets.triangles[t].material);
+        if facets.emits(t) == facets.emits(u) && factor(t) == factor(u) {
+            sets.unite(t, u);
+        }
+    }
+    sets.numbers().0
+}
+
+/// Which triangles are of a surface that is longer than this.
+fn longer(scene: &Scene, surfaces: &[u32], longest: f64) -> Vec<bool> {
+    let count = surfaces.iter().max().map_or(0, |most| *most as usize + 1);
+    let mut boxes = vec![[DVec3::INFINITY, DVec3::NEG_INFINITY]; count];
+    for (t, &surface) in surfaces.iter().enumerate() {
+        for corner in scene.corners(t) {
+            let [low, high] = &mut boxes[surface as usize];
+            (*low, *high) = (low.min(corner), high.max(corner));
+        }
+    }
+    let is_long = |surface: &u32| {
+        let [low, high] = boxes[*surface as usize];
+        (high - low).max_element() > longest
+    };
+    surfaces.iter().map(is_long).collect()
+}
+
 /// Texels that hold surface, about.
 fn used(made: &uvunwrap::Atlas) -> f64 {
     f64::from(made.utilization)
@@ -356,11 +385,16 @@ fn polygons(scene: &Scene, cut: Option<&Cut>) -> Vec<u32> {
             face
         })
         .collect();
-    let (faces, triangles) = (scene.faces.len(), scene.triangles.len());
+    let triangles = scene.triangles.len();
+    // What is left of a face after holes and hidden parts were cut away may be in several pieces.
+    let faces = if scene.face_corners.len() == triangles { scene.faces.len() } else { 0 };
+    if faces == 0 {
+        return (0..cut.map_or(triangles, |cut| cut.facets.len()) as u32).collect();
+    }
     let Some(cut) = cut else {
-        return (0..triangles).map(|t| if faces > 0 { face_of[t] } else { t } as u32).collect();
+        return face_of.into_iter().map(|face| face as u32).collect();
     };
-    let mut is_whole = vec![faces > 0; faces.max(1)];
+    let mut is_whole = vec![true; faces];
     for t in 0..triangles {
         is_whole[face_of[t]] &= cut.facets_of(t, false).len() == 1;
     }
