@@ -15,8 +15,8 @@ use radiosity::{
 
 /// Kinds of files that scenes consist of. A text output may not have such a name, because the file might belong to another scene.
 /// The files of this scene are compared with each output once they are known (`pipeline::read`).
-const INPUT_KINDS: [&str; 13] =
-    ["obj", "mtl", "gltf", "glb", "bin", "png", "jpg", "jpeg", "tga", "bmp", "exr", "hdr", "dds"];
+const INPUT_KINDS: [&str; 14] =
+    ["obj", "stl", "mtl", "gltf", "glb", "bin", "png", "jpg", "jpeg", "tga", "bmp", "exr", "hdr", "dds"];
 
 /// The output file of a mesh.
 pub fn mesh(path: &Path, scene: &Path) -> Result<OutputFile> {

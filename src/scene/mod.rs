@@ -13,6 +13,7 @@ pub mod overlaps;
 pub(crate) mod ply;
 pub mod quadtree;
 mod specular;
+mod stl;
 pub mod surfaces;
 pub(crate) mod text;
 mod texture;
@@ -197,7 +198,7 @@ impl LoadOptions {
 }
 
 impl Scene {
-    /// Reads a scene. The extension of the file decides on the format: `.obj` with its `.mtl`, `.ply`, `.gltf` or `.glb`.
+    /// Reads a scene. The extension of the file decides on the format: `.obj` with its `.mtl`, `.ply`, `.gltf`, `.glb` or `.stl`.
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] with file and line when it cannot be used.
@@ -221,6 +222,7 @@ impl Scene {
             Some("obj") => obj::load(path, options),
             Some("ply") => ply::load(path, options),
             Some("gltf" | "glb") => gltf::load(path, options),
+            Some("stl") => stl::load(path, options),
             _ => Err(not_a_scene(path, extension.as_deref())),
         }?;
         scene.cut_holes(path)?;
@@ -523,7 +525,7 @@ fn quarters([a, b, c]: &[[f64; 3]; 3]) -> [[[f64; 3]; 3]; 4] {
 
 /// Says why a path is no scene that can be read, and what to do.
 fn not_a_scene(path: &Path, extension: Option<&str>) -> Error {
-    const READ: &str = "the program reads Wavefront .obj, .ply, .gltf and .glb files";
+    const READ: &str = "the program reads Wavefront .obj, .ply, .gltf, .glb and .stl files";
     const EXPORT: &str = "open it in a modelling program and export .glb or Wavefront .obj";
     let error = |message: &str, hint: &str| Error::input(path, None, message).with_hint(hint);
     if path.is_dir() {

@@ -12,4 +12,5 @@ mod independence;
 mod meshes;
 mod obj_reader;
 mod overlaps;
+mod stl;
 mod textures;
