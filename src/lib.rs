@@ -97,6 +97,7 @@ pub mod accuracy;
 pub mod energy;
 mod error;
 pub mod form_factor;
+pub mod heat;
 pub mod lightmap;
 pub mod monte_carlo;
 pub mod output;

@@ -150,8 +150,10 @@ impl Limit {
 
     /// Refuses view factors between a number of polygons if they need too much memory.
     pub fn check_polygons(self, polygons: usize) -> Result<()> {
-        // The collected pairs, in the worst case all of them. Then the matrix and its standard errors.
-        let need = 70.0 * (polygons as f64).powi(2) / 2.0;
+        // Polygons with their points; pairs that see each other while they are collected, then both view factors and their
+        // standard errors. Of many polygons each sees some thousands.
+        let count = polygons as f64;
+        let need = 2e3 * count + 70.0 * count * (0.5 * count).min(4e3);
         match self.objection(need) {
             None => Ok(()),
             Some(objection) => Err(Error::Usage {

@@ -5,6 +5,7 @@
 
 mod bake;
 mod camera;
+mod exchange;
 mod forecast;
 mod inspect;
 mod models;
@@ -16,6 +17,7 @@ mod render;
 mod sampling;
 mod solve;
 mod summary;
+mod surfaces;
 mod sweeps;
 mod tradeoff;
 mod validate;
@@ -62,6 +64,7 @@ enum Command {
     Inspect(inspect::InspectArgs),
     Tradeoff(tradeoff::TradeoffArgs),
     ViewFactors(view_factors::ViewFactorsArgs),
+    Exchange(exchange::ExchangeArgs),
 }
 
 /// Largest `--threads` on a machine with fewer processors. More threads than processors gain nothing.
@@ -132,6 +135,7 @@ pub fn run() -> ExitCode {
         Command::Inspect(args) => inspect::run(&args),
         Command::Tradeoff(args) => tradeoff::run(&args),
         Command::ViewFactors(args) => view_factors::run(&args),
+        Command::Exchange(args) => exchange::run(&args),
     };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

@@ -317,7 +317,7 @@ impl FormFactors {
         &self.areas
     }
 
-    /// Puts areas in another unit; view factors stay.
+    /// Puts areas in another unit; form factors stay.
     pub(crate) fn scale_areas(&mut self, unit: f64) {
         self.areas.iter_mut().for_each(|area| *area *= unit);
     }

@@ -3,6 +3,7 @@
 //! Everything written here is written whole or not at all ([`mod@file`]), and holds finite numbers only, except where a
 //! figure is not known: NaN in a PLY, `null` in a report.
 
+pub mod exchange;
 pub mod exposure;
 pub mod file;
 pub mod final_gather;
@@ -11,6 +12,7 @@ pub mod inspection_report;
 pub mod lambert_report;
 mod lit_sides;
 mod meeting;
+mod numpy;
 pub mod picture;
 #[cfg(feature = "cli")]
 mod plot;

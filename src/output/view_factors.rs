@@ -3,55 +3,178 @@
 use std::{
     fmt::Write as _,
     io::{self, Write},
+    path::Path,
 };
 
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::report::BeforeAfter;
-use crate::{scene::surfaces::Surfaces, view_factor::ViewFactors};
+use super::{numpy, report::BeforeAfter};
+use crate::{
+    scene::surfaces::Surfaces,
+    view_factor::{Share, Sight, ViewFactors},
+};
 
 /// Rows that are written as text at a time.
 const ROWS: usize = 256;
 
-/// Writes the matrix as CSV. The first line names the columns: `surface`, `area`, `escaped`, then each surface. Row i holds its
-/// name, its area in the square of the file's unit, the share of what leaves it that reaches no surface, and F_ij from it to
-/// each: what `escaped` and these sum up to is 1. Numbers have as many digits as tell them from all others in double
-/// precision.
-///
-/// # Errors
-/// What `out` says.
-pub fn write_matrix(surfaces: &Surfaces, found: &ViewFactors, out: &mut dyn Write) -> io::Result<()> {
-    let names: Vec<String> = surfaces.list.iter().map(|surface| quoted(&surface.name)).collect();
-    writeln!(out, "surface,area,escaped,{}", names.join(","))?;
-    let form_factors = &found.form_factors;
-    write_rows(names.len(), out, |i, text| {
-        let (area, escaped) = (form_factors.areas()[i], form_factors.escaped()[i]);
-        text.push_str(&names[i]);
-        let mut row = vec![0.0; names.len()];
-        form_factors.row(i).for_each(|(j, f)| row[j] = f);
-        [area, escaped].into_iter().chain(row).for_each(|x| add(text, x));
-        text.push('\n');
-    })
+/// What a matrix is written as.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MatrixFormat {
+    /// All entries as text, with names, areas and what escapes.
+    Csv,
+    /// All entries as a NumPy array.
+    Npy,
+    /// What is not zero as SciPy's sparse matrix.
+    Npz,
+    /// What is not zero as Matrix Market coordinates.
+    MatrixMarket,
 }
 
-/// Writes a line `from,to,view_factor,standard_error` for each view factor that is not zero, by rows. The standard error is
-/// that of as many independent samples, before rows are closed.
-///
-/// # Errors
-/// What `out` says.
-pub fn write_pairs(surfaces: &Surfaces, found: &ViewFactors, out: &mut dyn Write) -> io::Result<()> {
-    let names: Vec<String> = surfaces.list.iter().map(|surface| quoted(&surface.name)).collect();
-    writeln!(out, "from,to,view_factor,standard_error")?;
-    write_rows(names.len(), out, |i, text| {
-        let mut row: Vec<(usize, f64)> = found.form_factors.row(i).collect();
-        row.sort_unstable_by_key(|&(j, _)| j);
-        for (j, f) in row {
-            text.extend([names[i].as_str(), ",", names[j].as_str()]);
-            [f, found.standard_error(i, j)].into_iter().for_each(|x| add(text, x));
-            text.push('\n');
+impl MatrixFormat {
+    /// By the ending of a name: `.csv`, `.npy`, `.npz` or `.mtx`.
+    pub fn of(path: &Path) -> Option<MatrixFormat> {
+        let extension = path.extension()?.to_string_lossy().to_lowercase();
+        match extension.as_str() {
+            "csv" => Some(MatrixFormat::Csv),
+            "npy" => Some(MatrixFormat::Npy),
+            "npz" => Some(MatrixFormat::Npz),
+            "mtx" => Some(MatrixFormat::MatrixMarket),
+            _ => None,
         }
-    })
+    }
+}
+
+/// The matrix of view factors, with the sky and the ground as surfaces of their own where that is wanted.
+///
+/// What leaves a surface upward goes to the sky, what leaves it downward to the ground. Both are infinitely far and large: nothing of
+/// what leaves them is counted, and their rows are empty.
+#[derive(Debug, Clone, Copy)]
+pub struct Table<'a> {
+    /// The surfaces,
+    pub surfaces: &'a Surfaces,
+    /// and what is known of them.
+    pub found: &'a ViewFactors,
+    /// Whether the sky is a surface.
+    pub sky: bool,
+    /// Whether the ground is one.
+    pub ground: bool,
+}
+
+impl Table<'_> {
+    /// The names of rows and columns.
+    pub fn names(&self) -> Vec<String> {
+        let own = self.surfaces.list.iter().map(|surface| surface.name.clone());
+        own.chain(self.sky.then(|| "sky".into())).chain(self.ground.then(|| "ground".into())).collect()
+    }
+
+    /// How many rows and columns there are.
+    pub fn len(&self) -> usize {
+        self.found.len() + usize::from(self.sky) + usize::from(self.ground)
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    fn area(&self, i: usize) -> f64 {
+        self.found.areas().get(i).copied().unwrap_or(f64::INFINITY)
+    }
+
+    /// What of a row reaches no surface, nor the sky or the ground where they are surfaces.
+    pub fn escaped(&self, i: usize) -> Share {
+        let Some(lost) = self.found.lost.get(i) else { return Share::default() };
+        match (self.sky, self.ground) {
+            (false, false) => lost.escaped,
+            (true, true) => lost.backs,
+            (true, false) => sum(lost.backs, lost.down),
+            (false, true) => sum(lost.backs, lost.up),
+        }
+    }
+
+    /// Columns, view factors and standard errors of a row, by columns; also of those that rays found to be zero but might not be.
+    fn entries(&self, i: usize) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+        let own = (i < self.found.len()).then(|| self.found.entries(i)).into_iter().flatten();
+        let lost = self.found.lost.get(i).copied().unwrap_or_default();
+        let far = [self.sky.then_some(lost.up), self.ground.then_some(lost.down)];
+        let columns = (self.found.len()..).zip(far.into_iter().flatten());
+        own.chain(columns.map(|(j, share)| (j, share.value, share.error)))
+    }
+
+    /// Columns and view factors of a row that are not zero, by columns.
+    fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        self.entries(i).map(|(j, f, _)| (j, f)).filter(|&(_, f)| f > 0.0)
+    }
+
+    fn dense_row(&self, i: usize) -> Vec<f64> {
+        let mut row = vec![0.0; self.len()];
+        self.row(i).for_each(|(j, f)| row[j] = f);
+        row
+    }
+
+    /// Writes the matrix.
+    ///
+    /// # Errors
+    /// What `out` says.
+    pub fn write(&self, format: MatrixFormat, out: &mut dyn Write) -> io::Result<()> {
+        match format {
+            MatrixFormat::Csv => self.write_csv(out),
+            MatrixFormat::Npy => numpy::write_dense(self.len(), |i| self.dense_row(i), out),
+            MatrixFormat::Npz => numpy::write_sparse(self.len(), |i| self.row(i), out),
+            MatrixFormat::MatrixMarket => self.write_matrix_market(out),
+        }
+    }
+
+    /// The first line names the columns: `surface`, `area`, `escaped`, then each surface. Row i holds its name, its area in the
+    /// square of the file's unit, the share of what leaves it that reaches no surface, and F_ij from it to each: what `escaped` and
+    /// these sum up to is 1. Numbers have as many digits as tell them from all others in double precision.
+    fn write_csv(&self, out: &mut dyn Write) -> io::Result<()> {
+        let names: Vec<String> = self.names().iter().map(|name| quoted(name)).collect();
+        writeln!(out, "surface,area,escaped,{}", names.join(","))?;
+        write_rows(names.len(), out, |i, text| {
+            text.push_str(&names[i]);
+            let start = [self.area(i), self.escaped(i).value];
+            start.into_iter().chain(self.dense_row(i)).for_each(|x| add(text, x));
+            text.push('\n');
+        })
+    }
+
+    /// Coordinates from 1 (R. F. Boisvert, R. Pozo and K. A. Remington, "The Matrix Market Exchange Formats", NISTIR 5935, 1996).
+    fn write_matrix_market(&self, out: &mut dyn Write) -> io::Result<()> {
+        let n = self.len();
+        let non_zeros: usize = (0..n).into_par_iter().map(|i| self.row(i).count()).sum();
+        writeln!(out, "%%MatrixMarket matrix coordinate real general")?;
+        writeln!(out, "% view factors from the surface of the row to that of the column")?;
+        writeln!(out, "{n} {n} {non_zeros}")?;
+        write_rows(n, out, |i, text| {
+            self.row(i).for_each(|(j, f)| {
+                let _ = writeln!(text, "{} {} {f:e}", i + 1, j + 1);
+            });
+        })
+    }
+
+    /// Writes a line `from,to,view_factor,standard_error` for each view factor that is not zero, by rows, and for those that rays
+    /// found to be zero but might not be.
+    ///
+    /// # Errors
+    /// What `out` says.
+    pub fn write_pairs(&self, out: &mut dyn Write) -> io::Result<()> {
+        let names: Vec<String> = self.names().iter().map(|name| quoted(name)).collect();
+        writeln!(out, "from,to,view_factor,standard_error")?;
+        write_rows(names.len(), out, |i, text| {
+            for (j, f, error) in self.entries(i).filter(|e| e.1 > 0.0 || e.2 > 0.0) {
+                text.extend([names[i].as_str(), ",", names[j].as_str()]);
+                [f, error].into_iter().for_each(|x| add(text, x));
+                text.push('\n');
+            }
+        })
+    }
+}
+
+/// Two shares of what escapes, which is known better than how it is divided.
+fn sum(a: Share, b: Share) -> Share {
+    Share { value: a.value + b.value, error: a.error.hypot(b.error) }
 }
 
 /// Writes what `row` makes of each row, in order.
@@ -74,7 +197,7 @@ fn add(text: &mut String, x: f64) {
 }
 
 /// A field of a CSV file (RFC 4180).
-fn quoted(name: &str) -> String {
+pub(super) fn quoted(name: &str) -> String {
     if name.contains([',', '"', '\n', '\r']) || name.trim() != name {
         format!("\"{}\"", name.replace('"', "\"\""))
     } else {
@@ -101,13 +224,13 @@ pub struct ViewFactorsReport {
     pub enclosed: bool,
     /// What hemisphere rays from the surfaces met, which tells whether they enclose a room.
     pub look: LookReport,
-    /// Rays cast between surfaces.
+    /// Rays cast between surfaces of which others hide parts.
     pub rays: u64,
     /// View factors that are not zero.
     pub non_zeros: usize,
     /// How wrong they are.
     pub error: ViewFactorErrorReport,
-    /// Largest |sum of a row + its escaped share - 1|; as sampled only where rows are to sum to one.
+    /// Largest |sum of a row + its escaped share - 1|; before closure only where rows are to sum to one.
     pub row_sum_deviation: BeforeAfter,
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j).
     pub reciprocity_deviation: BeforeAfter,
@@ -126,7 +249,7 @@ pub struct ViewFactorsReport {
 /// What rays met.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LookReport {
-    /// Rays, spread evenly over the area of all surfaces.
+    /// Rays: from each polygon some, and of large ones more.
     pub rays: u64,
     /// Of them, those that met a surface from behind,
     pub backs: u64,
@@ -134,10 +257,10 @@ pub struct LookReport {
     pub escaped: u64,
 }
 
-/// Standard errors that as many independent samples would have, before rows are closed.
+/// Standard errors of view factors that are not zero.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ViewFactorErrorReport {
-    /// RMS over all pairs of surfaces.
+    /// RMS over all of them, before rows are closed.
     pub rms: f64,
     /// The one that was wanted.
     pub wanted: f64,
@@ -160,10 +283,30 @@ pub struct SurfaceReport {
     pub polygons: usize,
     /// Its area.
     pub area: f64,
-    /// Sum of its view factors as sampled.
+    /// Its area that others in its plane hide, which is not counted.
+    pub hidden_area: f64,
+    /// Sum of its view factors before closure.
     pub row_sum: f64,
-    /// The share of what leaves it that reaches no surface.
+    /// The share of what leaves it that reaches no surface: `backs` and `left`.
     pub escaped: f64,
+    /// The standard error of that.
+    pub escaped_standard_error: f64,
+    /// The share that meets the backs of surfaces,
+    pub backs: f64,
+    /// with its standard error.
+    pub backs_standard_error: f64,
+    /// The share that leaves the scene: `sky` and `ground`,
+    pub left: f64,
+    /// with its standard error.
+    pub left_standard_error: f64,
+    /// The share that leaves it upward or level,
+    pub sky: f64,
+    /// with its standard error.
+    pub sky_standard_error: f64,
+    /// The share that leaves it downward,
+    pub ground: f64,
+    /// with its standard error.
+    pub ground_standard_error: f64,
 }
 
 /// Seconds that the stages took.
@@ -194,6 +337,14 @@ pub struct ViewFactorOptionsReport {
     pub threads: usize,
 }
 
+impl LookReport {
+    /// The sum of what all surfaces saw.
+    pub fn of(seen: &[Sight]) -> LookReport {
+        let all = seen.iter().fold(Sight::default(), |all, sight| all.and(*sight));
+        LookReport { rays: all.rays, backs: all.backs, escaped: all.up + all.down }
+    }
+}
+
 impl ViewFactorsReport {
     /// Writes it as JSON.
     ///
@@ -221,14 +372,27 @@ impl ViewFactorErrorReport {
 impl SurfaceReport {
     /// One report a surface.
     pub fn all(surfaces: &Surfaces, found: &ViewFactors) -> Vec<SurfaceReport> {
-        let report = |(i, surface): (usize, &crate::scene::surfaces::Surface)| SurfaceReport {
-            name: surface.name.clone(),
-            line: surface.line,
-            faces: surface.faces,
-            polygons: surface.polygons.len(),
-            area: found.form_factors.areas()[i],
-            row_sum: found.row_sums[i],
-            escaped: found.form_factors.escaped()[i],
+        let report = |(i, surface): (usize, &crate::scene::surfaces::Surface)| {
+            let lost = &found.lost[i];
+            SurfaceReport {
+                name: surface.name.clone(),
+                line: surface.line,
+                faces: surface.faces,
+                polygons: surface.polygons.len(),
+                area: found.areas()[i],
+                hidden_area: found.hidden[i],
+                row_sum: found.row_sums[i],
+                escaped: lost.escaped.value,
+                escaped_standard_error: lost.escaped.error,
+                backs: lost.backs.value,
+                backs_standard_error: lost.backs.error,
+                left: lost.left.value,
+                left_standard_error: lost.left.error,
+                sky: lost.up.value,
+                sky_standard_error: lost.up.error,
+                ground: lost.down.value,
+                ground_standard_error: lost.down.error,
+            }
         };
         surfaces.list.iter().enumerate().map(report).collect()
     }

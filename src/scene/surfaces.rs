@@ -83,7 +83,8 @@ impl Surfaces {
         let mut surfaces = Surfaces { list: Vec::new(), doubled: 0, tiny: 0 };
         let (_, extent) = centre_and_extent(scene.vertices.iter().copied());
         let (mut known, mut seen): (HashMap<String, usize>, HashSet<Vec<u32>>) = Default::default();
-        let mut rest = &scene.triangles[..];
+        // Backs of emitters are no faces of the file.
+        let mut rest = &scene.triangles[..scene.triangles.len() - scene.backs_of_lamps];
         while let Some(triangle) = rest.first() {
             let after = scene.faces.partition_point(|face| face.first <= triangle.source);
             let end = scene.faces.get(after).map_or(u32::MAX, |face| face.first);
@@ -138,6 +139,19 @@ impl Surfaces {
             }
         }
         self
+    }
+
+    /// Each triangle and parallelogram as a surface with the name of the one that it is of, and the index of that.
+    pub fn parts(&self) -> (Surfaces, Vec<usize>) {
+        let of = |(k, surface): (usize, &Surface)| {
+            let (name, line) = (surface.name.clone(), surface.line);
+            let part = move |polygon: &Vec<DVec3>| {
+                (Surface { name: name.clone(), line, faces: 1, polygons: vec![polygon.clone()] }, k)
+            };
+            surface.polygons.iter().map(part).collect::<Vec<_>>()
+        };
+        let (list, surface_of) = self.list.iter().enumerate().flat_map(of).unzip();
+        (Surfaces { list, doubled: self.doubled, tiny: self.tiny }, surface_of)
     }
 
     /// How many triangles and parallelograms they are of.

@@ -1,46 +1,46 @@
-//! View factors between all pairs of a few hundred or thousand polygons, as heat transfer wants them: each accurate by
-//! itself, where a lighting solution wants but their sums.
+//! View factors between all pairs of some surfaces, as heat transfer wants them: each accurate by itself, where a lighting solution
+//! wants but their sums.
 //!
-//! What two polygons would exchange if nothing stood between them is known: by Gauss-Legendre products where they are apart,
-//! by [closed forms](crate::form_factor::exact) where they are near. Only the visible share of it is sampled (a ratio estimator; Cochran,
-//! *Sampling Techniques*, ch. 6): where all see each other nothing is left to chance. Polygons that are apart are sampled by
-//! rays between points of both, weighted by the kernel. Between neighbours that has a singularity, and its square no integral:
-//! there rays leave the smaller one as light does, and those count that would meet the other. Rays go to pairs in proportion to
-//! their standard deviations, which is what lowers the sum of variances most (Neyman, 1934), in rounds that each learn from the
-//! ones before.
+//! What two polygons exchange with nothing between them is known: by Gauss-Legendre products where they are apart, by [closed
+//! forms](crate::form_factor::exact) where they are near. Whether something is between them is decided by their shaft, without a
+//! ray. Only where something is, rays tell what it hides, by an estimator without bias whose replicates tell its standard error.
+//! Rays go to pairs in proportion to their standard deviations, which lowers the sum of variances most (Neyman, 1934).
 //!
 //! A surface may be of several polygons: their exchange areas A_i F_ij sum up, and so do the variances of these.
 
-mod pair;
+mod blockers;
+mod closure;
+mod contact;
+mod estimate;
+mod lost;
+mod paths;
 mod polygon;
-mod rays;
-mod rounds;
 mod rows;
+mod shaft;
 
 use glam::DVec3;
 
 use self::{
-    pair::pairs,
+    blockers::Blockers,
+    contact::{Parts, separate},
     polygon::in_unit_space,
-    rounds::sample,
-    rows::{allowances, check_enclosed, sums_of_rows, upper_triangles},
+    rows::Cell,
 };
-use crate::{
-    Progress, Result,
-    form_factor::{self, FormFactors, Matrix},
-};
+use crate::{Error, Progress, Result, form_factor::BeforeAfter};
 
-/// How accurate view factors are wanted.
+pub use lost::{Lost, Share, Sight};
+
+/// How accurate view factors are wanted, and what else is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ViewFactorOptions {
-    /// RMS error over all pairs that independent samples would have. These are stratified, and had 0.35 to 0.65 of it in rooms of
-    /// 500 and 2000 polygons. Not in it is what is unoccluded, which is known to about 10⁻³ of itself, or to a tenth of this
-    /// error if that is less; single precision ends at about 10⁻⁷.
+    /// RMS standard error over all view factors that are not zero. What nothing hides has a relative error of 10⁻⁵, whatever is wanted.
     pub error: f64,
     /// Whether the polygons enclose a room and show it their fronts: then rows sum to one exactly, else what is missing from
-    /// them escapes, or is caught by backs.
+    /// them escapes: it meets backs, or leaves the scene.
     pub enclosed: bool,
+    /// Which way is up, for what leaves the scene upward and downward.
+    pub up: DVec3,
     /// The same seed gives the same bytes, whatever the number of threads.
     pub seed: u64,
 }
@@ -48,69 +48,139 @@ pub struct ViewFactorOptions {
 setters!(ViewFactorOptions {
     with_error(error: f64),
     with_enclosed(enclosed: bool),
+    with_up(up: DVec3),
     with_seed(seed: u64),
 });
 
 impl Default for ViewFactorOptions {
-    /// 10⁻⁴, enclosed, seed 0.
+    /// 10⁻⁴, enclosed, y up, seed 0.
     fn default() -> Self {
-        ViewFactorOptions { error: 1e-4, enclosed: true, seed: 0 }
+        ViewFactorOptions { error: 1e-4, enclosed: true, up: DVec3::Y, seed: 0 }
     }
 }
 
 /// View factors, and how they came about.
 #[derive(Debug, Clone)]
 pub struct ViewFactors {
-    /// F_ij of the surfaces in the order given: reciprocal, and rows close.
-    pub form_factors: FormFactors,
-    /// Rays cast.
+    /// Rays cast for pairs between which something stands.
     pub rays: u64,
-    /// RMS error over all pairs that as many independent samples would have: at most the one wanted, unless more than 2³² rays
-    /// of a pair would be needed.
+    /// RMS standard error of all view factors that are not zero, before rows were closed.
     pub error: f64,
-    /// Sums of the rows as sampled, before they were closed.
+    /// Sums of the rows before they were closed.
     pub row_sums: Vec<f64>,
-    /// Standard errors of exchange areas, in units of the mean area; the upper triangle.
-    errors: Matrix,
-    /// Areas in the same unit.
+    /// Where the light of each surface goes that no surface gets.
+    pub lost: Vec<Lost>,
+    /// Of each surface, the area that others in its plane hide. It has no part in view factors.
+    pub hidden: Vec<f64>,
+    enclosed: bool,
     areas: Vec<f64>,
+    /// What the sum of a row may be off one by, as far as its errors tell.
+    allowed: Vec<f64>,
+    /// Rows of exchange areas in units of the mean area, and of their standard errors: both triangles.
+    starts: Vec<usize>,
+    columns: Vec<u32>,
+    exchange: Vec<f64>,
+    errors: Vec<f32>,
+    unit: f64,
 }
 
 impl ViewFactors {
-    /// The standard error of F_ij that as many independent samples would have, before rows are closed.
-    pub fn standard_error(&self, i: usize, j: usize) -> f64 {
-        let (row, column) = (i.min(j), i.max(j));
-        let (columns, errors) = form_factor::row(&self.errors, row);
-        columns.binary_search(&(column as u32)).map_or(0.0, |k| f64::from(errors[k]) / self.areas[i])
+    /// How many surfaces there are.
+    pub fn len(&self) -> usize {
+        self.areas.len()
     }
 
-    /// The largest standard error, and of which F_ij it is.
+    /// Whether there is no surface.
+    pub fn is_empty(&self) -> bool {
+        self.areas.is_empty()
+    }
+
+    /// The areas of the surfaces that can be seen, in the square of the unit of length.
+    pub fn areas(&self) -> &[f64] {
+        &self.areas
+    }
+
+    /// The share of each surface's light that no surface gets.
+    pub fn escaped(&self, i: usize) -> f64 {
+        self.lost[i].escaped.value
+    }
+
+    /// F_ij of a row that are not zero, by columns.
+    pub fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        self.entries(i).map(|(j, f, _)| (j, f)).filter(|&(_, f)| f > 0.0)
+    }
+
+    /// Columns, F_ij and standard errors of a row, by columns; also of those that rays found to be zero but might not be.
+    pub fn entries(&self, i: usize) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+        let area = self.areas[i] / self.unit;
+        (self.starts[i]..self.starts[i + 1]).map(move |k| {
+            (self.columns[k] as usize, self.exchange[k] / area, f64::from(self.errors[k]) / area)
+        })
+    }
+
+    /// F_ij.
+    pub fn get(&self, i: usize, j: usize) -> f64 {
+        self.entry(i, j).map_or(0.0, |k| self.exchange[k] / (self.areas[i] / self.unit))
+    }
+
+    /// The standard error of F_ij. Where nothing hides the two from each other it is that of the formula.
+    pub fn standard_error(&self, i: usize, j: usize) -> f64 {
+        self.entry(i, j).map_or(0.0, |k| f64::from(self.errors[k]) / (self.areas[i] / self.unit))
+    }
+
+    fn entry(&self, i: usize, j: usize) -> Option<usize> {
+        let start = self.starts[i];
+        self.columns[start..self.starts[i + 1]].binary_search(&(j as u32)).ok().map(|k| start + k)
+    }
+
+    /// How many F_ij are not zero.
+    pub fn non_zeros(&self) -> usize {
+        self.exchange.iter().filter(|&&x| x > 0.0).count()
+    }
+
+    /// The largest standard error of an F_ij that is not zero, and which it is.
     pub fn largest_standard_error(&self) -> Option<(usize, usize, f64)> {
-        let of_pair = |(&e, (i, j)): (&f32, (u32, u32))| {
-            let (i, j) = (i as usize, j as usize);
-            let (i, j) = if self.areas[j] < self.areas[i] { (j, i) } else { (i, j) };
-            (i, j, f64::from(e) / self.areas[i])
+        let of_row = |i: usize| self.entries(i).filter(|e| e.1 > 0.0).map(move |(j, _, error)| (i, j, error));
+        (0..self.len()).flat_map(of_row).reduce(|a, b| if b.2 > a.2 { b } else { a })
+    }
+
+    /// Largest |sum of a row + what escapes - 1|; before closure of rows that were to be closed alone.
+    pub fn row_sum_deviation(&self) -> BeforeAfter {
+        let largest = |off: &dyn Fn(usize) -> f64| {
+            (0..self.len()).filter(|&i| self.areas[i] > 0.0).map(off).fold(0.0, f64::max)
         };
-        self.errors.iter().map(of_pair).reduce(|a, b| if b.2 > a.2 { b } else { a })
+        let after = |i: usize| (self.row(i).map(|(_, f)| f).sum::<f64>() + self.escaped(i) - 1.0).abs();
+        let before = |i: usize| (self.row_sums[i] - 1.0).abs();
+        BeforeAfter { before: if self.enclosed { largest(&before) } else { 0.0 }, after: largest(&after) }
+    }
+
+    /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j).
+    pub fn reciprocity_deviation(&self) -> BeforeAfter {
+        let of_row = |i: usize| {
+            self.row(i).map(move |(j, f)| {
+                let (a, b) = (self.areas[i], self.areas[j]);
+                (a * f - b * self.get(j, i)).abs() / a.min(b)
+            })
+        };
+        let after = (0..self.len()).flat_map(of_row).fold(0.0, f64::max);
+        BeforeAfter { before: after, after }
     }
 
     /// The surfaces whose view factors summed up to more than 1 before rows were closed, beyond what chance explains: there are
     /// others at the same place.
     pub fn overfull_rows(&self) -> Vec<usize> {
-        let allowed = allowances(&self.errors, &self.areas);
-        (0..self.row_sums.len()).filter(|&i| self.row_sums[i] > 1.0 + allowed[i]).collect()
+        (0..self.len()).filter(|&i| self.row_sums[i] > 1.0 + self.allowed[i]).collect()
     }
 }
 
-/// View factors between triangles and parallelograms, each by its corners, counter-clockwise where it is seen. They see each
-/// other from that side, and block each other from both. Takes 32 bytes a pair that could see each other, and 16 for the result.
+/// View factors between convex planar polygons, each by its corners, counter-clockwise where it is seen. They see each other from that
+/// side, and block each other from both.
 ///
 /// # Errors
-/// [`Error::NotEnclosed`](crate::Error::NotEnclosed) when they were said to enclose a room and do not,
-/// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
+/// [`Error::NotEnclosed`] when they were said to enclose a room and do not, [`Error::Stopped`] when `progress` says so.
 ///
 /// # Panics
-/// When a polygon is neither triangle nor parallelogram, or has no area, or no positive error is wanted.
+/// When a polygon is not convex or not planar, or has no area, or no positive error is wanted.
 pub fn view_factors(
     polygons: &[Vec<DVec3>],
     options: &ViewFactorOptions,
@@ -118,6 +188,22 @@ pub fn view_factors(
 ) -> Result<ViewFactors> {
     let surfaces: Vec<&[Vec<DVec3>]> = polygons.iter().map(std::slice::from_ref).collect();
     view_factors_of_surfaces(&surfaces, options, progress)
+}
+
+/// What rays from each surface meet, which tells whether the surfaces enclose a room and where they do not. Each polygon casts some.
+///
+/// # Panics
+/// As [`view_factors`].
+pub fn look(surfaces: &[impl AsRef<[Vec<DVec3>]>], up: DVec3) -> Vec<Sight> {
+    let (polygons, _) = in_unit_space(surfaces);
+    let blockers = Blockers::new(&polygons);
+    let Parts { pieces, .. } = separate(polygons, &blockers);
+    let mut seen = vec![Sight::default(); surfaces.len()];
+    for (piece, sight) in pieces.iter().zip(lost::look(&pieces, &blockers, up)) {
+        let sum = &mut seen[piece.surface as usize];
+        *sum = sum.and(sight);
+    }
+    seen
 }
 
 /// View factors between surfaces, each a list of polygons as [`view_factors`] takes them. A surface may see itself.
@@ -133,24 +219,133 @@ pub fn view_factors_of_surfaces(
     progress: &Progress,
 ) -> Result<ViewFactors> {
     assert!(options.error > 0.0, "the error must be positive");
+    let n = surfaces.len();
     let (polygons, scale) = in_unit_space(surfaces);
-    let mut areas = vec![0.0; surfaces.len()];
+    let (mut areas, mut hidden) = (vec![0.0; n], vec![0.0; n]);
     polygons.iter().for_each(|p| areas[p.surface as usize] += p.area);
     assert!(areas.iter().all(|&area| area > 0.0), "a surface has no polygon");
-    let mean = areas.iter().sum::<f64>() / areas.len() as f64;
-    let mut pairs = pairs(&polygons, areas.len() as f64 * options.error, progress)?;
-    let (rays, error) = sample(&mut pairs, &polygons, &areas, options, progress)?;
-    // In units of the mean area no exchange area leaves the range of single precision.
-    areas.iter_mut().for_each(|area| *area /= mean);
-    let [matrix, errors] = upper_triangles(&pairs, &polygons, areas.len(), mean);
-    let mut row_sums = sums_of_rows(&matrix, areas.len(), |exchange| exchange);
-    row_sums.iter_mut().zip(&areas).for_each(|(sum, area)| *sum /= area);
+    let blockers = Blockers::new(&polygons);
+    let owners: Vec<u32> = polygons.iter().map(|p| p.surface).collect();
+    let parts = separate(polygons, &blockers);
+    owners.iter().zip(&parts.hidden).for_each(|(&owner, area)| hidden[owner as usize] += area);
+    areas.iter_mut().zip(&hidden).for_each(|(area, hidden)| *area = (*area - hidden).max(0.0));
+    let mut found = rows::rows(&parts.pieces, &areas, &blockers, &parts.touching, options, progress)?;
+
+    let divided = |sums: &[f64]| -> Vec<f64> {
+        sums.iter().zip(&areas).map(|(sum, area)| if *area > 0.0 { sum / area } else { 0.0 }).collect()
+    };
+    let sums = |cells: &[Vec<Cell>], value: fn(&Cell) -> f64| divided(&closure::sums(cells, n, value));
+    let row_sums = sums(&found.cells, |cell| cell.exchange);
+    let errors = row_errors(&found.cells, &areas);
+    // Rays that agree may be wrong of all pairs of a row in the same way: along an edge that few reach.
+    let doubts = sums(&found.cells, |cell| cell.doubt.sqrt());
+    let allowed: Vec<f64> = errors
+        .iter()
+        .zip(&doubts)
+        .map(|(error, doubt)| STANDARD_ERRORS * (error + doubt) + ROUNDING)
+        .collect();
+    let is_seen = |i: usize| areas[i] > 0.0;
     if options.enclosed {
-        check_enclosed(&row_sums, &errors, &areas)?;
+        let open = |&i: &usize| is_seen(i) && (row_sums[i] <= 0.0 || row_sums[i] < 1.0 - allowed[i]);
+        if let Some(surface) = (0..n).filter(open).min_by(|&a, &b| row_sums[a].total_cmp(&row_sums[b])) {
+            return Err(Error::NotEnclosed { surface, sum: row_sums[surface] });
+        }
     }
-    let escapes = |sum: &f64| if options.enclosed { 0.0 } else { (1.0 - sum).max(0.0) };
-    let escaped = row_sums.iter().map(escapes).collect();
-    let mut form_factors = FormFactors::from_exchange(matrix, areas.clone(), escaped);
-    form_factors.scale_areas(mean * scale * scale);
-    Ok(ViewFactors { form_factors, rays, error, row_sums, errors, areas })
+    let closing: Vec<bool> = (0..n).map(|i| is_seen(i) && (options.enclosed || row_sums[i] > 1.0)).collect();
+    closure::close(&mut found.cells, &areas, &closing);
+    let closed = sums(&found.cells, |cell| cell.exchange);
+    let escaped: Vec<Share> = (0..n)
+        .map(|i| match options.enclosed || !is_seen(i) {
+            true => Share::default(),
+            false => Share { value: (1.0 - closed[i]).max(0.0), error: errors[i] },
+        })
+        .collect();
+    let lost = lost::divide(
+        &escaped,
+        &parts.pieces,
+        &blockers,
+        options.up,
+        (options.error, options.seed),
+        progress,
+    )?;
+
+    // In units of the mean area no standard error leaves the range of single precision.
+    let unit = (areas.iter().sum::<f64>() / n.max(1) as f64).max(f64::MIN_POSITIVE);
+    let (starts, columns, exchange, errors) = both_triangles(&found.cells, n, unit);
+    let square = scale * scale;
+    Ok(ViewFactors {
+        rays: found.rays,
+        error: found.error,
+        row_sums,
+        lost,
+        enclosed: options.enclosed,
+        hidden: hidden.iter().map(|area| area * square).collect(),
+        areas: areas.iter().map(|area| area * square).collect(),
+        allowed,
+        starts,
+        columns,
+        exchange,
+        errors,
+        unit: unit * square,
+    })
+}
+
+/// The sum of a row is off one where it is so by more than this many standard errors, and by more than what polygons that adjoin but
+/// for rounding leave open.
+const STANDARD_ERRORS: f64 = 5.0;
+const ROUNDING: f64 = 2e-5;
+
+/// The standard errors of the sums of rows: variances add up, and the formula's errors may all have one sign.
+fn row_errors(cells: &[Vec<Cell>], areas: &[f64]) -> Vec<f64> {
+    let n = areas.len();
+    let variances = closure::sums(cells, n, |cell| cell.variance);
+    let exchange = closure::sums(cells, n, |cell| cell.exchange);
+    let mut doubts = vec![0f64; n];
+    for (i, row) in cells.iter().enumerate() {
+        for cell in row {
+            for k in [i, cell.column as usize] {
+                doubts[k] = doubts[k].max(cell.doubt);
+            }
+        }
+    }
+    (0..n)
+        .map(|i| {
+            let formula = polygon::FORMULA * exchange[i];
+            if areas[i] > 0.0 {
+                (variances[i] + doubts[i] + formula * formula).sqrt() / areas[i]
+            } else {
+                0.0
+            }
+        })
+        .collect()
+}
+
+/// Rows of a symmetric matrix, of which these are the upper triangle.
+fn both_triangles(cells: &[Vec<Cell>], n: usize, unit: f64) -> (Vec<usize>, Vec<u32>, Vec<f64>, Vec<f32>) {
+    let mut starts = vec![0; n + 1];
+    for (i, row) in cells.iter().enumerate() {
+        starts[i + 1] += row.len();
+        row.iter().map(|cell| cell.column as usize).filter(|&j| j != i).for_each(|j| starts[j + 1] += 1);
+    }
+    (0..n).for_each(|i| starts[i + 1] += starts[i]);
+    let mut next = starts.clone();
+    let (mut columns, mut exchange, mut errors) =
+        (vec![0; starts[n]], vec![0.0; starts[n]], vec![0f32; starts[n]]);
+    let mut put = |row: usize, column: usize, cell: &Cell| {
+        let k = next[row];
+        next[row] += 1;
+        (columns[k], exchange[k], errors[k]) =
+            (column as u32, cell.exchange.max(0.0) / unit, (cell.error() / unit) as f32);
+    };
+    // Row by row, so that the columns of every row come in order.
+    for (i, row) in cells.iter().enumerate() {
+        for cell in row {
+            let j = cell.column as usize;
+            put(i, j, cell);
+            if i != j {
+                put(j, i, cell);
+            }
+        }
+    }
+    (starts, columns, exchange, errors)
 }

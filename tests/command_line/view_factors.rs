@@ -43,8 +43,13 @@ impl Table {
         assert!(self.rows.len() == n && self.rows.iter().all(|row| row.len() == n));
         for i in 0..n {
             let sum = self.escaped[i] + self.rows[i].iter().sum::<f64>();
+            // Of the sky and the ground nothing leaves that is counted.
+            if self.areas[i].is_infinite() {
+                assert_eq!(sum, 0.0);
+                continue;
+            }
             assert!((sum - 1.0).abs() < 1e-12, "row {i} sums to {sum}");
-            for j in 0..n {
+            for j in (0..n).filter(|&j| self.areas[j].is_finite()) {
                 let [there, back] = [(i, j), (j, i)].map(|(i, j)| self.areas[i] * self.rows[i][j]);
                 let size = self.areas[i].min(self.areas[j]);
                 assert!((0.0..=1.0).contains(&self.rows[i][j]));
@@ -185,9 +190,9 @@ fn a_blocker_hides_what_the_closed_form_says_within_the_told_error() {
     let (f, error) = known[&("0", "1")];
     let exact = opposed_squares_with_blocker(1.0, 1.0, 0.5);
     assert!((f - exact).abs() < 4.5 * error, "{f} ± {error}, not {exact}");
-    // Nearly all of the error is this pair's, both ways; RMS over the sixteen.
+    // Nearly all of the error is this pair's, both ways; RMS over the six that are not zero.
     let told = here.json("r.json")["error"]["rms"].as_f64().unwrap();
-    assert!(told <= 2e-4 && error > 4.0 * told / 2f64.sqrt() * 0.9, "{told} {error}");
+    assert!(told <= 2e-4 && error > 3f64.sqrt() * told * 0.9, "{told} {error}");
     assert_eq!(here.json("r.json")["enclosed"], false);
 }
 
@@ -321,26 +326,87 @@ fn a_turned_wall_and_faces_at_one_place_are_told() {
     faces[6].1 = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.5, 0.0], [0.0, 0.5, 0.0]];
     let (here, said) = run(&obj(faces), "");
     assert!(said.contains("faces overlap in one plane"), "{said}");
-    assert_eq!(Table::read(&here, "out.csv").names.len(), 7);
+    assert_eq!(Table::read(&here, "out.csv").areas[4..], [0.5, 1.0, 0.5]);
 }
 
 #[test]
-fn rows_that_cannot_be_closed_are_told() {
-    // Boxes one in the other, 0.01 apart: few rays find the way between them past the edges.
+fn boxes_one_in_the_other_close() {
+    // 0.01 apart: few rays find the way between them past the edges.
     let mut faces = cube(1, |_| "");
     for (_, mut corners) in cube(1, |_| "") {
         corners.iter_mut().flatten().for_each(|x| *x = 0.01 + 0.98 * *x);
         corners.reverse();
         faces.push(("", corners));
     }
-    let worst = |error: &str| {
+    for error in ["1e-2", "1e-4"] {
         let (here, said) = run(&obj(faces.clone()), &format!("--error {error} --report r.json"));
-        (here.json("r.json")["row_sum_deviation"]["after"].as_f64().unwrap(), said)
-    };
-    let (off, said) = worst("1e-2");
-    assert!(off > 1e-3 && said.contains("could not be made to sum to 1"), "{off}: {said}");
-    let (off, said) = worst("1e-4");
-    assert!(off < 1e-12 && said.is_empty(), "{off}: {said}");
+        let off = here.json("r.json")["row_sum_deviation"]["after"].as_f64().unwrap();
+        assert!(off < 1e-12 && said.is_empty(), "{off}: {said}");
+    }
+}
+
+/// The formats hold the same numbers.
+#[test]
+fn tables_in_other_formats() {
+    let scene = obj(cube(1, |_| "").into_iter().take(5));
+    let csv = table(&scene, "--up z --sky --ground");
+    assert_eq!(csv.names, ["0", "1", "2", "3", "4", "sky", "ground"]);
+    let here = Here::new(&scene, "");
+    for name in ["out.npy", "out.npz", "out.mtx"] {
+        let output = here.run(&format!("view-factors scene.obj -o {name} --quiet --up z --sky --ground"));
+        assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
+    }
+    let all: Vec<f64> = csv.rows.concat();
+    let npy = here.read("out.npy");
+    assert_eq!(npy[..8], *b"\x93NUMPY\x01\x00");
+    let start = 10 + usize::from(u16::from_le_bytes([npy[8], npy[9]]));
+    assert!(start % 64 == 0 && String::from_utf8_lossy(&npy[10..start]).contains("(7, 7)"));
+    let numbers =
+        |bytes: &[u8]| bytes.chunks(8).map(|c| f64::from_le_bytes(c.try_into().unwrap())).collect::<Vec<_>>();
+    assert_eq!(numbers(&npy[start..]), all);
+    // Rows from 1, columns from 1.
+    let text = String::from_utf8(here.read("out.mtx")).unwrap();
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some("%%MatrixMarket matrix coordinate real general"));
+    let mut lines = lines.filter(|line| !line.starts_with('%'));
+    let count = all.iter().filter(|&&f| f > 0.0).count();
+    assert_eq!(lines.next().unwrap(), format!("7 7 {count}"));
+    let mut found = vec![0.0; 49];
+    for line in lines {
+        let words: Vec<&str> = line.split(' ').collect();
+        let [i, j] = [0, 1].map(|k| words[k].parse::<usize>().unwrap() - 1);
+        found[7 * i + j] = words[2].parse().unwrap();
+    }
+    assert_eq!(found, all);
+    // An archive as SciPy reads it: its last member holds the values, and it ends with a directory of five.
+    let npz = here.read("out.npz");
+    let values: Vec<u8> = all.iter().filter(|&&f| f > 0.0).flat_map(|f| f.to_le_bytes()).collect();
+    assert!(npz.windows(values.len()).any(|window| window == values));
+    let end = &npz[npz.len() - 22..];
+    assert_eq!((&end[..4], end[10]), (&b"PK\x05\x06"[..], 5));
+    for member in ["indices.npy", "indptr.npy", "format.npy", "shape.npy", "data.npy"] {
+        assert_eq!(npz.windows(member.len()).filter(|w| *w == member.as_bytes()).count(), 2, "{member}");
+    }
+    assert!(here.fails("view-factors scene.obj -o out.txt", 2).contains("unknown kind of table"));
+}
+
+/// An open box of a unit cube: what leaves it upward goes to the sky, as to a lid.
+#[test]
+fn the_sky_and_the_ground_are_surfaces() {
+    let (here, _) = run(&obj(cube(1, |_| "").into_iter().take(5)), "--up z --sky --report r.json");
+    let text = String::from_utf8(here.read("out.csv")).unwrap();
+    assert!(text.lines().last().unwrap().starts_with("sky,inf,0,0"), "{text}");
+    let report = here.json("r.json");
+    for wall in 0..5 {
+        let surface = &report["surfaces"][wall];
+        let get = |name: &str| surface[name].as_f64().unwrap();
+        let exact = of_cube(wall, 5);
+        assert!((get("escaped") - exact).abs() < 1e-6 && get("escaped_standard_error") < 2e-5);
+        assert!(
+            (get("sky") - exact).abs() < 4.5 * get("sky_standard_error") && get("sky_standard_error") < 2e-4
+        );
+        assert!((get("backs") + get("sky") + get("ground") - get("escaped")).abs() < 1e-12);
+    }
 }
 
 #[test]
@@ -359,10 +425,15 @@ fn names_reach_the_table_as_they_are() {
 
 #[test]
 fn the_same_bytes_for_any_number_of_threads_and_what_is_said() {
-    let here = Here::new("", "");
-    let scene = format!("{}/meshes/furnace.obj", env!("CARGO_MANIFEST_DIR"));
+    let mut faces = cube(1, |_| "");
+    for (_, mut corners) in cube(1, |_| "") {
+        corners.iter_mut().flatten().for_each(|x| *x = 0.3 + 0.3 * *x);
+        corners.reverse();
+        faces.push(("", corners));
+    }
+    let here = Here::new(&obj(faces), "");
     let bytes = |options: &str| {
-        let output = here.run(&format!("view-factors {scene} -o out.csv --error 1e-3 {options}"));
+        let output = here.run(&format!("view-factors scene.obj -o out.csv --error 1e-3 {options}"));
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
         let said = String::from_utf8(output.stdout).unwrap();
         assert!(said.contains("enclosed      yes") && said.contains("12 by face"), "{said}");
@@ -400,6 +471,7 @@ fn what_cannot_be_done_is_refused_with_nothing_left_behind() {
         ("bad.obj -o out.csv", "error: bad.obj:4: "),
         ("scene.obj -o scene.obj", "replace the input"),
         ("scene.obj -o other.mtl", "may not have the name"),
+        ("scene.obj -o other.dat", "unknown kind of table"),
         ("scene.obj -o a.csv --pairs a.csv", "the same file"),
         ("scene.obj -o nowhere/a.csv", "nowhere/a.csv"),
         ("scene.obj --error 0", "between 1e-7 and 0.1"),

@@ -10,7 +10,7 @@ use std::{
 const COMMON: [&str; 7] = ["Error", "MeshError", "Setting", "Result", "Progress", "Quality", "Scene"];
 
 /// A module, what it may use, and what its tests may use besides.
-const LAYERS: [(&str, &[&str], &[&str]); 16] = [
+const LAYERS: [(&str, &[&str], &[&str]); 17] = [
     ("setters", &[], &[]),
     ("error", &[], &[]),
     ("progress", &[], &[]),
@@ -22,6 +22,7 @@ const LAYERS: [(&str, &[&str], &[&str]); 16] = [
     ("form_factor", &["scene", "trace", "patch"], &[]),
     ("view_factor", &["scene", "trace", "patch", "form_factor"], &[]),
     ("solve", &["patch", "form_factor"], &["scene", "trace"]),
+    ("heat", &["form_factor", "view_factor", "solve"], &[]),
     ("energy", &["patch", "form_factor", "solve"], &["scene", "trace"]),
     ("monte_carlo", &["tone", "scene", "trace"], &[]),
     ("accuracy", &["tone", "scene", "trace", "patch", "form_factor", "solve", "energy", "monte_carlo"], &[]),
@@ -35,6 +36,7 @@ const LAYERS: [(&str, &[&str], &[&str]); 16] = [
             "form_factor",
             "view_factor",
             "solve",
+            "heat",
             "energy",
             "monte_carlo",
             "accuracy",

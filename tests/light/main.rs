@@ -11,6 +11,7 @@ mod error_bars;
 mod exact_form_factors;
 mod extremes;
 mod form_factors;
+mod heat;
 mod lambert;
 mod lightmaps;
 mod matrix;

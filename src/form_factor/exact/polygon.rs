@@ -39,7 +39,7 @@ pub fn polygon_area(polygon: &[DVec3]) -> f64 {
 
 /// The part of a convex polygon above a plane; none if it rises nowhere above it by more than `slack`. Vertices up to
 /// `slack` below count as on the plane, so that an edge in the plane is not cut by its rounding errors.
-fn clip(polygon: &[DVec3], origin: DVec3, normal: DVec3, slack: f64) -> Option<Vec<DVec3>> {
+pub(crate) fn clip(polygon: &[DVec3], origin: DVec3, normal: DVec3, slack: f64) -> Option<Vec<DVec3>> {
     let heights: Vec<f64> = polygon.iter().map(|&v| (v - origin).dot(normal)).collect();
     if heights.iter().all(|&h| h <= slack) {
         return None;

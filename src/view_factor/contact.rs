@@ -1,0 +1,175 @@
+//! Polygons that lie on each other.
+//!
+//! Front to front (a box on a floor) they see each other where they touch, and nothing else there: as with a gap that goes to zero.
+//! Facing the same way (a window drawn in the plane of a wall) the smaller one is in front, and hides the other there. Both times what
+//! is left of a polygon is cut into convex pieces that see the rest of the scene.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{
+    blockers::Blockers,
+    polygon::{Polygon, area_vector},
+};
+use crate::{form_factor::exact::clip, trace::sampling::mix};
+
+/// How far apart two fronts may be, in the extent of the scene and in radii of the smaller, and still touch: what rounding leaves.
+/// A wider gap is a gap.
+const GAP: (f64, f64) = (1e-7, 1e-5);
+/// How deep a polygon may be sunk into the one that it lies on: files round to six digits.
+const SUNK: (f64, f64) = (5e-6, 1e-3);
+/// What normals of polygons in one plane may differ by.
+const TURNED: f64 = 1e-4;
+/// Overlaps below this share of the smaller polygon are the rounding of neighbours' edges.
+const OVERLAP: f64 = 1e-6;
+
+/// Directions that tell on which side of a sheet the inside of a body is.
+const LOOKS: u64 = 16;
+
+/// What the polygons are once what touches or is hidden was taken off.
+pub(super) struct Parts {
+    /// Convex pieces, by polygons.
+    pub(super) pieces: Vec<Polygon>,
+    /// Surfaces that touch, the first not after the second, and the areas they do it with.
+    pub(super) touching: Vec<(u32, u32, f64)>,
+    /// Of each polygon, the area that others in its plane hide.
+    pub(super) hidden: Vec<f64>,
+}
+
+/// Two polygons that overlap in one plane.
+struct Overlap {
+    p: usize,
+    q: usize,
+    /// Whether they face each other; else the first hides the second.
+    touch: bool,
+}
+
+/// Takes off what touches, and what is hidden in its own plane.
+pub(super) fn separate(polygons: Vec<Polygon>, blockers: &Blockers) -> Parts {
+    let mut overlaps: Vec<Overlap> =
+        (0..polygons.len()).into_par_iter().flat_map_iter(|i| overlaps_of(&polygons, i, blockers)).collect();
+    let mut rest: Vec<Option<Vec<Vec<DVec3>>>> = polygons.iter().map(|_| None).collect();
+    let mut hidden = vec![0.0; polygons.len()];
+    let mut touching = Vec::new();
+    overlaps.sort_by_key(|o| !o.touch);
+    let mut take = |from: usize, by: usize| {
+        let polygon = &polygons[from];
+        let pieces = rest[from].take().unwrap_or_else(|| vec![polygon.corners.clone()]);
+        let (left, taken) = without(pieces, polygon, &polygons[by]);
+        rest[from] = Some(left);
+        taken
+    };
+    for Overlap { p, q, touch } in overlaps {
+        let taken = take(q, p);
+        if touch {
+            take(p, q);
+            let (a, b) = (polygons[p].surface, polygons[q].surface);
+            touching.push((a.min(b), a.max(b), taken));
+        } else {
+            hidden[q] += taken;
+        }
+    }
+    let cut = |(polygon, rest): (Polygon, Option<Vec<Vec<DVec3>>>)| match rest {
+        None => vec![polygon],
+        Some(rest) => {
+            let piece = |corners: Vec<DVec3>| Polygon::piece(corners, polygon.surface, polygon.source);
+            rest.into_iter().map(piece).collect()
+        }
+    };
+    let pieces = polygons.into_iter().zip(rest).flat_map(cut).collect();
+    Parts { pieces, touching, hidden }
+}
+
+/// The overlaps of a polygon with later ones.
+fn overlaps_of<'a>(
+    polygons: &'a [Polygon],
+    i: usize,
+    blockers: &'a Blockers,
+) -> impl Iterator<Item = Overlap> + 'a {
+    let p = &polygons[i];
+    let margin = SUNK.0;
+    let near = blockers.near(&p.corners, margin);
+    near.into_iter().map(|j| j as usize).filter(move |&j| j > i).filter_map(move |j| {
+        let q = &polygons[j];
+        let reach = p.radius + q.radius;
+        let cosine = p.normal.dot(q.normal);
+        if p.centre.distance_squared(q.centre) > reach * reach || cosine.abs() < 1.0 - TURNED {
+            return None;
+        }
+        let small = p.radius.min(q.radius);
+        let limit = |(extent, radii): (f64, f64)| (radii * small).min(extent);
+        let opposed = cosine < 0.0;
+        let (gap, sunk) = (limit(GAP), limit(if opposed { SUNK } else { GAP }));
+        // Heights of the smaller one, whose plane reaches less far.
+        let (plane, other) = if p.radius >= q.radius { (p, q) } else { (q, p) };
+        let mut heights = other.corners.iter().map(|&v| plane.height(v));
+        if !heights.all(|h| h <= gap && h >= -sunk) {
+            return None;
+        }
+        let (_, overlap) = without(vec![other.corners.clone()], other, plane);
+        if overlap < OVERLAP * p.area.min(q.area) {
+            return None;
+        }
+        match opposed {
+            true => in_contact(p, q, blockers).then_some(Overlap { p: i, q: j, touch: true }),
+            false if p.area <= q.area => Some(Overlap { p: i, q: j, touch: false }),
+            false => Some(Overlap { p: j, q: i, touch: false }),
+        }
+    })
+}
+
+/// Whether two polygons in one plane that face opposite ways do so front to front.
+///
+/// Two sides of one sheet look the same; there nobody is inside a body. Where both polygons have two sides, those that come
+/// first in the list touch, and the others, behind them, do not.
+fn in_contact(p: &Polygon, q: &Polygon, blockers: &Blockers) -> bool {
+    if blockers.name(p.source) == blockers.name(q.source) {
+        return [p, q].iter().any(|polygon| is_inside(polygon, blockers));
+    }
+    match (blockers.reverse(p.source), blockers.reverse(q.source)) {
+        (Some(back), Some(other)) => p.source.min(q.source) < back.min(other),
+        _ => true,
+    }
+}
+
+/// Whether most of what the front of a polygon sees are backs.
+fn is_inside(polygon: &Polygon, blockers: &Blockers) -> bool {
+    let across = polygon.normal.any_orthonormal_vector();
+    let along = polygon.normal.cross(across);
+    let backs = (0..LOOKS).filter(|&k| {
+        let unit = |d: u64| mix(&[k, d]) as f64 / 2f64.powi(64);
+        let (sine, cosine) = (std::f64::consts::TAU * unit(0)).sin_cos();
+        let squared = unit(1);
+        let direction =
+            (across * cosine + along * sine) * squared.sqrt() + polygon.normal * (1.0 - squared).sqrt();
+        let name = blockers.name(polygon.source);
+        blockers.first(polygon.centre, direction, name) == Some(false)
+    });
+    2 * backs.count() as u64 > LOOKS
+}
+
+/// What is left of pieces of a polygon where another one in its plane is taken off, and the area taken.
+fn without(pieces: Vec<Vec<DVec3>>, of: &Polygon, other: &Polygon) -> (Vec<Vec<DVec3>>, f64) {
+    let normal = of.normal * of.normal.dot(other.normal).signum();
+    let (mut left, mut taken) = (Vec::new(), 0.0);
+    let (n, large) =
+        (other.corners.len(), |corners: &[DVec3]| area_vector(corners).length() > 1e-12 * of.area);
+    for piece in pieces {
+        let (mut inside, mut outside) = (Some(piece.clone()), Vec::new());
+        for k in 0..n {
+            let (a, b) = (other.corners[k], other.corners[(k + 1) % n]);
+            let inward = normal.cross(b - a).normalize();
+            let Some(part) = inside else { break };
+            outside.extend(clip(&part, a, -inward, 0.0).filter(|corners| large(corners)));
+            inside = clip(&part, a, inward, 0.0).filter(|corners| large(corners));
+        }
+        match inside {
+            None => left.push(piece),
+            Some(inside) => {
+                taken += area_vector(&inside).length();
+                left.append(&mut outside);
+            }
+        }
+    }
+    (left, taken)
+}

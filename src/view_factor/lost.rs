@@ -1,0 +1,162 @@
+//! Where the light goes that no surface gets: rays from all polygons tell which backs it meets, and whether it leaves upward or
+//! downward.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{
+    blockers::Blockers,
+    estimate::DOUBT,
+    polygon::{Area, Polygon},
+};
+use crate::{
+    Progress, Result,
+    trace::sampling::{around, mix, sobol_4d, square_to_cosine_hemisphere},
+};
+
+/// Rays for the look round, by area, and the fewest of a polygon: small ones have a look as well.
+const LOOK: f64 = 131_072.0;
+const FEWEST: f64 = 32.0;
+/// The most rays that tell where the light of a surface goes, and of all.
+const MOST: f64 = (1u32 << 20) as f64;
+const MOST_IN_ALL: f64 = (1u32 << 25) as f64;
+
+/// What rays from a polygon or a surface met.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Sight {
+    /// Rays cast.
+    pub rays: u64,
+    /// Of them, those that met the back of a polygon,
+    pub backs: u64,
+    /// those that left the scene upward or level,
+    pub up: u64,
+    /// and those that left it downward.
+    pub down: u64,
+}
+
+impl Sight {
+    /// Those that met no front.
+    pub fn lost(&self) -> u64 {
+        self.backs + self.up + self.down
+    }
+
+    /// The sum of what two saw.
+    pub fn and(self, other: Sight) -> Sight {
+        Sight {
+            rays: self.rays + other.rays,
+            backs: self.backs + other.backs,
+            up: self.up + other.up,
+            down: self.down + other.down,
+        }
+    }
+}
+
+/// What `rays` from a piece meet.
+fn sight(piece: &Polygon, blockers: &Blockers, up: DVec3, rays: u64, seed: u64) -> Sight {
+    let area = Area::new(piece.corners.clone(), piece.normal);
+    let name = blockers.name(piece.source);
+    let mut sight = Sight { rays, ..Sight::default() };
+    for k in 0..rays {
+        let [x, y, u, v] = sobol_4d(k as u32, seed);
+        let from = area.point(f64::from(x), f64::from(y));
+        let direction = around(piece.normal.as_vec3a(), square_to_cosine_hemisphere(u, v)).as_dvec3();
+        match blockers.first(from, direction, name) {
+            Some(true) => {}
+            Some(false) => sight.backs += 1,
+            None if direction.dot(up) >= 0.0 => sight.up += 1,
+            None => sight.down += 1,
+        }
+    }
+    sight
+}
+
+/// What the pieces see, each.
+pub(super) fn look(pieces: &[Polygon], blockers: &Blockers, up: DVec3) -> Vec<Sight> {
+    let total: f64 = pieces.iter().map(|piece| piece.area).sum();
+    let of_piece = |k: usize| {
+        let rays = (LOOK * pieces[k].area / total).max(FEWEST).ceil() as u64;
+        sight(&pieces[k], blockers, up, rays, mix(&[u64::MAX, k as u64]))
+    };
+    (0..pieces.len()).into_par_iter().map(of_piece).collect()
+}
+
+/// A share of a surface's light, and its standard error.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Share {
+    /// The share.
+    pub value: f64,
+    /// Its standard error.
+    pub error: f64,
+}
+
+/// The shares of a surface's light that no surface gets.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Lost {
+    /// All of it.
+    pub escaped: Share,
+    /// What meets backs,
+    pub backs: Share,
+    /// and what leaves the scene.
+    pub left: Share,
+    /// Of that what does so upward or level,
+    pub up: Share,
+    /// and what does so downward.
+    pub down: Share,
+}
+
+/// How what escapes from each surface, known with a standard error, is divided. `error` is the standard error wanted.
+pub(super) fn divide(
+    escaped: &[Share],
+    pieces: &[Polygon],
+    blockers: &Blockers,
+    up: DVec3,
+    (error, seed): (f64, u64),
+    progress: &Progress,
+) -> Result<Vec<Lost>> {
+    let n = escaped.len();
+    let mut of: Vec<std::ops::Range<usize>> = vec![0..0; n];
+    for (k, piece) in pieces.iter().enumerate() {
+        let range = &mut of[piece.surface as usize];
+        *range = if range.end == 0 { k } else { range.start }..k + 1;
+    }
+    progress.begin("what escapes", n as u64);
+    let most = (MOST_IN_ALL / n as f64).clamp(256.0, MOST);
+    let divided = |i: usize| {
+        progress.advance(1);
+        let all = escaped[i];
+        if all.value <= 0.0 || progress.is_stopped() {
+            return Lost { escaped: all, ..Lost::default() };
+        }
+        let own = &pieces[of[i].clone()];
+        let area: f64 = own.iter().map(|piece| piece.area).sum();
+        let cast = |rays: f64, round: u64| {
+            let of_piece = |(k, piece): (usize, &Polygon)| {
+                let rays = (rays * piece.area / area).ceil().max(1.0) as u64;
+                sight(piece, blockers, up, rays, mix(&[seed, i as u64, k as u64, round]))
+            };
+            own.par_iter().enumerate().map(of_piece).reduce(Sight::default, Sight::and)
+        };
+        let first = cast(256.0_f64.min(most), 0);
+        let shares = |sight: &Sight| {
+            let lost = sight.lost().max(1) as f64;
+            [sight.backs, sight.up + sight.down, sight.up, sight.down].map(|k| k as f64 / lost)
+        };
+        let spread = shares(&first).map(|s| s * (1.0 - s)).into_iter().fold(0.0, f64::max);
+        // Rays that agree tell so to one over their number.
+        let wanted = (all.value * spread / (error * error)).max(1.0 / error).min(most);
+        let seen = if wanted > first.rays as f64 { cast(wanted, 1) } else { first };
+        // Where the rays told of nothing lost, all that is lost leaves upward as far as is known.
+        let parts = if seen.lost() == 0 { [0.0, 1.0, 1.0, 0.0] } else { shares(&seen) };
+        let lost = seen.lost().max(1) as f64;
+        let part = |s: f64| {
+            let variance = s * (1.0 - s) / lost + DOUBT / (lost * lost);
+            let value = s * all.value;
+            Share { value, error: (all.value * all.value * variance + (s * all.error).powi(2)).sqrt() }
+        };
+        let [backs, left, up, down] = parts.map(part);
+        Lost { escaped: all, backs, left, up, down }
+    };
+    let lost = (0..n).into_par_iter().map(divided).collect();
+    progress.check()?;
+    Ok(lost)
+}
