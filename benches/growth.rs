@@ -115,7 +115,7 @@ fn run(scene: &Scene, count: usize) -> Result<(), Box<dyn Error>> {
     let cast = CastOptions::default().with_rays(RAYS);
     let form_factors = FormFactors::cast(scene, &tracer, &mut patches, &cast, &progress)?;
     lap(&mut seconds);
-    let casting = form_factors.hits().map_or(0.0, |hits| hits.seconds());
+    let casting = form_factors.ray_set().map_or(0.0, |hits| hits.seconds());
     seconds.insert(0, casting);
     seconds[1] -= casting;
     let solution = solve(&form_factors, &patches, &options, &progress)?;

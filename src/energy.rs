@@ -1,8 +1,9 @@
 //! The energy ledger: all emitted power is absorbed or escapes.
 //!
-//! With irradiance E = F B and residual r = Be + ρ E - B, exactly
+//! What lamps emit, Bd, arrives straight as D or escapes. With U = B - Bd what form factors carry, irradiance E = D + F U and
+//! residual r = Be + ρ E - B, exactly
 //!
-//!   emitted - absorbed - escaped = Σ_i A_i r_i + Σ_j B_j Σ_i (A_j F_ji - A_i F_ij)
+//!   emitted - absorbed - escaped = Σ_i A_i r_i + Σ_j U_j Σ_i (A_j F_ji - A_i F_ij)
 //!
 //! The first part is the solver's error, the second the defect of reciprocity. A balanced ledger proves only that both are
 //! small: a wrong but symmetric matrix balances perfectly. Error bars and an independent estimator judge whether the
@@ -21,14 +22,16 @@ pub struct EnergyLedger {
     pub emitted: Vec<f64>,
     /// Σ A (1 - ρ) E.
     pub absorbed: Vec<f64>,
-    /// Σ A B times the share of light that leaves the scene.
+    /// Σ A U times the share of form factor that leaves the scene, and what of lamps' light arrives nowhere, Σ A (Bd - D).
     pub escaped: Vec<f64>,
     /// Σ A r.
     pub solver_part: Vec<f64>,
-    /// Σ_j B_j Σ_i (A_j F_ji - A_i F_ij).
+    /// Σ_j U_j Σ_i (A_j F_ji - A_i F_ij).
     pub reciprocity_part: Vec<f64>,
     /// Σ A B: the power that leaves the patches, counted at every bounce.
     pub leaving: Vec<f64>,
+    /// What of lamps' light arrives nowhere in a scene that no ray finds a way out of, beyond what sampling explains.
+    pub leaking: Vec<f64>,
 }
 
 impl EnergyLedger {
@@ -48,11 +51,13 @@ impl EnergyLedger {
         // A_j Σ_i F_ji, the exchange area that patch j sends by; and Σ_i A_i F_ij, the one that others receive by.
         let sent: Vec<f64> = form_factors.row_sums().iter().zip(areas).map(|(sum, a)| a * sum).collect();
         let taken = form_factors.column_sums();
+        let (direct, leaks) = form_factors.direct_escape(radiometry.emission, channels);
         let zero = vec![0.0; channels];
         let mut ledger = EnergyLedger {
             emitted: zero.clone(),
             absorbed: zero.clone(),
-            escaped: zero.clone(),
+            leaking: if leaks { direct.clone() } else { zero.clone() },
+            escaped: direct,
             solver_part: zero.clone(),
             reciprocity_part: zero.clone(),
             leaving: zero,
@@ -64,10 +69,11 @@ impl EnergyLedger {
                 let (b, e) = (solution.radiosity[at], solution.irradiance[at]);
                 ledger.emitted[c] += areas[i] * be;
                 ledger.absorbed[c] += areas[i] * (1.0 - rho) * e;
-                ledger.escaped[c] += areas[i] * b * escaped[i];
+                let carried = if form_factors.is_lamp(i) { (b - be).max(0.0) } else { b };
+                ledger.escaped[c] += areas[i] * carried * escaped[i];
                 ledger.leaving[c] += areas[i] * b;
                 ledger.solver_part[c] += areas[i] * (be + rho * e - b);
-                ledger.reciprocity_part[c] += b * (sent[i] - taken[i]);
+                ledger.reciprocity_part[c] += carried * (sent[i] - taken[i]);
             }
         }
         ledger
@@ -92,6 +98,11 @@ impl EnergyLedger {
     /// can be closer. It matters where surfaces reflect nearly all light.
     pub fn rounding(&self) -> f64 {
         self.worst(|c| f64::EPSILON * self.leaving[c])
+    }
+
+    /// What leaks, relative to what is emitted, of the channel where it is worst.
+    pub fn relative_leak(&self) -> f64 {
+        self.worst(|c| self.leaking[c])
     }
 
     fn worst(&self, power: impl Fn(usize) -> f64) -> f64 {

@@ -94,13 +94,16 @@
 mod setters;
 
 pub mod accuracy;
+mod direct;
 pub mod energy;
 mod error;
+pub mod exact;
 pub mod form_factor;
 pub mod heat;
 pub mod lightmap;
 pub mod monte_carlo;
 pub mod output;
+mod parallel;
 pub mod patch;
 mod progress;
 mod quality;

@@ -360,7 +360,7 @@ impl Kept {
         );
         // A file whose checksums are right may still say what cannot be; that is refused later.
         let Ok(f) = cast else { return Vec::new() };
-        let hits = f.hits().expect("rays were cast");
+        let hits = f.ray_set().expect("rays were cast");
         (0..f.len()).flat_map(|i| hits.of(i)).copied().collect()
     }
 

@@ -95,7 +95,13 @@ fn coarse_irradiance<const C: usize>(
 ) -> Result<Vec<f64>> {
     let areas = form_factors.areas();
     let mean = |values: &[f64]| means(families, areas, values, C);
-    let (emission, reflectance) = (mean(patches.emission()), mean(patches.reflectance()));
+    let (mut source, reflectance) = (patches.emission().to_vec(), mean(patches.reflectance()));
+    let direct = form_factors.direct::<C>(patches.emission().as_chunks().0);
+    let direct =
+        direct.map_or_else(|| vec![0.0; C * areas.len()], |direct| direct.irradiance.into_flattened());
+    let is_lamp = |q: &usize| form_factors.is_lamp(*q / C);
+    (0..source.len()).filter(is_lamp).for_each(|q| source[q] = 0.0);
+    let (source, direct) = (mean(&source), mean(&direct));
     let unit = magnitude(&solution.radiosity);
     let fine = mean(&solution.irradiance);
     let mut irradiance = fine.clone();
@@ -113,14 +119,14 @@ fn coarse_irradiance<const C: usize>(
         for (p, family) in families.iter().enumerate() {
             let of_parent = std::array::from_fn(|c| {
                 let q = C * p + c;
-                ((emission[q] + reflectance[q] * irradiance[q]) / unit) as f32
+                ((source[q] + reflectance[q] * irradiance[q]) / unit) as f32
             });
             radiosity[family.clone()].fill(of_parent);
         }
         form_factors.irradiance_into::<f32, C>(radiosity.as_flattened(), arriving.as_flattened_mut());
         let last = std::mem::take(&mut irradiance);
         let arrived: Vec<f64> = arriving.as_flattened().iter().map(|&e| unit * f64::from(e)).collect();
-        irradiance = mean(&arrived);
+        irradiance = mean(&arrived).iter().zip(&direct).map(|(e, direct)| e + direct).collect();
         let step = distance(&irradiance, &last);
         // The remaining terms form a geometric series.
         let ratio = if before < f64::INFINITY { (step / before).min(1.0) } else { 1.0 };

@@ -1,11 +1,12 @@
 //! Error bars: the standard error of every patch's irradiance that comes from sampling the form factors.
 //!
-//! The rays of every patch are taken as K parts, the replicates. Replicate k, by itself, gives form factors F_k = F + dF_k,
-//! and to first order the irradiance
+//! The rays of every patch are taken as K parts, the replicates. Replicate k, by itself, gives direct light D + dD_k and form
+//! factors F + dF_k, and to first order the irradiance is off by
 //!
-//!   dE_k = dF_k B + F ρ dE_k
+//!   dE_k = dD_k + dF_k U + F ρ dE_k
 //!
-//! The first term is summed from the rays of the replicate, its closure included; the second, the error that a patch
+//! where U is what form factors carry, all light but what lamps emit. The first term is that of shadow rays, the second is summed
+//! from the hemisphere rays of the replicate, its closure included; the two are independent. The third, the error that a patch
 //! inherits through the light of others, is a Neumann series. The spread of dE_k over the K replicates would give
 //! the standard error of their mean, sqrt(Σ dE_k² / (K (K - 1))), were they independent; they are parts of one sequence,
 //! and together better than that, here more and there less: see `stratification`.
@@ -13,11 +14,10 @@
 use rayon::prelude::*;
 
 use crate::{
+    direct::{Deviation, DirectLight},
     form_factor::{
-        FormFactors,
-        hemisphere::REPLICATES,
-        magnitude, ordered_sum,
-        replicates::Deviation,
+        FormFactors, magnitude, ordered_sum,
+        rays::REPLICATES,
         siblings::with_mean,
         stratification::{half_differences, variance_of_all, variance_of_nets},
         together,
@@ -76,6 +76,8 @@ pub struct ErrorBars {
     /// The standard error of the area-weighted mean irradiance of all patches, for each channel: less than patches
     /// with independent errors would give, since what one patch receives too much another misses.
     pub of_mean: Vec<f64>,
+    /// The standard error of the power that escapes, W, for each channel.
+    pub of_escaped: Vec<f64>,
 }
 
 impl ErrorBars {
@@ -88,24 +90,34 @@ impl ErrorBars {
         radiometry: impl Into<Radiometry<'a>>,
         solution: &Solution,
     ) -> Option<ErrorBars> {
-        let reflectance = radiometry.into().reflectance;
-        assert_eq!(reflectance.len(), solution.radiosity.len(), "sizes disagree");
+        let radiometry = radiometry.into();
+        assert_eq!(radiometry.reflectance.len(), solution.radiosity.len(), "sizes disagree");
         together(|| match solution.channels {
-            1 => Self::spread::<1>(form_factors, reflectance.as_chunks().0, solution),
-            _ => Self::spread::<3>(form_factors, reflectance.as_chunks().0, solution),
+            1 => Self::spread::<1>(form_factors, radiometry, solution),
+            _ => Self::spread::<3>(form_factors, radiometry, solution),
         })
     }
 
     fn spread<const C: usize>(
         form_factors: &FormFactors,
-        reflectance: &[[f64; C]],
+        radiometry: Radiometry<'_>,
         solution: &Solution,
     ) -> Option<ErrorBars> {
+        let reflectance: &[[f64; C]] = radiometry.reflectance.as_chunks().0;
         let unit = magnitude(&solution.radiosity);
         // Divided by it, single precision holds them.
-        let scaled: Vec<[f64; C]> =
-            solution.radiosity.as_chunks::<C>().0.iter().map(|x| x.map(|x| x / unit)).collect();
-        let local = form_factors.deviations(&scaled)?;
+        let scaled = |b: &[f64; C]| b.map(|b| b / unit);
+        let emission: Vec<[f64; C]> = radiometry.emission.as_chunks().0.iter().map(scaled).collect();
+        let mut carried: Vec<[f64; C]> = solution.radiosity.as_chunks().0.iter().map(scaled).collect();
+        for (i, b) in carried.iter_mut().enumerate().filter(|&(i, _)| form_factors.is_lamp(i)) {
+            *b = std::array::from_fn(|c| b[c] - emission[i][c]);
+        }
+        let mut local = form_factors.deviations(&carried)?;
+        let direct = form_factors.direct(&emission);
+        for (local, direct) in local.iter_mut().zip(direct.iter().flat_map(|direct| &direct.deviations)) {
+            let values = local.as_flattened_mut().iter_mut().zip(direct.as_flattened());
+            values.for_each(|(local, direct)| *local += direct);
+        }
         let areas = form_factors.areas();
         let total: f64 = areas.iter().sum();
         let mut mean = [[0f64; REPLICATES]; C];
@@ -118,40 +130,28 @@ impl ErrorBars {
                 }
             }
         }
+        let escaped = escaped_deviations(form_factors, reflectance, &carried, &local, direct.as_ref())?;
+        let of_escaped = escaped.iter().map(|deviations| unit * variance_of(deviations).sqrt()).collect();
         let [own, all] = propagate(form_factors, reflectance, solution, &local);
         let strata: Vec<Strata> = all.par_iter().with_min_len(256).map(Strata::of).collect();
-        // What comes from all others' shadow rays is stratified otherwise than what a patch's own rays tell. Of two patches of a
-        // lamp luck would tell; another patch beside them keeps it within bounds.
-        let is_source = |i: &usize| form_factors.is_source(*i);
-        let patches = 0..strata.len();
-        let others = Strata::sum(&strata, patches.clone().filter(|i| !is_source(i)), |i| areas[i]);
-        let sources = Strata::sum(&strata, patches.clone().filter(is_source), |i| areas[i])
-            .beside(&others, 1.0 / patches.filter(is_source).count() as f64);
+        let typical = Strata::sum(&strata, 0..strata.len(), |i| areas[i]);
         let mut standard_error = smoothed_errors(form_factors, solution, &local, &own, &strata);
-        let (moved, radiosity) = (form_factors.moved(), solution.radiosity.as_chunks::<C>().0);
-        let brightest: [f64; C] = std::array::from_fn(|c| radiosity.iter().map(|b| b[c]).fold(0.0, f64::max));
         for family in form_factors.siblings() {
-            let typical = if is_source(&family.start) { &sources } else { &others };
             let near = Strata::sum(&strata, family.clone(), |_| 1.0);
-            let stratified = near.beside(typical, PRIOR / family.len() as f64).factor();
+            let stratified = near.beside(&typical, PRIOR / family.len() as f64).factor();
             for i in family.clone() {
-                let (unseen, moved) = (form_factors.unseen(i), moved(i));
+                let unseen = form_factors.unseen(i);
                 for q in C * i..C * (i + 1) {
                     let irradiance = solution.irradiance[q];
-                    // Rows still sum to one: what was moved counts as far as what the patch sees differs, of which this is the most
-                    // (Bhatia and Davis, "A better bound on the variance", American Mathematical Monthly 107, 2000).
-                    let differs =
-                        (irradiance * (brightest[q % C] - irradiance)).max(0.0).sqrt().min(irradiance);
                     standard_error[q] = (unit * stratified * standard_error[q])
-                        .hypot(moved * differs)
                         .hypot(LEAST * irradiance)
                         .hypot(unseen * solution.radiosity[q]);
                 }
             }
         }
-        let of_mean = |deviations| unit * others.factor() * variance_of(deviations).sqrt();
+        let of_mean = |deviations| unit * typical.factor() * variance_of(deviations).sqrt();
         let of_mean = mean.iter().map(of_mean).collect();
-        Some(ErrorBars { channels: C, standard_error, of_mean })
+        Some(ErrorBars { channels: C, standard_error, of_mean, of_escaped })
     }
 }
 
@@ -269,6 +269,45 @@ fn importance<const C: usize>(form_factors: &FormFactors, reflectance: &[[f64; C
         }
     }
     importance
+}
+
+/// By how much what escapes deviates in each replicate: straight from lamps, by the escaped shares themselves, and of what local
+/// deviations bring to patches, what is reflected and escapes in the end.
+fn escaped_deviations<const C: usize>(
+    form_factors: &FormFactors,
+    reflectance: &[[f64; C]],
+    carried: &[[f64; C]],
+    local: &[Deviation<C>],
+    direct: Option<&DirectLight<C>>,
+) -> Option<[[f64; REPLICATES]; C]> {
+    let (areas, escaped) = (form_factors.areas(), form_factors.escaped());
+    // Of one more unit that a patch receives, what escapes: v = ρ e + ρ F v.
+    let mut v: Vec<[f32; C]> = vec![[0.0; C]; areas.len()];
+    let mut arriving = v.clone();
+    let total = |v: &[[f32; C]]| ordered_sum(areas.len(), |i| areas[i] * f64::from(v[i].iter().sum::<f32>()));
+    let mut size = 0.0;
+    for _ in 0..MOST_BOUNCES {
+        let rows = v.par_iter_mut().zip(&arriving).zip(reflectance).zip(escaped).with_min_len(256);
+        rows.for_each(|(((v, arriving), rho), &e)| {
+            *v = std::array::from_fn(|c| rho[c] as f32 * (e as f32 + arriving[c]));
+        });
+        let before = size;
+        size = total(&v);
+        if size - before <= ENOUGH * size {
+            break;
+        }
+        form_factors.irradiance_into::<f32, C>(v.as_flattened(), arriving.as_flattened_mut());
+    }
+    let shares = form_factors.escape_deviations()?;
+    Some(std::array::from_fn(|c| {
+        std::array::from_fn(|k| {
+            let of_patch = |i: usize| {
+                let returned = f64::from(v[i][c]) * f64::from(local[i][c][k]);
+                areas[i] * (carried[i][c] * f64::from(shares[i][k]) + returned)
+            };
+            ordered_sum(areas.len(), of_patch) + direct.map_or(0.0, |direct| direct.escaped_deviations[c][k])
+        })
+    }))
 }
 
 /// Sums over the channels of dF_k B, which are `local`, and of dE_k. One channel serves for all: what patches inherit is the small

@@ -1,7 +1,8 @@
 //! A forecast of the memory that a solution will take.
 
 use crate::{
-    form_factor::{Estimator, hemisphere::REPLICATES, lamp::MOST_LAMPS},
+    direct::{Constants, REPLICATES},
+    form_factor::Estimator,
     scene::Scene,
     solve::Solver,
 };
@@ -20,8 +21,8 @@ const TRANSPOSED_ENTRY: f64 = 24.0;
 const DENSE_ENTRY: f64 = 32.0;
 /// Entries of a row of a symmetric matrix, each half of a pair of 12 bytes at most.
 const SHARED_ENTRY: f64 = 6.0;
-/// A link: patch, kernel, index, kind.
-const LINK: f64 = 16.0;
+/// A shadow ray: what it went to, and its weight.
+const SHADOW_RAY: f64 = 8.0;
 
 /// A patch without a matrix, for any number of rays: sums, batches, light and error of a channel, and everything that does not
 /// depend on channels; then the mesh that is written.
@@ -63,22 +64,15 @@ impl Memory {
         let n = patches.max(1.0);
         let channels = scene.channels() as f64;
         let lamps: Vec<usize> = (0..scene.triangles.len()).filter(|&t| scene.emits(t)).collect();
-        let area = |t: usize| scene.area(t);
-        let total: f64 = (0..scene.triangles.len()).map(area).sum();
-        let bright = lamps.iter().map(|&t| area(t)).sum::<f64>() / total;
         let pooled = estimator == Estimator::Pooled;
-        let (hemisphere, links) = match lamps.len() {
-            _ if !pooled => (rays, 0.0),
-            0..=MOST_LAMPS => (0.75 * rays, 0.25 * rays),
-            // Sources at either end.
-            _ => (0.75 * rays, 0.25 * rays + 0.75 * rays * (1.0 - (1.0 - bright).powi(2))),
-        };
-        // The unoccluded light of each lamp, and the share of it that samples saw.
-        let of_lamps = if pooled && lamps.len() <= MOST_LAMPS { 24.0 * lamps.len() as f64 } else { 0.0 };
+        let (hemisphere, shadow) = if pooled { (0.75 * rays, 0.25 * rays) } else { (rays, 0.0) };
+        // What each triangle sends if nothing stands between.
+        let of_lamps =
+            if pooled && lamps.len() <= Constants::MOST_KNOWN { 8.0 * lamps.len() as f64 } else { 0.0 };
         // Number of entries of a row with a number of samples among a number of patches.
         let row = |samples: f64, patches: f64| -patches * (-samples / patches).exp_m1();
         let both = if pooled { 2.0 } else { 1.0 };
-        let hits = 4.0 * hemisphere + LINK * links + 100.0;
+        let hits = 4.0 * hemisphere + SHADOW_RAY * shadow + 100.0;
         let entry = if pooled { SHARED_ENTRY } else { ENTRY };
         let entries = row(both * rays, n);
         let factors = if pooled { 10.0 * entries + 8.0 * row(rays, n) } else { 2.0 * ENTRY * row(rays, n) };

@@ -8,7 +8,7 @@ use radiosity::{
     Error, Quality, Result as RadiosityResult, Scene,
     monte_carlo::reflection::SpecularPart,
     patch::Subdivision,
-    scene::{LoadOptions, MOST_RADIANCE, is_radiance},
+    scene::{LoadOptions, MOST_RADIANCE, Material, is_radiance},
 };
 
 use super::models;
@@ -42,6 +42,9 @@ pub struct SceneArgs {
     /// What becomes of specular parts where all surfaces count as Lambertian, which is everywhere but in path and light tracing
     #[arg(long, value_enum, default_value_t = SpecularName::Drop)]
     specular: SpecularName,
+    /// Only these materials emit, whatever the others do: the light of some lamps alone. Sums over all lamps are the whole
+    #[arg(long, value_name = "MATERIAL,...", value_delimiter = ',')]
+    emitters: Vec<String>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -104,12 +107,38 @@ impl SceneArgs {
                 return Err(self.no_material(&scene, "--model", &model.material));
             }
         }
+        self.keep_emitters(&mut scene)?;
         scene.cut_overlaps();
         Ok(scene)
     }
 
     fn no_material(&self, scene: &Scene, option: &str, name: &str) -> Error {
         no_material(scene, &self.path, option, name)
+    }
+
+    /// Lets no material emit but those that were named, if any were.
+    fn keep_emitters(&self, scene: &mut Scene) -> RadiosityResult<()> {
+        if self.emitters.is_empty() {
+            return Ok(());
+        }
+        let emits: Vec<bool> = scene.materials.iter().map(Material::emits).collect();
+        for name in &self.emitters {
+            let named = |(m, emits): (&Material, &bool)| *emits && m.name == *name;
+            if !scene.materials.iter().zip(&emits).any(named) {
+                let all = scene.materials.iter().zip(&emits).filter(|(_, emits)| **emits);
+                let mut names: Vec<&str> = all.map(|(m, _)| m.name.as_str()).collect();
+                names.dedup();
+                return Err(Error::Usage {
+                    message: format!("--emitters: no material `{name}` of {} emits", self.path.display()),
+                    hint: Some(format!("those that emit are {}", names[..names.len().min(10)].join(", "))),
+                });
+            }
+        }
+        for material in scene.materials.iter_mut().filter(|m| !self.emitters.contains(&m.name)) {
+            material.emission = [0.0; 3];
+            material.emission_map = None;
+        }
+        Ok(())
     }
 }
 

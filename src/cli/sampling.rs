@@ -204,6 +204,14 @@ impl Sampling<'_> {
         if !self.goes_on_without_matrix(&plan, &rounds, solved.patches.fronts() as f64) {
             let (errors, seconds) = self.watch.stage("errors", || self.errors(&solved))?;
             times.solve += seconds;
+            let leak = errors.energy.relative_leak();
+            if leak != 0.0 {
+                self.watch.warn(&format!(
+                    "{:.2} % of the light of lamps arrives nowhere, although no ray finds a way out of the scene: faces may be in \
+                     each other's place",
+                    100.0 * leak
+                ));
+            }
             return Ok((Answer::Matrix(Box::new(solved), Box::new(errors)), rounds));
         }
         // The rays cannot be used again, because sweeps carry other light.

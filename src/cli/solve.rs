@@ -345,7 +345,7 @@ pub fn view(
 
 /// The errors that are computed once all rays are cast.
 pub struct Errors {
-    energy: EnergyLedger,
+    pub energy: EnergyLedger,
     /// Relative to the mean irradiance, as is the bound on the error of the solver.
     bias: Option<f64>,
     solver: Option<f64>,
@@ -385,11 +385,12 @@ fn report_of(args: &SolveArgs, computed: &Computed, exposure: Exposure) -> Solve
     let file = args.scene.path.display().to_string();
     let mut report = match answer {
         Answer::Matrix(solved, errors) => {
-            let Solved { patches, form_factors, solution, .. } = &**solved;
+            let Solved { patches, form_factors, solution, error_bars } = &**solved;
             options.estimator =
                 if form_factors.estimator() == Estimator::Pooled { "pooled" } else { "one-way" };
             options.tolerance = Some(args.solve_options().tolerance);
-            SolveReport::new(&file, scene, patches, form_factors, solution, &errors.energy, options)
+            let light = (solution, error_bars);
+            SolveReport::new(&file, scene, patches, form_factors, light, &errors.energy, options)
         }
         Answer::Sweeps(patches, solution) => SolveReport::of_sweeps(&file, scene, patches, solution, options),
     };

@@ -1,20 +1,21 @@
-//! From hits to form factors.
+//! From rays to form factors.
 
 use rayon::prelude::*;
 
 use super::{
-    BeforeAfter, CastOptions, Estimator, FormFactors, Matrix, Stored,
+    BeforeAfter, CastOptions, Estimator, FormFactors, Matrix, SHORT, Stored,
     blocks::Blocks,
+    brightness,
     calibration::{self, Measured},
-    closure, escape,
-    hemisphere::{ESCAPED, Hits},
-    reciprocity::{self, Buckets, Densities},
+    closure, magnitude,
+    pooling::{self, Buckets, Densities},
+    rays::RaySet,
     replicates::Samples,
     siblings,
     symmetric::Symmetric,
     together,
 };
-use crate::{patch::Patches, trace::Tracer};
+use crate::{direct::ShadowRays, patch::Patches, trace::Tracer};
 
 /// Patches smaller than this share of the mean patch count as that large: exchange areas would leave the range of single
 /// precision otherwise, and what that adds to the energy does not show in double precision.
@@ -24,22 +25,6 @@ const LEAST_AREA: f64 = 1e-20;
 const ROUGH: f64 = 1e-4;
 
 impl FormFactors {
-    pub(super) fn from_hits(
-        hits: Hits,
-        tracer: &Tracer,
-        patches: &Patches,
-        options: &CastOptions,
-        start: Vec<f32>,
-    ) -> FormFactors {
-        let assembled = Assembled::new(hits, tracer, patches, options, start);
-        let form_factors = match options.estimator {
-            Estimator::OneWay => assembled.one_way(),
-            Estimator::Pooled => assembled.pooled(patches, closure::EXACT),
-        };
-        debug_assert_eq!(form_factors.out_of_range(), 0, "form factors are shares");
-        form_factors
-    }
-
     /// Form factors from a symmetric matrix of exchange areas A_i F_ij, in any one unit of area, the patches' areas in
     /// the same unit, and the share of each patch's light that leaves the scene. Closes the rows. Of the matrix the upper
     /// triangle is read; the lower one is taken to be the same.
@@ -48,21 +33,15 @@ impl FormFactors {
     /// When the sizes disagree.
     pub fn from_exchange(matrix: Matrix, areas: Vec<f64>, escaped: Vec<f64>) -> FormFactors {
         assert_eq!((matrix.rows(), matrix.cols()), (areas.len(), areas.len()), "sizes disagree");
-        Self::closed(Symmetric::from_rows(&matrix), areas, escaped, |_| 0.0, closure::EXACT)
+        Self::closed(Symmetric::from_rows(&matrix), areas, &escaped, closure::EXACT)
     }
 
-    fn closed(
-        matrix: Symmetric,
-        areas: Vec<f64>,
-        escaped: Vec<f64>,
-        spare: impl Fn(usize) -> f64,
-        precision: f64,
-    ) -> FormFactors {
+    fn closed(mut matrix: Symmetric, areas: Vec<f64>, escaped: &[f64], precision: f64) -> FormFactors {
         assert_eq!((matrix.len(), escaped.len()), (areas.len(), areas.len()), "sizes disagree");
-        let closed = closure::close(&matrix, &areas, &escaped, spare, precision);
+        let closed = closure::close(&mut matrix, &areas, escaped, precision);
         let mut form_factors = FormFactors {
             left: closed.scale.iter().zip(&areas).map(|(d, a)| d / a).collect(),
-            escaped: closed.scale.iter().zip(&closed.escaped).map(|(d, e)| d * e).collect(),
+            escaped: closed.scale.iter().zip(escaped).map(|(d, e)| d * e).collect(),
             right: closed.scale,
             stored: Stored::Symmetric(matrix),
             areas,
@@ -84,10 +63,10 @@ impl FormFactors {
     /// The form factors from the first or second half of every patch's rays; `None` when they are too few or unknown.
     pub(crate) fn half(&self, half: usize, tracer: &Tracer, patches: &Patches) -> Option<FormFactors> {
         let samples = self.samples.as_ref()?;
-        let hits = samples.hits.half(half)?;
+        let (rays, shadow) = (samples.rays.half(half)?, samples.shadow.half(half)?);
         let start = samples.radiosity.clone();
         Some(together(|| {
-            let assembled = Assembled::new(hits, tracer, patches, &samples.options, start);
+            let assembled = Assembled::new(rays, shadow, tracer, patches, &samples.options, start);
             match samples.options.estimator {
                 Estimator::OneWay => assembled.one_way(),
                 Estimator::Pooled => assembled.pooled(patches, ROUGH),
@@ -107,112 +86,131 @@ impl FormFactors {
     }
 }
 
-/// Hits on their way to form factors.
+/// Rays on their way to form factors.
 pub(super) struct Assembled {
     samples: Samples,
     areas: Vec<f64>,
     buckets: Buckets,
-    /// Exchange areas of pairs without a source, and with one.
-    plain: Symmetric,
-    links: Symmetric,
-    /// Sums of the rows of `links`.
-    link_sums: Vec<f64>,
-    /// Shares of each patch's light that leave the scene: of the rays, and refined.
-    of_rays: Vec<f64>,
-    escaped: Vec<f64>,
+    /// Exchange areas.
+    pooled: Symmetric,
     row_sum_deviation: f64,
     one_way_deviation: f64,
 }
 
 impl Assembled {
-    /// `start` is the radiosity that fewer or more rays told, or empty.
+    /// `start` is the radiosity, but for what lamps emit, that fewer or more rays told, or empty.
     pub(super) fn new(
-        mut hits: Hits,
+        mut rays: RaySet,
+        mut shadow: ShadowRays,
         tracer: &Tracer,
         patches: &Patches,
         options: &CastOptions,
         start: Vec<f32>,
     ) -> Assembled {
         let mut areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
-        let (n, scale) = (areas.len(), tracer.scale());
+        let n = areas.len();
         // In units of the mean area no exchange area leaves the range of single precision.
         let mean = areas.iter().sum::<f64>() / n as f64;
         areas.iter_mut().for_each(|a| *a = a.max(LEAST_AREA * mean));
         let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
         if options.estimator == Estimator::Pooled {
-            hits.withdraw_hidden(&relative, tracer, patches);
+            let lamps = &shadow.lamps;
+            let known = (|i: usize| lamps.contains(i), |i: usize| lamps.hides(i));
+            let withdrawn = rays.withdraw_hidden(&relative, tracer, patches, known);
+            shadow.withdraw(withdrawn);
         }
-        let mut densities = Densities::new(&hits, &relative, scale * (scale / mean));
-        let buckets = Buckets::new(&hits, Blocks::new(n));
-        let (plain, one_way_deviation) = reciprocity::pool(&hits, &buckets, &densities, &relative);
-        let links = reciprocity::links(&hits, &mut densities);
-        let share = |i: usize| {
-            let escaped = hits.of(i).iter().filter(|&&j| j == ESCAPED).count();
-            escaped as f64 / f64::from(hits.rays_of(i))
-        };
-        let of_rays: Vec<f64> = (0..n).into_par_iter().with_min_len(128).map(share).collect();
-        let sums = [plain.row_sums(), links.row_sums()];
-        let sum = |i: usize| (sums[0][i] + sums[1][i]) / relative[i];
-        let row_sum_deviation = closure::deviation((0..n).map(sum), &of_rays);
-        let escapes = escape::refine(&of_rays, &sums, &hits, &densities, &relative);
-        let [_, link_sums] = sums;
-        Assembled {
-            escaped: escapes.iter().map(|e| e.share).collect(),
-            samples: Samples {
-                hits,
-                densities,
-                escapes,
-                areas: relative,
-                radiosity: start,
-                siblings: siblings::siblings(tracer, patches),
-                options: *options,
+        let densities = Densities::new(&rays, &relative);
+        let buckets = Buckets::new(&rays, Blocks::new(n));
+        let (pooled, one_way_deviation) = pooling::pool(&rays, &buckets, &densities, &relative);
+        let sums = pooled.row_sums();
+        let escaped = rays.escaped();
+        let row_sum_deviation = closure::deviation((0..n).map(|i| sums[i] / relative[i]), &escaped);
+        let samples = Samples {
+            escaping: if shadow.lamps.is_empty() {
+                0.0
+            } else {
+                brightness::escaping(&rays, patches, &escaped)
             },
-            areas,
-            buckets,
-            plain,
-            links,
-            link_sums,
-            of_rays,
-            row_sum_deviation,
-            one_way_deviation,
+            rays,
+            shadow,
+            densities,
+            escaped,
+            areas: relative,
+            radiosity: start,
+            siblings: siblings::siblings(tracer, patches),
+            options: *options,
+        };
+        Assembled { samples, areas, buckets, pooled, row_sum_deviation, one_way_deviation }
+    }
+
+    /// The form factors, as the options say.
+    pub(super) fn finish(self, patches: &Patches) -> FormFactors {
+        let form_factors = match self.samples.options.estimator {
+            Estimator::OneWay => self.one_way(),
+            Estimator::Pooled => self.pooled(patches, closure::EXACT),
+        };
+        debug_assert_eq!(form_factors.out_of_range(), 0, "form factors are shares");
+        form_factors
+    }
+
+    /// What each patch sends before form factors carry light, in the unit of emission: what it emits, but for lamps, and what it
+    /// reflects of these.
+    fn source(&self, patches: &Patches) -> Vec<f32> {
+        match patches.channels() {
+            1 => self.source_of::<1>(patches),
+            _ => self.source_of::<3>(patches),
         }
     }
 
-    fn measured(&self) -> Measured<'_> {
+    fn source_of<const C: usize>(&self, patches: &Patches) -> Vec<f32> {
+        let Samples { shadow, escaping, .. } = &self.samples;
+        let unit = magnitude(patches.emission());
+        let scaled = |b: &[f64; C]| b.map(|b| b / unit);
+        let emission: Vec<[f64; C]> = patches.emission().as_chunks().0.iter().map(scaled).collect();
+        let reflectance = patches.reflectance().as_chunks::<C>().0;
+        let direct = shadow.irradiance(&emission, &self.samples.areas, *escaping).irradiance;
+        let of_patch = |i: usize| {
+            let emitted = if shadow.lamps.contains(i) { [0.0; C] } else { emission[i] };
+            std::array::from_fn::<f32, C, _>(|c| (emitted[c] + reflectance[i][c] * direct[i][c]) as f32)
+        };
+        let all: Vec<[f32; C]> =
+            (0..emission.len()).into_par_iter().with_min_len(SHORT).map(of_patch).collect();
+        all.into_flattened()
+    }
+
+    fn measured<'a>(&'a self, source: &'a [f32]) -> Measured<'a> {
         Measured {
-            links: &self.links,
-            link_sums: &self.link_sums,
+            rays: &self.samples.rays,
             densities: &self.samples.densities,
-            hits: &self.samples.hits,
             areas: &self.samples.areas,
-            escaped: &self.escaped,
+            escaped: &self.samples.escaped,
+            source,
         }
     }
 
     /// No more than tells the variances.
     pub(super) fn into_samples(mut self, patches: &Patches) -> Samples {
         let start = std::mem::take(&mut self.samples.radiosity);
-        self.samples.radiosity = calibration::radiosity(&self.plain, &self.measured(), patches, &start);
+        let source = self.source(patches);
+        self.samples.radiosity =
+            calibration::radiosity(&self.pooled, &self.measured(&source), patches, &start);
         self.samples
     }
 
     fn pooled(mut self, patches: &Patches, precision: f64) -> FormFactors {
-        let mut plain = std::mem::take(&mut self.plain);
+        let mut pooled = std::mem::take(&mut self.pooled);
         let buckets = std::mem::take(&mut self.buckets);
-        let brightness = self.samples.densities.brightness();
-        let known = self.samples.hits.sources.are_lamps();
-        closure::balance(&mut self.links, brightness, &self.samples.areas, &mut self.escaped, known);
-        self.link_sums = self.links.row_sums();
-        let radiosity =
-            calibration::calibrate(&mut plain, buckets, &self.measured(), patches, &self.samples.radiosity);
-        let Assembled { mut samples, links, link_sums, mut escaped, areas, .. } = self;
-        let is_source = |i: usize| samples.hits.sources.contains(i);
-        let missing =
-            closure::settle(&mut plain, &link_sums, is_source, &samples.areas, &mut escaped, precision);
-        plain.append(links);
-        plain.set_diagonal(missing);
-        let spare = |i: usize| 0.5 / f64::from(samples.hits.rays_of(i));
-        let mut form_factors = FormFactors::closed(plain, samples.areas.clone(), escaped, spare, precision);
+        let source = self.source(patches);
+        let radiosity = calibration::calibrate(
+            &mut pooled,
+            buckets,
+            &self.measured(&source),
+            patches,
+            &self.samples.radiosity,
+        );
+        let Assembled { mut samples, areas, .. } = self;
+        let mut form_factors =
+            FormFactors::closed(pooled, samples.areas.clone(), &samples.escaped, precision);
         samples.radiosity = radiosity;
         form_factors.areas = areas;
         form_factors.samples = Some(samples);
@@ -222,13 +220,12 @@ impl Assembled {
     }
 
     fn one_way(self) -> FormFactors {
-        let Assembled { mut samples, areas, one_way_deviation: deviation, .. } = self;
-        samples.escapes = Vec::new();
+        let Assembled { samples, areas, one_way_deviation: deviation, .. } = self;
         FormFactors {
-            left: (0..areas.len()).map(|i| 1.0 / f64::from(samples.hits.rays_of(i))).collect(),
+            left: (0..areas.len()).map(|i| 1.0 / f64::from(samples.rays.rays_of(i))).collect(),
             right: vec![1.0; areas.len()],
-            stored: Stored::Rows(reciprocity::one_way(&samples.hits)),
-            escaped: self.of_rays,
+            stored: Stored::Rows(pooling::one_way(&samples.rays)),
+            escaped: samples.escaped.clone(),
             areas,
             estimator: Estimator::OneWay,
             samples: Some(samples),

@@ -13,16 +13,15 @@
 //! weights that belong to two rows each. The function 1 makes it a closure as well; what is left of that, the
 //! [closure](super::closure) takes away.
 //!
-//! Links with sources are precise already and stay as they are.
+//! What escapes is as each patch's own rays say.
 
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
 use super::{
     SHORT,
-    hemisphere::Hits,
-    magnitude,
-    reciprocity::{Buckets, Densities},
+    pooling::{Buckets, Densities},
+    rays::RaySet,
     symmetric::Symmetric,
 };
 use crate::patch::Patches;
@@ -41,22 +40,24 @@ const FURTHEST: f64 = 4.0;
 /// harm then, and what few rays say is believed less. RMS errors at 64 rays a patch with 1, 6, 12 and 24: 4.04, 4.00, 3.99 and
 /// 3.99 % on the Cornell box, 1.3, 1.23, 1.20 and 1.18 % on a block in the open, 2.69, 2.69, 2.69 and 2.72 % behind a door.
 pub(super) const RESISTANCE: f64 = 12.0;
+/// A row's sum shrinks to this share of itself at most: rays of others met a patch none of whose own rays met anything.
+const LEAST_LANDING: f64 = 1e-3;
 /// The least and greatest factor.
 const FACTORS: (f64, f64) = (0.05, 20.0);
 
 /// What the rays have measured.
 pub(super) struct Measured<'a> {
-    /// The links with sources, and the sums of their rows.
-    pub(super) links: &'a Symmetric,
-    pub(super) link_sums: &'a [f64],
-    pub(super) hits: &'a Hits,
+    pub(super) rays: &'a RaySet,
     pub(super) densities: &'a Densities,
     pub(super) areas: &'a [f64],
     /// The shares of light that leave the scene.
     pub(super) escaped: &'a [f64],
+    /// What each patch sends before anything is reflected twice, in any unit: what it emits, but for lamps, and what it reflects of
+    /// their direct light. Interleaved channels.
+    pub(super) source: &'a [f32],
 }
 
-/// Calibrates the pooled exchange areas of all pairs without a source. Returns the radiosity that it calibrated with.
+/// Calibrates the pooled exchange areas. Returns the radiosity that it calibrated with.
 pub(super) fn calibrate(
     plain: &mut Symmetric,
     buckets: Buckets,
@@ -70,8 +71,8 @@ pub(super) fn calibrate(
     }
 }
 
-/// The radiosity after some bounces, interleaved channels, in a unit of its own: from what it was with fewer rays, or from
-/// nothing.
+/// The radiosity after some bounces but for what lamps emit, interleaved channels: from what it was with fewer rays, or from the
+/// source.
 pub(super) fn radiosity(
     plain: &Symmetric,
     measured: &Measured<'_>,
@@ -106,35 +107,30 @@ impl Measured<'_> {
         radiosity.into_flattened()
     }
 
-    /// The radiosity after some bounces, each row scaled to its sum. In a unit of its own, so that single precision
-    /// holds it.
+    /// The radiosity after some bounces but for what lamps emit, each row scaled to its sum.
     fn radiosity<const C: usize, const M: usize>(
         &self,
         plain: &Symmetric,
         patches: &Patches,
         start: &[f32],
     ) -> Vec<[f32; C]> {
-        let unit = magnitude(patches.emission());
-        let emission = patches.emission().as_chunks::<C>().0;
+        let source = self.source.as_chunks::<C>().0;
         let reflectance = patches.reflectance().as_chunks::<C>().0;
-        let emitted = |i: usize, c: usize| (emission[i][c] / unit) as f32;
         // What sends one to all tells the sums of the rows.
         let with_one = |b: [f32; C]| -> [f32; M] { std::array::from_fn(|m| if m < C { b[m] } else { 1.0 }) };
         let (known, bounces) =
             (start.as_chunks::<C>().0, if start.is_empty() { BOUNCES } else { MORE_BOUNCES });
-        let start =
-            |i: usize| known.get(i).copied().unwrap_or_else(|| std::array::from_fn(|c| emitted(i, c)));
-        let mut radiosity: Vec<[f32; M]> = (0..emission.len()).map(|i| with_one(start(i))).collect();
+        let start = |i: usize| known.get(i).copied().unwrap_or(source[i]);
+        let mut radiosity: Vec<[f32; M]> = (0..source.len()).map(|i| with_one(start(i))).collect();
         let mut arriving = vec![[0f32; M]; radiosity.len()];
         for _ in 0..bounces {
             arriving.fill([0.0; M]);
             plain.add_product(&radiosity, &mut arriving);
-            self.links.add_product(&radiosity, &mut arriving);
             radiosity.par_iter_mut().enumerate().with_min_len(SHORT).for_each(|(i, b)| {
-                let sum = arriving[i][C];
-                let scale = if sum > 0.0 { (1.0 - self.escaped[i]) as f32 / sum } else { 0.0 };
+                let sum = arriving[i][C] + (self.areas[i] * self.escaped[i]) as f32;
+                let scale = if sum > 0.0 { 1.0 / sum } else { 0.0 };
                 *b = with_one(std::array::from_fn(|c| {
-                    emitted(i, c) + reflectance[i][c] as f32 * arriving[i][c] * scale
+                    source[i][c] + reflectance[i][c] as f32 * arriving[i][c] * scale
                 }));
             });
         }
@@ -143,9 +139,9 @@ impl Measured<'_> {
 
     /// One, and the radiosities in standard deviations from their mean.
     fn functions<const C: usize, const M: usize>(&self, radiosity: &[[f32; C]]) -> Vec<SVector<f64, M>> {
-        let plain = || (0..radiosity.len()).filter(|&i| !self.hits.sources.contains(i));
-        let area: f64 = plain().map(|i| self.areas[i]).sum();
-        let mean = |f: &dyn Fn(usize) -> f64| plain().map(|i| self.areas[i] * f(i)).sum::<f64>() / area;
+        let area: f64 = self.areas.iter().sum();
+        let mean =
+            |f: &dyn Fn(usize) -> f64| (0..radiosity.len()).map(|i| self.areas[i] * f(i)).sum::<f64>() / area;
         let mut functions = vec![SVector::zeros(); radiosity.len()];
         functions.iter_mut().for_each(|g: &mut SVector<f64, M>| g[0] = 1.0);
         for c in 0..C {
@@ -220,12 +216,12 @@ impl Measured<'_> {
                 let (p, q) = (p.min(q), p.max(q));
                 f64::from(sums[i][p * M - p * (p + 1) / 2 + q])
             });
-            let sum = (self.areas[i] * (1.0 - self.escaped[i]) - self.link_sums[i]).max(1e-3 * now[0]);
             // Functions that all patches share have nothing to tell; some resistance keeps the block regular.
             let trace = block.trace();
-            let resistance = RESISTANCE / f64::from(self.hits.rays_of(i));
+            let resistance = RESISTANCE / f64::from(self.rays.rays_of(i));
             let resisting = block * (1.0 + resistance) + SMatrix::identity() * (1e-3 * trace);
-            (resisting, one_sided * (sum / one_sided[0]) - now)
+            let lands = (self.areas[i] * (1.0 - self.escaped[i])).max(LEAST_LANDING * now[0]);
+            (resisting, one_sided * (lands / one_sided[0]) - now)
         };
         (0..g.len()).into_par_iter().with_min_len(128).map(equation).unzip()
     }

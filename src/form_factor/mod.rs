@@ -1,24 +1,22 @@
 //! Form factors F_ij: the share of the light leaving patch i that arrives at patch j.
 //!
-//! Rays measure them ([`hemisphere`]), both directions of a pair are pooled into one symmetric exchange area
-//! S_ij = A_i F_ij ([`reciprocity`]), and a diagonal scaling makes every row sum to one ([`closure`]). [`exact`] holds
-//! the closed forms that all of it is tested against. View factors of single surfaces, each accurate by itself, are in
+//! [Hemisphere rays](rays) measure them, both directions of a pair are pooled into one symmetric exchange area
+//! S_ij = A_i F_ij (`pooling`), fitted to what each patch's own rays say (`calibration`), and scaled so that every row sums to one
+//! ([`closure`]). The light of lamps is no part of it: [`crate::direct`] brings it. [`exact`] holds the closed forms that all of it
+//! is tested against. View factors of single surfaces, each accurate by itself, are in
 //! [`view_factor`](crate::view_factor).
 
 mod allocation;
 mod assembly;
 mod blocks;
+mod brightness;
 mod calibration;
 mod checkpoint;
 pub mod closure;
-mod escape;
-pub mod exact;
-pub mod hemisphere;
-pub(crate) mod lamp;
+mod pooling;
 mod product;
-pub mod reciprocity;
+pub mod rays;
 pub(crate) mod replicates;
-mod shadow;
 pub(crate) mod siblings;
 pub(crate) mod stratification;
 pub mod sweep;
@@ -29,16 +27,25 @@ use std::{borrow::Cow, ops::Range, sync::Arc};
 use rayon::prelude::*;
 use sprs::CsMatI;
 
-use crate::{Progress, Result, patch::Patches, scene::Scene, trace::Tracer};
+use crate::{
+    Progress, Result,
+    direct::{DirectLight, Keep, Lamps, ShadowRay, ShadowRays},
+    patch::Patches,
+    scene::Scene,
+    trace::{Tracer, sampling::mix},
+};
 use assembly::Assembled;
-use checkpoint::Section;
-use hemisphere::Hits;
+use checkpoint::{Record, Section};
+use rays::{RaySet, casting::Names};
 use replicates::Samples;
-use shadow::Sources;
-pub(crate) use shadow::{is_hidden, kernel};
 pub(crate) use symmetric::Real;
 use symmetric::Symmetric;
 
+pub use crate::exact;
+pub(crate) use crate::{
+    direct::footprint::{is_hidden, kernel},
+    parallel::{SHORT, magnitude, ordered_sum, together},
+};
 pub use checkpoint::Checkpoint;
 
 /// Sparse matrix row by row, with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns. To
@@ -172,22 +179,31 @@ impl FormFactors {
         progress: &Progress,
     ) -> Result<FormFactors> {
         together(|| {
-            let sources = match options.estimator {
-                // What no shadow ray looks at must be found by hemisphere rays.
-                Estimator::Pooled if options.shadow_share > 0.0 => Sources::emitters(tracer, patches),
-                _ => Sources::default(),
-            };
-            let mut hits = Hits::none(sources);
-            hits.checkpoint = checkpoint.map(|file| Section::new(file, patches, &hits.sources, options.seed));
             let rays = if options.looks_first() { allocation::PILOT * options.rays } else { options.rays };
-            let share = allocation::even(options, rays, !hits.sources.is_empty());
-            hits.extend(scene, tracer, patches, share, options.seed, progress)?;
+            let mut set = RaySet::none();
+            set.checkpoint = checkpoint.map(|file| Section::new(file, digest(patches), options.seed));
+            let lit = options.estimator == Estimator::Pooled && options.shadow_share > 0.0;
+            let mut share =
+                allocation::even(options, rays, lit && patches.emission().iter().any(|&b| b > 0.0));
+            set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
+            let mut lamps = Lamps::default();
+            if share.shadow > 0 {
+                let shines = brightness::above_mean(&set, patches);
+                lamps = Lamps::new(tracer, patches, |i| shines[i]);
+                if lamps.is_empty() {
+                    // None of the rays goes to lamps then.
+                    share = allocation::even(options, rays, false);
+                    set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
+                }
+            }
+            let mut shadow = ShadowRays::none(lamps);
+            cast_shadow(&mut shadow, &set, tracer, patches, |_| share.shadow, options.seed, progress)?;
+            let assembled = Assembled::new(set, shadow, tracer, patches, options, Vec::new());
             if options.looks_first() {
-                let samples =
-                    Assembled::new(hits, tracer, patches, options, Vec::new()).into_samples(patches);
+                let samples = assembled.into_samples(patches);
                 return Self::continued(samples, scene, tracer, patches, options.rays, progress);
             }
-            Ok(Self::from_hits(hits, tracer, patches, options, Vec::new()))
+            Ok(assembled.finish(patches))
         })
     }
 
@@ -208,7 +224,7 @@ impl FormFactors {
         progress: &Progress,
     ) -> Result<FormFactors> {
         let samples = self.samples.expect("only what was cast can be cast more of");
-        assert_eq!(samples.hits.len(), patches.len(), "other patches");
+        assert_eq!(samples.rays.len(), patches.len(), "other patches");
         // Memory for what comes next.
         drop(self.stored);
         together(|| Self::continued(samples, scene, tracer, patches, rays, progress))
@@ -223,26 +239,63 @@ impl FormFactors {
         rays: f64,
         progress: &Progress,
     ) -> Result<FormFactors> {
-        let n = samples.hits.len();
-        let shares = if samples.options.looks_first() {
-            let variances = samples.variances(patches.channels());
-            allocation::by_variance(
-                &samples.hits,
-                &samples.areas,
-                &variances,
-                &samples.siblings,
-                rays * n as f64,
-            )
-        } else {
-            Vec::new()
-        };
-        let Samples { mut hits, options, radiosity, .. } = samples;
+        let options = samples.options;
+        let shares = if options.looks_first() { samples.shares(patches, rays) } else { Vec::new() };
+        let Samples { rays: mut set, mut shadow, radiosity, .. } = samples;
         // Where no variance decides, rounds are to give what casting all at once does.
         let start = if options.looks_first() { radiosity } else { Vec::new() };
-        let even = allocation::even(&options, rays, !hits.sources.is_empty());
-        let share = |i: usize, kernel: f64| shares.get(i).copied().unwrap_or_else(|| even(i, kernel));
-        hits.extend(scene, tracer, patches, share, options.seed, progress)?;
-        Ok(Self::from_hits(hits, tracer, patches, &options, start))
+        let even = allocation::even(&options, rays, !shadow.lamps.is_empty());
+        let share = |i: usize| shares.get(i).copied().unwrap_or(even);
+        set.extend(scene, tracer, patches, |i| share(i).hemisphere, options.seed, progress)?;
+        cast_shadow(&mut shadow, &set, tracer, patches, |i| share(i).shadow, options.seed, progress)?;
+        Ok(Assembled::new(set, shadow, tracer, patches, &options, start).finish(patches))
+    }
+
+    /// The light that comes straight from lamps, which emit what `emission` says.
+    pub(crate) fn direct<const C: usize>(&self, emission: &[[f64; C]]) -> Option<DirectLight<C>> {
+        let samples = self.samples.as_ref().filter(|samples| !samples.shadow.lamps.is_empty())?;
+        // In relative areas, whose squares are in range.
+        let mut light = samples.shadow.irradiance(emission, &samples.areas, samples.escaping);
+        let unit = self.areas.iter().sum::<f64>() / samples.areas.iter().sum::<f64>();
+        light.escaped.iter_mut().chain(light.escaped_deviations.as_flattened_mut()).for_each(|x| *x *= unit);
+        Some(light)
+    }
+
+    /// The irradiance of all patches that comes straight from lamps, which emit what `emission` says, and by form factors from
+    /// `radiosity`, that of lamps included: `channels` (1 or 3) interleaved values a patch.
+    ///
+    /// # Panics
+    /// When there are not as many values.
+    pub fn light(&self, radiosity: &[f64], emission: &[f64], channels: usize) -> Vec<f64> {
+        let of_lamps = |q: usize| if self.is_lamp(q / channels) { emission[q] } else { 0.0 };
+        let carried: Vec<f64> = radiosity.iter().enumerate().map(|(q, b)| b - of_lamps(q)).collect();
+        let mut irradiance = self.irradiance(&carried, channels);
+        let direct = match channels {
+            1 => self.direct::<1>(emission.as_chunks().0).map(|d| d.irradiance.into_flattened()),
+            _ => self.direct::<3>(emission.as_chunks().0).map(|d| d.irradiance.into_flattened()),
+        };
+        irradiance.iter_mut().zip(direct.iter().flatten()).for_each(|(e, direct)| *e += direct);
+        irradiance
+    }
+
+    /// What of the power of lamps, which emit what `emission` says, `channels` interleaved values a patch, arrives nowhere; and
+    /// whether that is more than sampling explains where no ray finds a way out.
+    pub(crate) fn direct_escape(&self, emission: &[f64], channels: usize) -> (Vec<f64>, bool) {
+        let of_lamps = match channels {
+            1 => self.direct::<1>(emission.as_chunks().0).map(|d| (d.escaped.to_vec(), d.leaks)),
+            _ => self.direct::<3>(emission.as_chunks().0).map(|d| (d.escaped.to_vec(), d.leaks)),
+        };
+        of_lamps.unwrap_or_else(|| (vec![0.0; channels], false))
+    }
+
+    /// Whether patch `i` is a part of a lamp: what it emits arrives by direct light, not through form factors.
+    pub(crate) fn is_lamp(&self, i: usize) -> bool {
+        self.samples.as_ref().is_some_and(|samples| samples.shadow.lamps.contains(i))
+    }
+
+    /// Shadow rays that left patch `i`.
+    pub fn shadow_rays_of(&self, i: usize) -> u32 {
+        self.samples.as_ref().map_or(0, |samples| samples.shadow.count(i))
     }
 
     /// Neighbours in the plane: runs of up to 16 patches of one triangle's side, in the order of the patches.
@@ -256,21 +309,6 @@ impl FormFactors {
             Stored::Symmetric(_) => self.get(i, i),
             Stored::Rows(_) => 0.0,
         }
-    }
-
-    /// By what share the closure has moved what patch `i` exchanges with others, and what sources do, in the mean.
-    pub(crate) fn moved(&self) -> impl Fn(usize) -> f64 + '_ {
-        let brightness = self.samples.as_ref().map_or(&[][..], |samples| samples.densities.brightness());
-        let power = || brightness.iter().zip(&self.areas).zip(&self.right).filter(|((b, _), _)| **b > 0.0);
-        let squares: f64 = power().map(|((b, area), right)| b * area * (right - 1.0).powi(2)).sum();
-        let all: f64 = power().map(|((b, area), _)| b * area).sum();
-        let of_sources = if all > 0.0 { (squares / all).sqrt() } else { 0.0 };
-        move |i| of_sources.hypot(self.right[i] - 1.0)
-    }
-
-    /// Whether shadow rays went to patch `i`.
-    pub(crate) fn is_source(&self, i: usize) -> bool {
-        self.samples.as_ref().is_some_and(|samples| samples.hits.sources.contains(i))
     }
 
     /// Number of patches.
@@ -338,14 +376,14 @@ impl FormFactors {
         self.samples.as_ref().map_or(&[], |samples| &samples.radiosity)
     }
 
-    /// What every ray met, unless the form factors came from elsewhere.
-    pub fn hits(&self) -> Option<&Hits> {
-        self.samples.as_ref().map(|samples| &samples.hits)
+    /// What every hemisphere ray met, unless the form factors came from elsewhere.
+    pub fn ray_set(&self) -> Option<&RaySet> {
+        self.samples.as_ref().map(|samples| &samples.rays)
     }
 
-    /// Rays cast: none where the form factors came from elsewhere.
+    /// Rays cast, hemisphere and shadow rays: none where the form factors came from elsewhere.
     pub fn rays(&self) -> u64 {
-        self.hits().map_or(0, Hits::rays)
+        self.samples.as_ref().map_or(0, |samples| samples.rays.rays() + samples.shadow.rays())
     }
 
     /// Non-zero form factors.
@@ -364,9 +402,10 @@ impl FormFactors {
         }
     }
 
-    /// Bytes held by the matrix, its scaling and the hits.
+    /// Bytes held by the matrix, its scaling and the rays.
     pub fn bytes(&self) -> usize {
-        self.matrix_bytes() + 8 * 4 * self.len() + self.hits().map_or(0, Hits::bytes)
+        let samples = |samples: &Samples| samples.rays.bytes() + samples.shadow.bytes();
+        self.matrix_bytes() + 8 * 4 * self.len() + self.samples.as_ref().map_or(0, samples)
     }
 
     /// How many form factors, escaped shares included, are no shares: negative, above one by more than rounding, or not
@@ -405,31 +444,68 @@ impl FormFactors {
     }
 }
 
-/// Patches that are hardly worth a task of their own.
-pub(crate) const SHORT: usize = 4096;
-
-/// Does work of many short parallel parts on one of rayon's threads: from outside of these, each part would wake one and wait.
-/// A thousand patches take a twelfth less time.
-pub(crate) fn together<T: Send>(work: impl FnOnce() -> T + Send) -> T {
-    rayon::scope(|_| work())
+/// The name of a subdivision in a checkpoint.
+fn digest(patches: &Patches) -> u64 {
+    let of_patch = |i: usize| {
+        let corners = patches.barycentric_corners(i).map(|b| mix(&b.map(f64::to_bits)));
+        mix(&[patches.triangle(i) as u64, mix(&corners)])
+    };
+    let all: Vec<u64> = (0..patches.fronts()).into_par_iter().with_min_len(1024).map(of_patch).collect();
+    mix(&all)
 }
 
-/// The sum of a value a patch: of each run of patches by itself, then of the runs, whatever the number of threads.
-pub(crate) fn ordered_sum<T: Copy + Send + std::iter::Sum<T>>(
-    len: usize,
-    value: impl Fn(usize) -> T + Sync,
-) -> T {
-    let run = |k: usize| (k * SHORT..((k + 1) * SHORT).min(len)).map(&value).sum();
-    let runs: Vec<T> = (0..len.div_ceil(SHORT)).into_par_iter().map(run).collect();
-    runs.into_iter().sum()
+/// Casts shadow rays, those but for which the checkpoint of the hemisphere rays, if there is one, knows.
+fn cast_shadow(
+    shadow: &mut ShadowRays,
+    set: &RaySet,
+    tracer: &Tracer,
+    patches: &Patches,
+    wanted: impl Fn(usize) -> u32,
+    seed: u64,
+    progress: &Progress,
+) -> Result<()> {
+    let pieces = shadow.lamps.pieces();
+    let kept = set.checkpoint.as_ref().map(|section| Kept {
+        section: section.of_kind(shadow.lamps.digest()),
+        names: Names::new(patches),
+        pieces,
+    });
+    shadow.extend(tracer, patches, wanted, seed, kept.as_ref().map(|kept| kept as &dyn Keep), progress)
 }
 
-/// The power of two next below the largest size, or 1 where there is none: dividing by it costs no rounding, and brings
-/// squares and single precision into range, however bright or dark a scene is.
-pub(crate) fn magnitude(values: &[f64]) -> f64 {
-    let largest = values.iter().copied().map(f64::abs).fold(0.0, f64::max);
-    // Not below what has an inverse.
-    if largest > 0.0 { 2f64.powi(largest.log2().floor().clamp(-1000.0, 1000.0) as i32) } else { 1.0 }
+/// Shadow rays in a checkpoint.
+struct Kept<'a> {
+    section: Section,
+    names: Names<'a>,
+    pieces: usize,
+}
+
+impl Keep for Kept<'_> {
+    fn known(&self, patch: usize, wanted: Range<u32>) -> Result<Vec<ShadowRay>> {
+        let key = (patch as u32, self.names.lasting(patch as u32));
+        self.section.known(key, wanted, |bytes: [u8; 8]| {
+            let word = |k: usize| u32::from_le_bytes(std::array::from_fn(|b| bytes[4 * k + b]));
+            let (piece, weight) = (word(0), f32::from_bits(word(1)));
+            ((piece as usize) < self.pieces && weight.is_finite()).then_some(ShadowRay { piece, weight })
+        })
+    }
+
+    fn keep(&self, rays: &[(usize, u32, &[ShadowRay])]) -> Result<()> {
+        let mut record = Record::default();
+        for &(patch, from, rays) in rays {
+            let bytes = |ray: &ShadowRay| {
+                let words = [ray.piece, ray.weight.to_bits()];
+                std::array::from_fn::<u8, 8, _>(|b| words[b / 4].to_le_bytes()[b % 4])
+            };
+            self.section.add(
+                &mut record,
+                (patch as u32, self.names.lasting(patch as u32)),
+                from,
+                rays.iter().map(bytes),
+            );
+        }
+        self.section.write(record)
+    }
 }
 
 /// Columns and values of a row.

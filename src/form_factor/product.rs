@@ -1,10 +1,8 @@
 //! Form factors times light: what arrives, from what leaves.
 
-use std::num::NonZeroU32;
-
 use rayon::prelude::*;
 
-use super::{FormFactors, Matrix, Real, SHORT, Stored, hemisphere::REPLICATES, replicates::Deviation, row};
+use super::{FormFactors, Matrix, Real, SHORT, Stored, row};
 
 impl FormFactors {
     /// Sum over j of F_ij for every row.
@@ -70,45 +68,6 @@ impl FormFactors {
             Stored::Symmetric(matrix) => matrix.add_product(z, out),
             Stored::Rows(_) => unreachable!("one-way form factors are not symmetric"),
         }
-    }
-
-    /// F z for a value a replicate and channel, in single precision, where z is zero but for what `value` says of each patch of
-    /// `from`, by its place there and its number: those of pooled form factors that shadow rays went to, few or many.
-    pub(super) fn gather_from<const C: usize>(
-        &self,
-        from: &[u32],
-        value: impl Fn(usize, usize) -> Deviation<C>,
-    ) -> Vec<Deviation<C>> {
-        let Stored::Symmetric(matrix) = &self.stored else {
-            unreachable!("one-way form factors have no sources")
-        };
-        let z: Vec<Deviation<C>> =
-            (0..).zip(from).map(|(k, &i)| scaled(&value(k, i as usize), self.right[i as usize])).collect();
-        let mut of = vec![None; self.len()];
-        (1..).zip(from).for_each(|(k, &i)| of[i as usize] = NonZeroU32::new(k));
-        let add_from = |to: &mut Deviation<C>, s: f32, k: &Option<NonZeroU32>| {
-            k.iter().for_each(|k| add(to, s, &z[k.get() as usize - 1]));
-        };
-        let mut sums = vec![[[0f32; REPLICATES]; C]; self.len()];
-        matrix.diagonal().for_each(|(i, s)| add_from(&mut sums[i], s, &of[i]));
-        matrix.accumulate(&of, &mut sums, |s, of_i, of_j, at_i, at_j| {
-            add_from(at_i, s, of_j);
-            add_from(at_j, s, of_i);
-        });
-        let rows = sums.par_iter_mut().zip(&self.left).with_min_len(SHORT);
-        rows.for_each(|(sum, left)| *sum = scaled(sum, *left));
-        sums
-    }
-}
-
-fn scaled<const C: usize>(z: &Deviation<C>, factor: f64) -> Deviation<C> {
-    z.map(|z| z.map(|z| z * factor as f32))
-}
-
-#[inline]
-fn add<const C: usize>(to: &mut Deviation<C>, factor: f32, z: &Deviation<C>) {
-    for (to, z) in to.as_flattened_mut().iter_mut().zip(z.as_flattened()) {
-        *to += factor * z;
     }
 }
 

@@ -4,21 +4,10 @@
 
 use std::ops::Range;
 
-use crate::{
-    patch::Patches,
-    trace::{Tracer, UnitTriangle},
-};
+use crate::{direct::adjoin, patch::Patches, trace::Tracer};
 
 /// Patches of a run at most.
 const MOST: usize = 16;
-/// The cosine between neighbours in a plane.
-const FLAT: f32 = 0.999;
-
-/// Whether two triangles are in one plane and share a corner.
-pub(super) fn adjoin(p: &UnitTriangle, q: &UnitTriangle) -> bool {
-    p.normal.dot(q.normal) > FLAT && p.corners.iter().any(|corner| q.corners.contains(corner))
-}
-
 /// What `make` makes of every value and its mean over the siblings: `C` interleaved values a patch.
 pub(crate) fn with_mean<const C: usize>(
     siblings: &[Range<usize>],

@@ -1,7 +1,7 @@
 //! One bounce of light without a matrix: rays are cast, bring the radiosity of what they meet, and are forgotten.
 //!
-//! Where lamps are few shadow rays bring their light, a ratio estimate as in `shadow`, and hemisphere rays
-//! what the patches reflect; else hemisphere rays bring all. Memory is in proportion to the patches, not to the rays.
+//! Shadow rays bring the light of lamps, as everywhere ([`crate::direct`]), and hemisphere rays what the patches reflect. Memory is in
+//! proportion to the patches, not to the rays.
 
 use std::{
     ops::Range,
@@ -11,15 +11,16 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    hemisphere::{ESCAPED, REPLICATES},
-    shadow::{self, Footprint, Found, Sources},
+    brightness,
+    rays::{ESCAPED, REPLICATES, RaySet},
     siblings::siblings,
 };
 use crate::{
     Progress, Result,
+    direct::{Lamps, ShadowRays, footprint::Footprint},
     patch::Patches,
     scene::Scene,
-    trace::{Hit, Tracer, sampling::mix},
+    trace::{Tracer, sampling::mix},
 };
 
 /// Rays of each patch that look for backs which are no unknowns yet.
@@ -32,14 +33,29 @@ pub(crate) struct Arrived<const C: usize> {
     pub(crate) met: [f64; C],
     /// Hemisphere rays that left the scene, or met the back of what is no unknown.
     pub(crate) escaped: f64,
-    /// Σ over the shadow rays that arrived of their kernels times the lamp's radiosity over its density.
+    /// Σ of the light that free shadow rays bring.
     pub(crate) lit: [f64; C],
-    /// Σ of the kernels of all shadow rays.
-    pub(crate) kernel: f64,
+    /// Of each sequence of shadow rays.
+    pub(crate) shadow: [Shadow; 2],
+}
+
+/// What the shadow rays of a sequence brought, all channels together.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Shadow {
+    /// How many there are.
+    pub(crate) rays: f64,
+    /// Σ of their light, were none blocked, and of those that are free.
+    pub(crate) all: f64,
+    pub(crate) free: f64,
 }
 
 impl<const C: usize> Arrived<C> {
-    pub(crate) const NOTHING: Self = Arrived { met: [0.0; C], escaped: 0.0, lit: [0.0; C], kernel: 0.0 };
+    pub(crate) const NOTHING: Self = Arrived {
+        met: [0.0; C],
+        escaped: 0.0,
+        lit: [0.0; C],
+        shadow: [Shadow { rays: 0.0, all: 0.0, free: 0.0 }; 2],
+    };
 
     pub(crate) fn add(&mut self, other: &Self) {
         for c in 0..C {
@@ -47,7 +63,11 @@ impl<const C: usize> Arrived<C> {
             self.lit[c] += other.lit[c];
         }
         self.escaped += other.escaped;
-        self.kernel += other.kernel;
+        for (sum, other) in self.shadow.iter_mut().zip(&other.shadow) {
+            sum.rays += other.rays;
+            sum.all += other.all;
+            sum.free += other.free;
+        }
     }
 }
 
@@ -79,9 +99,7 @@ impl Tally {
 pub struct Sweeper<'a> {
     tracer: &'a Tracer,
     patches: &'a Patches,
-    sources: Sources,
-    /// Of each patch; all zero where no shadow rays are cast.
-    mean_kernels: Vec<f64>,
+    shadow: ShadowRays,
     areas: Vec<f64>,
     seed: u64,
 }
@@ -98,36 +116,14 @@ impl<'a> Sweeper<'a> {
         seed: u64,
         progress: &Progress,
     ) -> Result<Sweeper<'a>> {
-        let mut first = 0;
-        while first < patches.len() {
-            let (known, last) = (&*patches, patches.len());
-            let seen = (first..last).into_par_iter().with_min_len(32).map(|i| {
-                progress.check()?;
-                let (from, seed) = (Footprint::new(tracer, known, i), mix(&[seed, i as u64]));
-                let mut unknown = Vec::new();
-                let rays = from.hemisphere_rays(0..LOOKING, seed);
-                tracer.closest_each(rays.map(|ray| ((), ray.origin, ray.direction)), |(), hit| {
-                    let is_unknown = |hit: &Hit| known.at(hit.triangle, hit.barycentric, hit.front).is_none();
-                    unknown.extend(hit.filter(is_unknown).map(|hit| hit.triangle));
-                });
-                Ok(unknown)
-            });
-            let seen: Vec<Vec<u32>> = seen.collect::<Result<_>>()?;
-            let mut seen: Vec<u32> = seen.into_iter().flatten().collect();
-            seen.sort_unstable();
-            seen.dedup();
-            patches.add_backs(scene, &seen);
-            first = last;
-        }
+        let mut few = RaySet::none();
+        few.extend(scene, tracer, patches, |_| LOOKING, mix(&[seed, LOOKING.into()]), progress)?;
         let patches = &*patches;
-        let sources = Sources::emitters(tracer, patches);
-        let mean_kernel = |i: usize| {
-            let of_lamps = || sources.mean_kernels(&Footprint::new(tracer, patches, i)).iter().sum();
-            if sources.are_lamps() { of_lamps() } else { 0.0 }
-        };
-        let mean_kernels = (0..patches.len()).into_par_iter().with_min_len(32).map(mean_kernel).collect();
+        let shines = brightness::above_mean(&few, patches);
+        let mut shadow = ShadowRays::none(Lamps::new(tracer, patches, |i| shines[i]));
+        shadow.face(tracer, patches);
         let areas = (0..patches.len()).map(|i| patches.area(i)).collect();
-        Ok(Sweeper { tracer, patches, sources, mean_kernels, areas, seed })
+        Ok(Sweeper { tracer, patches, shadow, areas, seed })
     }
 
     /// The patches, with those backs that were seen.
@@ -145,20 +141,47 @@ impl<'a> Sweeper<'a> {
         &self.areas
     }
 
-    /// Whether shadow rays bring the light of lamps.
+    /// Whether there are lamps, whose light shadow rays bring.
     pub(crate) fn has_lamps(&self) -> bool {
-        self.sources.are_lamps() && !self.sources.is_empty()
+        !self.shadow.lamps.is_empty()
     }
 
-    /// The irradiance from what came to patch `i` by so many hemisphere rays: of lamps, and of all else.
-    pub(crate) fn irradiance<const C: usize>(
+    /// Whether patch `i` is a part of a lamp.
+    pub(crate) fn is_lamp(&self, i: usize) -> bool {
+        self.shadow.lamps.contains(i)
+    }
+
+    /// What lamps send to patch `i` if nothing stands between, and all channels together; `None` where that is not known.
+    pub(crate) fn unblocked<const C: usize>(&self, i: usize) -> Option<[f64; C]> {
+        self.shadow.unblocked(i, self.patches.emission().as_chunks::<C>().0)
+    }
+
+    /// The direct irradiance from what shadow rays brought to a patch: that of lamps `unblocked` is corrected by the share of free light
+    /// that `whole`, of which it is a part, says, each sequence by the other (as in `direct`).
+    pub(crate) fn direct<const C: usize>(
         &self,
-        i: usize,
+        unblocked: &Option<[f64; C]>,
         came: &Arrived<C>,
-        hemisphere: f64,
-    ) -> [[f64; C]; 2] {
-        let ratio = if came.kernel > 0.0 { self.mean_kernels[i] / came.kernel } else { 0.0 };
-        [came.lit.map(|lit| ratio * lit), came.met.map(|met| met / hemisphere)]
+        whole: &Arrived<C>,
+    ) -> [f64; C] {
+        let many: f64 = came.shadow.iter().map(|shadow| shadow.rays).sum();
+        if many == 0.0 {
+            return [0.0; C];
+        }
+        let lit = came.lit.map(|lit| lit / many);
+        let Some(unblocked) = unblocked else { return lit };
+        let all: f64 = unblocked.iter().sum();
+        if all == 0.0 {
+            return [0.0; C];
+        }
+        let mut more = 0.0;
+        for turn in 0..2 {
+            let other = &whole.shadow[1 - turn];
+            let told = if other.all > 0.0 { other } else { &whole.shadow[turn] };
+            let share = if told.all > 0.0 { told.free / told.all } else { 0.0 };
+            more += share * (came.shadow[turn].rays * all - came.shadow[turn].all) / many;
+        }
+        std::array::from_fn(|c| (lit[c] + more * (unblocked[c] / all)).max(0.0))
     }
 
     /// Casts hemisphere rays from patch `i` and calls `met` with the patch that each meets. Counts those that met a back.
@@ -226,7 +249,6 @@ impl<'a> Sweeper<'a> {
         progress: &Progress,
     ) -> Result<(Vec<Arrived<C>>, Tally)> {
         let emission = self.patches.emission().as_chunks::<C>().0;
-        let (lamps, scale) = (self.has_lamps(), self.tracer.scale());
         let backs = AtomicU64::new(0);
         let cast = |i: usize| {
             if i.is_multiple_of(1024) {
@@ -237,40 +259,38 @@ impl<'a> Sweeper<'a> {
             self.cast((i, &from), hemisphere.clone(), &backs, |patch| match patch {
                 None => came.escaped += 1.0,
                 Some(j) => {
+                    let lamp = self.is_lamp(j);
                     for c in 0..C {
-                        came.met[c] += radiosity[j][c] - if lamps { emission[j][c] } else { 0.0 };
+                        came.met[c] += radiosity[j][c] - if lamp { emission[j][c] } else { 0.0 };
                     }
                 }
             });
-            if lamps && self.mean_kernels[i] > 0.0 {
-                let mut links = Vec::new();
-                let seed = mix(&[self.seed_of(i), 1]);
-                shadow::cast_patch(self.tracer, &self.sources, &from, shadow.clone(), seed, &mut links);
-                for link in links {
-                    let (l, kernel) = (link.to as usize, f64::from(link.kernel));
-                    came.kernel += kernel * self.sources.weight(l);
-                    if link.found == Found::Shadow {
-                        // The mean kernel is in proportion to the density p / A of samples on lamps, but for weights.
-                        let density = self.sources.probability(l) / (self.areas[l] / (scale * scale));
-                        for c in 0..C {
-                            came.lit[c] += kernel * emission[l][c] / density;
-                        }
-                    }
+            if self.has_lamps() && self.shadow.is_faced(i) {
+                for (turn, sum) in came.shadow.iter_mut().enumerate() {
+                    let number = |end: u32| (end + 1 - turn as u32) / 2;
+                    sum.rays = f64::from(number(shadow.end) - number(shadow.start));
                 }
+                let (at, seed) = ((self.tracer, i, &from), mix(&[self.seed_of(i), 1]));
+                self.shadow.each(at, emission, shadow.clone(), seed, |turn, light, all, free| {
+                    came.shadow[turn].all += all;
+                    if free {
+                        came.shadow[turn].free += all;
+                        (0..C).for_each(|c| came.lit[c] += light[c]);
+                    }
+                });
             }
             Ok(came)
         };
         let n = self.patches.len();
         let arrived: Vec<Arrived<C>> =
             (0..n).into_par_iter().with_min_len(64).map(cast).collect::<Result<_>>()?;
-        let lit = |kernel: &&f64| lamps && **kernel > 0.0;
+        let faced = |i: &usize| self.has_lamps() && self.shadow.is_faced(*i);
         let tally = Tally {
             hemisphere: n as u64 * u64::from(hemisphere.end - hemisphere.start),
             // Whole numbers: exact in any order.
             escaped: arrived.par_iter().map(|came| came.escaped as u64).sum(),
             backs: backs.into_inner(),
-            shadow: self.mean_kernels.iter().filter(lit).count() as u64
-                * u64::from(shadow.end - shadow.start),
+            shadow: (0..n).filter(faced).count() as u64 * u64::from(shadow.end - shadow.start),
         };
         Ok((arrived, tally))
     }

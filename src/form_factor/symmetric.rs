@@ -128,16 +128,10 @@ impl Symmetric {
         Self::from_lists(rows.rows(), &[upper.map(|(&s, (i, j))| (i, j, s)).collect()])
     }
 
-    /// Adds the entries of another one, whose entries are elsewhere.
-    pub(super) fn append(&mut self, other: Symmetric) {
-        assert_eq!((self.blocks, &self.diagonal, &other.diagonal), (other.blocks, &Vec::new(), &Vec::new()));
-        self.tiles.par_iter_mut().zip(other.tiles).for_each(|(tile, other)| tile.append(other));
-    }
-
-    /// Adds entries on the diagonal, one a row, or none at all.
-    pub(super) fn set_diagonal(&mut self, diagonal: Vec<f32>) {
-        assert!(self.diagonal.is_empty() && [0, self.len()].contains(&diagonal.len()), "sizes disagree");
-        self.diagonal = diagonal;
+    /// Adds to the entries on the diagonal.
+    pub(super) fn add_diagonal(&mut self, more: impl Fn(usize) -> f32) {
+        self.diagonal.resize(self.len(), 0.0);
+        self.diagonal.iter_mut().enumerate().for_each(|(i, s)| *s += more(i));
     }
 
     /// Number of rows.

@@ -12,8 +12,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
+    accuracy::error_bars::ErrorBars,
     energy::EnergyLedger,
-    form_factor::{self, FormFactors, hemisphere},
+    form_factor::{self, FormFactors, rays},
     patch::Patches,
     scene::Scene,
     solve::{
@@ -125,6 +126,8 @@ pub struct EnergyReport {
     pub absorbed: [f64; 3],
     /// Power that left the scene.
     pub escaped: [f64; 3],
+    /// Standard error of that; `null` without a matrix.
+    pub escaped_standard_error: Option<[f64; 3]>,
     /// (emitted - absorbed - escaped) / emitted of the worst channel.
     pub imbalance: f64,
     /// The part of the imbalance that the solver's residual makes; `null` without a system.
@@ -220,7 +223,7 @@ impl SolveReport {
         scene: &Scene,
         patches: &Patches,
         form_factors: &FormFactors,
-        solution: &Solution,
+        (solution, error_bars): (&Solution, &ErrorBars),
         energy: &EnergyLedger,
         options: OptionsReport,
     ) -> SolveReport {
@@ -235,7 +238,10 @@ impl SolveReport {
                 error_bound: finite(solution.error_bound),
                 converged: true,
             },
-            energy: EnergyReport::of(energy),
+            energy: EnergyReport {
+                escaped_standard_error: Some(rgb(&error_bars.of_escaped)),
+                ..EnergyReport::of(energy)
+            },
             error: ErrorReport::default(),
             rounds: Vec::new(),
             seconds: Seconds::default(),
@@ -309,17 +315,17 @@ impl SceneReport {
 
 impl FormFactorsReport {
     fn of(form_factors: &FormFactors) -> Self {
-        let hits = form_factors.hits();
+        let rays = form_factors.ray_set();
         let count = |what: fn(&[u32]) -> usize| -> usize {
-            hits.map_or(0, |h| (0..h.len()).into_par_iter().map(|i| what(h.of(i))).sum())
+            rays.map_or(0, |h| (0..h.len()).into_par_iter().map(|i| what(h.of(i))).sum())
         };
-        let escaped = count(|targets| targets.iter().filter(|&&t| t == hemisphere::ESCAPED).count());
+        let escaped = count(|targets| targets.iter().filter(|&&t| t == rays::ESCAPED).count());
         FormFactorsReport {
             rays: form_factors.rays(),
             non_zeros: form_factors.non_zeros(),
             bytes: form_factors.bytes(),
             escaped_fraction: escaped as f64 / count(<[u32]>::len).max(1) as f64,
-            back_hits: hits.map_or(0, |h| h.back_hits()),
+            back_hits: rays.map_or(0, |h| h.back_hits()),
             out_of_range: form_factors.out_of_range(),
             row_sum_deviation: form_factors.row_sum_deviation().into(),
             reciprocity_deviation: form_factors.reciprocity_deviation().into(),
@@ -340,6 +346,7 @@ impl EnergyReport {
             emitted: rgb(&energy.emitted),
             absorbed: rgb(&energy.absorbed),
             escaped: rgb(&energy.escaped),
+            escaped_standard_error: None,
             imbalance: energy.imbalance(),
             solver_part: Some(energy.relative_solver_part()),
             reciprocity_part: Some(energy.relative_reciprocity_part()),
@@ -355,6 +362,7 @@ impl EnergyReport {
             emitted: rgb(&solution.emitted),
             absorbed: rgb(&solution.absorbed),
             escaped: rgb(&solution.escaped),
+            escaped_standard_error: None,
             imbalance: solution.balanced_to(),
             solver_part: None,
             reciprocity_part: None,

@@ -48,7 +48,7 @@ pub(super) fn solve<const C: usize>(
     // What was expected may have been of other light.
     let begin = begin.map(judged).filter(|&(.., residual)| residual < 1.0);
     let (mut radiosity, mut irradiance, mut residual) =
-        begin.unwrap_or_else(|| judged(system.emission.to_vec()));
+        begin.unwrap_or_else(|| judged(system.source.to_vec()));
     let (mut iterations, mut single) = (0, suits_single(system));
     // Negated, so that NaN ends it too.
     while !(residual <= options.tolerance) && iterations < options.max_iterations {
@@ -96,16 +96,16 @@ fn suits_single<const C: usize>(system: &System<C>) -> bool {
     least * areas.len() as f64 > LEAST_AREA * all && (0..C).all(|c| lost(c) > LEAST_LOSS * all)
 }
 
-/// What the form factors were calibrated with, if it is of as many channels: Be and ρ times something, since the rest of what
+/// What the form factors were calibrated with, if it is of as many channels: S and ρ times something, since the rest of what
 /// leaves black patches would never be corrected.
 fn expected<const C: usize>(system: &System<C>) -> Option<Vec<[f64; C]>> {
-    let (known, n) = (system.form_factors.expected().as_chunks::<C>().0, system.emission.len());
+    let (known, n) = (system.form_factors.expected().as_chunks::<C>().0, system.source.len());
     let unit = magnitude(system.emission.as_flattened());
     let of_patch = |i: usize| -> [f64; C] {
         std::array::from_fn(|c| {
-            let (emitted, rho) = (system.emission[i][c], system.reflectance[i][c]);
-            let reflected = (f64::from(known[i][c]) * unit - emitted).max(0.0);
-            if rho > LEAST_REFLECTANCE { emitted + reflected } else { emitted }
+            let (source, rho) = (system.source[i][c], system.reflectance[i][c]);
+            let reflected = (f64::from(known[i][c]) * unit - source).max(0.0);
+            if rho > LEAST_REFLECTANCE { source + reflected } else { source }
         })
     };
     let known_to_all = system.form_factors.expected().len() == n * C;

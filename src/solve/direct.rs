@@ -32,7 +32,7 @@ pub(super) fn solve<const C: usize>(system: &System<C>) -> Result<Iterate<C>> {
                 matrix[(i, j as usize)] -= system.reflectance[i][c] * form_factor;
             }
         }
-        let emission = DVector::from_iterator(n, system.emission.iter().map(|e| e[c]));
+        let emission = DVector::from_iterator(n, system.source.iter().map(|e| e[c]));
         let lu = matrix.clone().lu();
         let solved = lu.solve(&emission).and_then(|mut b| {
             b += lu.solve(&(&emission - &matrix * &b))?;

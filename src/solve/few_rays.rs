@@ -8,9 +8,8 @@ use rayon::prelude::*;
 use crate::{
     Progress, Result,
     form_factor::{
-        SHORT,
-        hemisphere::ESCAPED,
-        magnitude, ordered_sum,
+        SHORT, magnitude, ordered_sum,
+        rays::ESCAPED,
         sweep::{Sweeper, Tally},
     },
 };

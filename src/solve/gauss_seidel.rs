@@ -15,7 +15,7 @@ pub(super) fn solve<const C: usize>(
     progress: &Progress,
 ) -> Result<Iterate<C>> {
     let rows = system.form_factors.rows();
-    let mut radiosity = system.emission.to_vec();
+    let mut radiosity = system.source.to_vec();
     for iteration in 0..options.max_iterations {
         progress.check()?;
         let change = sweep(system, &rows, &mut radiosity);

@@ -9,7 +9,7 @@ pub(super) fn solve<const C: usize>(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<Iterate<C>> {
-    let mut radiosity = system.emission.to_vec();
+    let mut radiosity = system.source.to_vec();
     for iteration in 0..=options.max_iterations {
         progress.check()?;
         let irradiance = system.irradiance(&radiosity);

@@ -1,4 +1,7 @@
-//! The radiosity equation B = Be + ρ F B.
+//! The radiosity equation E = D + F (B - Bd), B = Be + ρ E.
+//!
+//! Bd is what lamps emit, whose light D comes straight. With U = B - Bd it is U = (Be - Bd + ρ D) + ρ F U: the same system as
+//! without lamps, of another source.
 //!
 //! All solvers work on every channel in one pass over the matrix and report the same three things: iterations, the
 //! true relative residual of what they return, and a certified bound on its distance from the exact solution of the
@@ -12,6 +15,8 @@ pub mod gauss_seidel;
 pub mod jacobi;
 pub mod southwell;
 pub mod stochastic_jacobi;
+
+use std::borrow::Cow;
 
 use crate::{
     Error, Progress, Result, Setting,
@@ -114,7 +119,7 @@ pub struct Solution {
     pub channels: usize,
     /// Radiosity B, W/m²: what leaves, emitted and reflected.
     pub radiosity: Vec<f64>,
-    /// Irradiance E = F B, W/m²: what arrives.
+    /// Irradiance E, W/m²: what arrives.
     pub irradiance: Vec<f64>,
     /// The solver that ran; never [`Solver::Auto`].
     pub solver: Solver,
@@ -176,7 +181,8 @@ impl<'a> From<&'a StochasticSolution> for Light<'a> {
     }
 }
 
-/// Solves B = Be + ρ F B.
+/// Solves for the light of these form factors and lamps. The emission may be another than that the rays were cast for: patches that
+/// were no lamps send their light through form factors.
 ///
 /// # Errors
 /// [`Error::NoEquilibrium`] when light enters a part of the scene that nothing leaves and nothing absorbs in;
@@ -213,11 +219,16 @@ pub(crate) fn solve_from<'a>(
     })
 }
 
-/// The system with its number of channels known to the compiler.
+/// The system U = S + ρ F U with its number of channels known to the compiler.
 pub(crate) struct System<'a, const C: usize> {
     pub(crate) form_factors: &'a FormFactors,
-    pub(crate) emission: &'a [[f64; C]],
+    /// S = Be - Bd + ρ D.
+    pub(crate) source: Cow<'a, [[f64; C]]>,
     pub(crate) reflectance: &'a [[f64; C]],
+    /// Be.
+    emission: &'a [[f64; C]],
+    /// D, where there are lamps.
+    direct: Option<Vec<[f64; C]>>,
 }
 
 /// What an algorithm hands back: radiosity and iterations done.
@@ -225,11 +236,19 @@ type Iterate<const C: usize> = (Vec<[f64; C]>, usize);
 
 impl<'a, const C: usize> System<'a, C> {
     pub(crate) fn new(form_factors: &'a FormFactors, radiometry: Radiometry<'a>) -> Self {
-        System {
-            form_factors,
-            emission: radiometry.emission.as_chunks().0,
-            reflectance: radiometry.reflectance.as_chunks().0,
-        }
+        let emission: &[[f64; C]] = radiometry.emission.as_chunks().0;
+        let reflectance: &[[f64; C]] = radiometry.reflectance.as_chunks().0;
+        let Some(direct) = form_factors.direct(emission) else {
+            let source = Cow::Borrowed(emission);
+            return System { form_factors, source, reflectance, emission, direct: None };
+        };
+        let direct = direct.irradiance;
+        let source = |i: usize| {
+            let emitted = if form_factors.is_lamp(i) { [0.0; C] } else { emission[i] };
+            std::array::from_fn(|c| emitted[c] + reflectance[i][c] * direct[i][c])
+        };
+        let source = Cow::Owned((0..emission.len()).map(source).collect());
+        System { form_factors, source, reflectance, emission, direct: Some(direct) }
     }
 
     fn solve(&self, start: Option<&[f64]>, options: &SolveOptions, progress: &Progress) -> Result<Solution> {
@@ -281,9 +300,18 @@ impl<'a, const C: usize> System<'a, C> {
         }
         let is_light = |b: &[f64; C]| b.iter().all(|&b| b.is_finite() && b >= 0.0);
         debug_assert!(radiosity.iter().all(is_light), "radiosity is not negative");
+        let error_bound = self.error_bound(&radiosity, &irradiance);
+        let (mut radiosity, mut irradiance) = (radiosity, irradiance);
+        for (i, direct) in self.direct.iter().flatten().enumerate() {
+            let is_lamp = self.form_factors.is_lamp(i);
+            for c in 0..C {
+                irradiance[i][c] += direct[c];
+                radiosity[i][c] += if is_lamp { self.emission[i][c] } else { 0.0 };
+            }
+        }
         Ok(Solution {
             channels: C,
-            error_bound: self.error_bound(&radiosity, &irradiance),
+            error_bound,
             radiosity: radiosity.into_flattened(),
             irradiance: irradiance.into_flattened(),
             solver,
@@ -292,16 +320,16 @@ impl<'a, const C: usize> System<'a, C> {
         })
     }
 
-    /// E = F B.
+    /// F U.
     pub(crate) fn irradiance(&self, radiosity: &[[f64; C]]) -> Vec<[f64; C]> {
         let mut irradiance = vec![[0.0; C]; radiosity.len()];
         self.form_factors.irradiance_into::<f64, C>(radiosity.as_flattened(), irradiance.as_flattened_mut());
         irradiance
     }
 
-    /// Be + ρ E - B of patch `i`.
+    /// S + ρ F U - U of patch `i`.
     pub(crate) fn residual(&self, i: usize, radiosity: &[f64; C], irradiance: &[f64; C]) -> [f64; C] {
-        std::array::from_fn(|c| self.emission[i][c] + self.reflectance[i][c] * irradiance[c] - radiosity[c])
+        std::array::from_fn(|c| self.source[i][c] + self.reflectance[i][c] * irradiance[c] - radiosity[c])
     }
 
     /// Σ A Be for each channel.
@@ -370,8 +398,8 @@ impl<'a, const C: usize> System<'a, C> {
     /// or to the outside.
     fn check_equilibrium(&self) -> Result<()> {
         let is_caught =
-            |(drained, emission): (&[bool; C], &[f64; C])| (0..C).any(|c| !drained[c] && emission[c] > 0.0);
-        if self.drained().iter().zip(self.emission).any(is_caught) {
+            |(drained, source): (&[bool; C], &[f64; C])| (0..C).any(|c| !drained[c] && source[c] > 0.0);
+        if self.drained().iter().zip(&*self.source).any(is_caught) {
             return Err(Error::NoEquilibrium);
         }
         Ok(())

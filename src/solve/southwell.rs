@@ -63,7 +63,7 @@ impl<'a, const C: usize> Shooting<'a, C> {
         let mut shooting = Shooting {
             transposed,
             radiosity: vec![[0.0; C]; form_factors.len()],
-            unshot: system.emission.to_vec(),
+            unshot: system.source.to_vec(),
             queue: BinaryHeap::new(),
             queued: vec![0.0; form_factors.len()],
             shots: 0,
@@ -144,7 +144,7 @@ pub(super) fn solve<const C: usize>(
 ) -> Result<Iterate<C>> {
     let radiometry = Radiometry {
         channels: C,
-        emission: system.emission.as_flattened(),
+        emission: system.source.as_flattened(),
         reflectance: system.reflectance.as_flattened(),
     };
     let n = system.form_factors.len();

@@ -179,6 +179,8 @@ struct Iteration<'a, const C: usize> {
     radiosity: Vec<[f64; C]>,
     /// What patches other than lamps send, averaged over the newest sweeps.
     indirect: Vec<[f64; C]>,
+    /// What lamps send to each patch if nothing stands between, where that is known.
+    unblocked: Vec<Option<[f64; C]>>,
     /// All that came by shadow rays, and in the present batch.
     whole: Vec<Arrived<C>>,
     batch: Vec<Arrived<C>>,
@@ -197,6 +199,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
             reflectance,
             radiosity: emission.to_vec(),
             indirect: vec![[0.0; C]; n],
+            unblocked: (0..n).into_par_iter().with_min_len(64).map(|i| sweeper.unblocked(i)).collect(),
             whole: vec![Arrived::NOTHING; n],
             batch: vec![Arrived::NOTHING; n],
             batches: Batches::new(sweeper.areas(), emission, reflectance),
@@ -256,12 +259,10 @@ impl<'a, const C: usize> Iteration<'a, C> {
             let first = rays.map(|rays| (number * u64::from(rays) % u64::from(FAR)) as u32);
             escaped += self.sweep(first, rays, progress)? / many;
         }
-        let (sweeper, whole, came) = (self.sweeper, &self.whole, &self.batch);
+        let (sweeper, whole, came, unblocked) = (self.sweeper, &self.whole, &self.batch, &self.unblocked);
         let arrived = |i: usize| {
-            let [direct, indirect] = sweeper.irradiance(i, &came[i], many);
-            let [known, _] = sweeper.irradiance(i, &whole[i], many);
-            let direct = if came[i].kernel == 0.0 { known } else { direct };
-            std::array::from_fn(|c| direct[c] + indirect[c])
+            let direct = sweeper.direct(&unblocked[i], &came[i], &whole[i]);
+            std::array::from_fn(|c| direct[c] + came[i].met[c] / many)
         };
         self.batches.push(arrived, escaped.into());
         Ok(())
@@ -274,7 +275,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
         let (came, tally) = self.sweeper.sweep(&self.radiosity, hemisphere, shadow, progress)?;
         self.tally.add(tally);
         self.sweeps += 1;
-        let (sweeper, areas) = (self.sweeper, self.sweeper.areas());
+        let (sweeper, areas, unblocked) = (self.sweeper, self.sweeper.areas(), &self.unblocked);
         // By the light that this sweep started from.
         let left = |i: usize| areas[i] * came[i].escaped * SVector::from(self.radiosity[i]);
         let escaped = ordered_sum(came.len(), left);
@@ -283,10 +284,9 @@ impl<'a, const C: usize> Iteration<'a, C> {
             |(i, ((((radiosity, indirect), whole), batch), came))| {
                 whole.add(came);
                 batch.add(came);
-                let [_, new] = sweeper.irradiance(i, came, f64::from(rays[0]));
-                let [direct, _] = sweeper.irradiance(i, whole, 1.0);
+                let direct = sweeper.direct(&unblocked[i], whole, whole);
                 for c in 0..C {
-                    indirect[c] += NEWEST * (new[c] - indirect[c]);
+                    indirect[c] += NEWEST * (came.met[c] / f64::from(rays[0]) - indirect[c]);
                     radiosity[c] = self.emission[i][c] + self.reflectance[i][c] * (direct[c] + indirect[c]);
                 }
             },
@@ -305,22 +305,24 @@ impl<'a, const C: usize> Iteration<'a, C> {
         }
         let few = FewRays::cast(sweeper, FAR, progress)?;
         self.tally.add(few.tally);
-        // What arrives first, from lamps or by hemisphere rays.
-        let arriving: Vec<[f64; C]> = if sweeper.has_lamps() {
-            (0..n).map(|i| sweeper.irradiance(i, &self.whole[i], 1.0)[0]).collect()
-        } else {
-            few.gather(self.emission)
-        };
+        // What arrives first, from lamps by shadow rays and from others by hemisphere rays.
+        let direct = |i: usize| sweeper.direct(&self.unblocked[i], &self.whole[i], &self.whole[i]);
+        let direct: Vec<[f64; C]> = (0..n).map(direct).collect();
+        let dim: Vec<[f64; C]> =
+            (0..n).map(|i| if sweeper.is_lamp(i) { [0.0; C] } else { self.emission[i] }).collect();
+        let mut arriving = few.gather(&dim);
+        for (arriving, direct) in arriving.iter_mut().zip(&direct) {
+            (0..C).for_each(|c| arriving[c] += direct[c]);
+        }
         let light = few.solve(&arriving, self.reflectance, progress)?;
         let light = light.as_ref().unwrap_or(&arriving);
         if self.is_caught(light, &few) {
             return Err(Error::NoEquilibrium);
         }
         for i in 0..n {
-            let [direct, _] = sweeper.irradiance(i, &self.whole[i], 1.0);
             for c in 0..C {
                 let light = light[i][c].max(0.0);
-                self.indirect[i][c] = light - direct[c];
+                self.indirect[i][c] = light - direct[i][c];
                 self.radiosity[i][c] = self.emission[i][c] + self.reflectance[i][c] * light;
             }
         }
@@ -348,8 +350,9 @@ impl<'a, const C: usize> Iteration<'a, C> {
     fn finish(self, counted: f64, reached: Reached) -> StochasticSolution {
         // Ratios of whole sums, which are less biased than those of batches.
         let sampled = |i: usize| {
-            let [direct, indirect] = self.sweeper.irradiance(i, &self.whole[i], counted);
-            std::array::from_fn::<f64, C, _>(|c| direct[c] + indirect[c])
+            let whole = &self.whole[i];
+            let direct = self.sweeper.direct(&self.unblocked[i], whole, whole);
+            std::array::from_fn::<f64, C, _>(|c| direct[c] + whole.met[c] / counted)
         };
         let (n, areas) = (self.radiosity.len(), self.sweeper.areas());
         let mut irradiance: Vec<[f64; C]> = (0..n).map(sampled).collect();

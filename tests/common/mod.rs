@@ -266,7 +266,7 @@ impl Cast {
         for j in self.of_part(to) {
             indicator[j] = 1.0;
         }
-        let irradiance = self.form_factors.irradiance(&indicator, 1);
+        let irradiance = self.form_factors.light(&indicator, &indicator, 1);
         let errors = standard_errors(&self.form_factors, &indicator);
         self.mean(&self.of_part(from), &irradiance, &errors)
     }

@@ -10,22 +10,29 @@ use std::{
 const COMMON: [&str; 7] = ["Error", "MeshError", "Setting", "Result", "Progress", "Quality", "Scene"];
 
 /// A module, what it may use, and what its tests may use besides.
-const LAYERS: [(&str, &[&str], &[&str]); 17] = [
+const LAYERS: [(&str, &[&str], &[&str]); 20] = [
     ("setters", &[], &[]),
     ("error", &[], &[]),
     ("progress", &[], &[]),
     ("quality", &[], &[]),
     ("tone", &[], &[]),
+    ("parallel", &[], &[]),
+    ("exact", &[], &[]),
     ("scene", &["tone"], &["trace"]),
     ("trace", &["scene"], &[]),
     ("patch", &["scene"], &["trace"]),
-    ("form_factor", &["scene", "trace", "patch"], &[]),
+    ("direct", &["exact", "parallel", "scene", "trace", "patch"], &[]),
+    ("form_factor", &["exact", "parallel", "scene", "trace", "patch", "direct"], &[]),
     ("view_factor", &["scene", "trace", "patch", "form_factor"], &[]),
     ("solve", &["patch", "form_factor"], &["scene", "trace"]),
     ("heat", &["form_factor", "view_factor", "solve"], &[]),
     ("energy", &["patch", "form_factor", "solve"], &["scene", "trace"]),
     ("monte_carlo", &["tone", "scene", "trace"], &[]),
-    ("accuracy", &["tone", "scene", "trace", "patch", "form_factor", "solve", "energy", "monte_carlo"], &[]),
+    (
+        "accuracy",
+        &["tone", "scene", "trace", "patch", "direct", "form_factor", "solve", "energy", "monte_carlo"],
+        &[],
+    ),
     (
         "output",
         &[

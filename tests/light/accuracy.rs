@@ -99,16 +99,13 @@ fn errors_are_as_estimated_and_fall() {
 fn parts_are_equal_and_rays_as_many_as_asked_for() {
     let case = Case::new("textured.obj");
     for rays in [50.0, 64.0, 100.0] {
-        let hits = case.solve(rays, 1).form_factors.hits().unwrap().clone();
-        for i in 0..hits.len() {
-            assert_eq!(
-                (hits.rays_of(i) % 16, hits.shadow_rays_of(i) % 16),
-                (0, 0),
-                "patch {i} of {rays} rays"
-            );
+        let f = case.solve(rays, 1).form_factors;
+        let set = f.ray_set().unwrap();
+        for i in 0..f.len() {
+            assert_eq!((set.rays_of(i) % 16, f.shadow_rays_of(i) % 16), (0, 0), "patch {i} of {rays} rays");
         }
-        let mean = hits.rays() as f64 / hits.len() as f64;
-        assert!((mean - rays).abs() <= 16.0 / hits.len() as f64, "{mean} rays instead of {rays}");
+        let mean = f.rays() as f64 / f.len() as f64;
+        assert!((mean - rays).abs() <= 16.0 / f.len() as f64, "{mean} rays instead of {rays}");
     }
 }
 
@@ -137,8 +134,8 @@ fn a_wanted_error_is_reached() {
         println!("{actual:.5} {rounds:?}");
         assert!(actual <= 1.15 * target, "{actual} for {rounds:?}");
         // 16 rays of a kind at least are cast evenly, of these every patch has a part of the whole sequence.
-        let hits = solved.form_factors.hits().unwrap();
-        assert!((hits.rays() as f64 / hits.len() as f64 - last.rays).abs() < 1e-9);
+        let f = &solved.form_factors;
+        assert!((f.rays() as f64 / f.len() as f64 - last.rays).abs() < 1e-9);
     }
 }
 
@@ -150,10 +147,10 @@ fn more_rays_keep_those_that_were_cast() {
     let cast = CastOptions::default().with_seed(5);
     let progress = Progress::new();
     let first = FormFactors::cast(&case.scene, &case.tracer, &mut patches, &cast, &progress).unwrap();
-    let before: Vec<Vec<u32>> = (0..first.len()).map(|i| first.hits().unwrap().of(i).to_vec()).collect();
+    let before: Vec<Vec<u32>> = (0..first.len()).map(|i| first.ray_set().unwrap().of(i).to_vec()).collect();
     let second = first.cast_more(&case.scene, &case.tracer, &mut patches, 200.0, &progress).unwrap();
     for (i, before) in before.iter().enumerate() {
-        assert_eq!(&second.hits().unwrap().of(i)[..before.len()], before, "patch {i}");
+        assert_eq!(&second.ray_set().unwrap().of(i)[..before.len()], before, "patch {i}");
     }
     assert!(second.row_sum_deviation().after < 1e-12 && second.reciprocity_deviation().after < 1e-12);
 }
@@ -180,7 +177,7 @@ fn even_rounds_are_one_cast() {
         assert_eq!(rounds.len(), at_once.len());
         for i in 0..rounds.len() {
             assert!(
-                rounds.hits().unwrap().of(i) == at_once.hits().unwrap().of(i),
+                rounds.ray_set().unwrap().of(i) == at_once.ray_set().unwrap().of(i),
                 "{estimator:?}: patch {i}"
             );
             assert!(rounds.row(i).eq(at_once.row(i)), "{estimator:?}: row {i}");

@@ -26,7 +26,7 @@ fn options(rays: f64) -> CastOptions {
 
 /// All that rays told, bit by bit.
 fn bits(f: &FormFactors) -> (Vec<u32>, Vec<(usize, u64)>, Vec<u64>) {
-    let hits = f.hits().unwrap();
+    let hits = f.ray_set().unwrap();
     let rows = (0..f.len()).flat_map(|i| f.row(i)).map(|(j, x)| (j, x.to_bits()));
     let escaped = f.escaped().iter().map(|x| x.to_bits());
     ((0..f.len()).flat_map(|i| hits.of(i)).copied().collect(), rows.collect(), escaped.collect())
@@ -119,7 +119,7 @@ fn other_runs_go_on_from_the_same_file() {
         let with = cast_with(&scene, patches, &options(rays), Some(&file), 2);
         assert!(bits(&with) == bits(&cast_with(&scene, patches, &options(rays), None, 2)), "{rays}");
         let added = file.rays() - kept;
-        let all = with.hits().unwrap().rays();
+        let all = with.rays();
         assert_eq!(added > 0, more, "{patches} patches, {rays} rays: {added} of {all}");
         assert!(kept == 0 || patches != 200 || added < all, "nothing of what was known was used");
         kept = file.rays();
@@ -143,7 +143,7 @@ fn later_rounds_are_kept() {
     let file = open(&path, &scene);
     let found = run(Some(file.clone()));
     assert!(bits(&found) == truth);
-    assert_eq!(file.rays(), found.hits().unwrap().rays());
+    assert_eq!(file.rays(), found.rays());
     drop((file, found));
     let file = open(&path, &scene);
     let kept = file.found();
@@ -237,19 +237,17 @@ fn what_cannot_be_is_refused_even_with_right_checksums() {
     let scene = furnished();
     let (_dir, path) = finished(&scene);
     let bytes = fs::read(&path).unwrap();
-    let (start, end) = (48 + 12, records(&bytes)[1] - 4);
-    let target = start + 8 + 28;
-    let links = target + 4 * u32::from_le_bytes(std::array::from_fn(|k| bytes[start + 20 + k])) as usize;
-    let lamp = Patches::subdivide(&scene, &Subdivision::Count(64));
-    let lamp = (0..lamp.len()).find(|&i| lamp.emission()[i] > 0.0).unwrap() as u32;
-    // A lamp, with which pairs have links; patches that there are not; a link to what is no lamp, and of no kind.
-    for (at, value) in [
-        (target, &lamp.to_le_bytes()[..]),
-        (target, &[0xff, 0xff, 0xff, 0x7f]),
-        (target, &[0xf0, 0xff, 0xff, 0xff]),
-        (links, &[0; 4]),
-        (links + 4, &f32::NAN.to_le_bytes()),
-        (links + 12, &[9]),
+    // Of the first record, hemisphere rays, the first target; and of the last, shadow rays, the first piece and weight.
+    let records = records(&bytes);
+    let body = |k: usize| (records[k] + 12, records[k + 1] - 4);
+    let (first, last) = (body(0), body(records.len() - 2));
+    let ray = |(start, _): (usize, usize)| start + 8 + 20;
+    // Patches that there are not; a piece of no lamp, and no weight.
+    for ((start, end), at, value) in [
+        (first, ray(first), &[0xff, 0xff, 0xff, 0x7f]),
+        (first, ray(first), &[0xf0, 0xff, 0xff, 0xff]),
+        (last, ray(last), &[0, 0, 0, 1]),
+        (last, ray(last) + 4, &f32::NAN.to_le_bytes()),
     ] {
         let mut crafted = bytes.clone();
         crafted[at..at + value.len()].copy_from_slice(value);
@@ -341,7 +339,7 @@ fn a_checkpoint_is_one_runs_own() {
     assert!(matches!(Checkpoint::open(&dir.path().join("no/file"), &scene, 5), Err(Error::Io { .. })));
 }
 
-/// One-way form factors take from hemisphere rays what pooled ones take from shadow rays.
+/// Both cast the same hemisphere rays, of which one-way form factors want more.
 #[test]
 fn estimators_do_not_take_each_others_rays() {
     let scene = furnished();

@@ -51,7 +51,7 @@ fn run_by(tracer: Tracer, scene: &Scene, estimator: Estimator, seed: u64, thread
             .collect();
         let errors = ErrorBars::of(f, &room.patches, &solutions[0]).unwrap().standard_error;
         Bytes {
-            hits: (0..n).flat_map(|i| f.hits().unwrap().of(i)).copied().collect(),
+            hits: (0..n).flat_map(|i| f.ray_set().unwrap().of(i)).copied().collect(),
             columns: rows.iter().map(|r| r.0).collect(),
             values: bits(&values),
             solutions: solutions.iter().map(|s| bits(&s.radiosity)).collect(),
@@ -106,7 +106,7 @@ fn the_portable_tracer_gives_the_same_bytes() {
 #[test]
 fn patches_and_replicates_have_rays_of_their_own() {
     let cell = cast_whole(&[black(room(glam::DVec3::ZERO, glam::DVec3::ONE))], 256.0, Estimator::OneWay, 1);
-    let hits = cell.form_factors.hits().unwrap();
+    let hits = cell.form_factors.ray_set().unwrap();
     for k in 1..16 {
         assert_ne!(hits.of_replicate(0, 0), hits.of_replicate(0, k));
     }

@@ -32,7 +32,7 @@ fn calibrate(name: &str, scene: &radiosity::Scene, edge: f64, radiosity: &[f64],
             let mut patches = Patches::subdivide(scene, &Subdivision::Edge(edge));
             let options = CastOptions::default().with_rays(256.0).with_estimator(estimator).with_seed(seed);
             let f = FormFactors::cast(scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
-            let irradiance = f.irradiance(radiosity, 1);
+            let irradiance = f.light(radiosity, radiosity, 1);
             let errors = standard_errors(&f, radiosity);
             let z: Vec<f64> = (0..f.len())
                 .map(|i| (irradiance[i] - truth[i]) / errors[i])
@@ -85,7 +85,7 @@ fn bars_with_an_occluder() {
     let reference = cast(open, Subdivision::Edge(0.2), options);
     let mut random = Random::new(2);
     let radiosity: Vec<f64> = (0..reference.patches.len()).map(|_| random.next()).collect();
-    let truth = reference.form_factors.irradiance(&radiosity, 1);
+    let truth = reference.form_factors.light(&radiosity, &radiosity, 1);
     calibrate("occluder", &reference.scene, 0.2, &radiosity, &truth);
 }
 
@@ -103,7 +103,7 @@ fn unblocked_light_of_lamps_is_known_to_its_bar() {
         for seed in 0..4 {
             let lit = cast(scene(&parts), subdivision, CastOptions::default().with_seed(seed));
             let radiosity = lit.patches.emission();
-            let irradiance = lit.form_factors.irradiance(radiosity, 1);
+            let irradiance = lit.form_factors.light(radiosity, radiosity, 1);
             let errors = standard_errors(&lit.form_factors, radiosity);
             // The tile holds back a hundred millionth of what lights the floor; its back sees no lamp.
             for i in (0..lit.patches.fronts()).filter(|&i| radiosity[i] == 0.0) {
@@ -126,7 +126,7 @@ where
     L: IntoIterator<Item = (&'a [DVec3], f64)>,
 {
     let radiosity = lit.patches.emission();
-    let irradiance = lit.form_factors.irradiance(radiosity, 1);
+    let irradiance = lit.form_factors.light(radiosity, radiosity, 1);
     let errors = standard_errors(&lit.form_factors, radiosity);
     let (mut within, mut many, mut off, mut told, mut light, mut area) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     for i in (0..lit.patches.fronts()).filter(|&i| radiosity[i] == 0.0) {

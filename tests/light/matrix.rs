@@ -4,7 +4,7 @@ use crate::common::*;
 use glam::{DVec3, dvec3};
 use radiosity::{
     Scene,
-    form_factor::{CastOptions, Estimator, hemisphere::ESCAPED},
+    form_factor::{CastOptions, Estimator, rays::ESCAPED},
     patch::Subdivision,
 };
 
@@ -74,7 +74,7 @@ fn one_way_counts_keep_the_bounds() {
             let sum: f64 = f.row(i).map(|(_, x)| x).sum();
             // 64 rays: sums of multiples of 1/64 are exact.
             assert_eq!(sum + f.escaped()[i], 1.0, "{name}");
-            let rays = f64::from(f.hits().unwrap().rays_of(i));
+            let rays = f64::from(f.ray_set().unwrap().rays_of(i));
             for (j, x) in f.row(i) {
                 let m = rays * f.areas()[j] / f.areas()[i];
                 let most = m + l / 3.0 + (l * l / 9.0 + 2.0 * m * l).sqrt();
@@ -103,7 +103,7 @@ fn deviations_before_are_those_of_the_rays() {
     assert!(reciprocity > 0.1, "48 rays are not reciprocal by chance");
 
     // S_ij = (h_ij + h_ji) / (R_i/A_i + R_j/A_j).
-    let (hits, a) = (pooled.hits().unwrap(), pooled.areas());
+    let (hits, a) = (pooled.ray_set().unwrap(), pooled.areas());
     let density = |i: usize| f64::from(hits.rays_of(i)) / a[i];
     let (mut sums, mut escaped) = (vec![0.0; n], vec![0.0; n]);
     for i in 0..n {
@@ -130,7 +130,7 @@ fn deviations_before_are_those_of_the_rays() {
 fn backs_that_are_seen() {
     let closed = cast(load("furnace"), Subdivision::Edge(0.3), CastOptions::default());
     assert_eq!(closed.patches.len(), closed.patches.fronts());
-    assert_eq!(closed.form_factors.hits().unwrap().back_hits(), 0);
+    assert_eq!(closed.form_factors.ray_set().unwrap().back_hits(), 0);
 
     // The plate is the third part of seven: its backs come last all the same.
     let [x0, x1, y0, y1, floor, ceiling] = room_faces(DVec3::ZERO, DVec3::ONE).map(black);

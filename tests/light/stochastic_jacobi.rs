@@ -131,8 +131,9 @@ fn sweeps_go_on_batch_by_batch() {
     assert_eq!(found.sweeps, 48);
     let n = patches.len() as u64;
     assert_eq!(found.tally.hemisphere, n * (32 + 48 * 3));
-    // The error falls at least as that of independent rays does, but for the scatter of its own estimate: of 16 values 18 %.
-    assert!(found.reached.error < told[0].error * 3f64.sqrt().recip() * 1.36, "{told:?}");
+    // The error falls at least as that of independent rays does, but for the scatter of its own estimate: of 16 values 18 %,
+    // of the ratio of two 26 %, twice that at most.
+    assert!(found.reached.error < told[0].error * 3f64.sqrt().recip() * 1.55, "{told:?}");
 }
 
 /// However many sweeps of three rays there are, none of their mistakes grows with them: what rays that follow on each other have

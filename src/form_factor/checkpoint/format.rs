@@ -2,49 +2,39 @@
 
 use std::path::Path;
 
-use super::super::{
-    hemisphere::Share,
-    shadow::{Found, Link},
-};
 use crate::{Error, Result, scene::Scene, trace::sampling::mix};
 
 /// Says what the file is; the line end is lost where it was transferred as text.
 const MAGIC: &[u8; 16] = b"radiosity rays\r\n";
 /// Counts changes of the file's format, of which rays a seed stands for, and of what is kept of them.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
 /// Bytes of the header,
 pub(super) const HEADER: usize = 48;
-/// of a record before its body and after it,
+/// and of a record before its body and after it.
 pub(super) const BEFORE: usize = 12;
 pub(super) const AFTER: usize = 4;
-/// and of a link.
-pub(super) const LINK: usize = 13;
-/// Numbers of 4 bytes that a record has for each patch beside its targets and links.
-const NUMBERS: usize = 7;
+/// Numbers of 4 bytes that a record has for each patch beside its rays.
+const NUMBERS: usize = 5;
 
-/// The subdivision; the patch's number, which chooses its rays; and what surface it is on, since numbers of backs depend on
-/// the order in which they were found.
+/// The rays' kind and the subdivision; the patch's number, which chooses its rays; and what surface it is on, since numbers of
+/// backs depend on the order in which they were found.
 pub(super) type Key = (u64, u32, u32);
 
-/// Rays of one patch in a record. Those of a kind begin where the ones before end; there may be none of a kind.
+/// Rays of one patch in a record. They begin where those of the piece before end.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Piece {
-    /// Where in the file the targets are; the links follow.
+    /// Where in the file they are.
     pub(super) at: u64,
-    pub(super) from: Share,
-    pub(super) to: Share,
-    pub(super) links: u32,
+    pub(super) from: u32,
+    pub(super) to: u32,
+    /// Bytes of a ray.
+    pub(super) size: u32,
 }
 
 impl Piece {
-    /// Number of targets.
-    pub(super) fn targets(&self) -> usize {
-        (self.to.hemisphere - self.from.hemisphere) as usize
-    }
-
-    /// Bytes of targets and links.
+    /// Bytes of all.
     pub(super) fn bytes(&self) -> usize {
-        4 * self.targets() + LINK * self.links as usize
+        (self.to - self.from) as usize * self.size as usize
     }
 }
 
@@ -122,7 +112,7 @@ fn digest(scene: &Scene) -> u64 {
     sum
 }
 
-/// Begins a record of rays of one subdivision.
+/// Begins a record of rays of one kind and subdivision.
 pub(super) fn begin_record(bytes: &mut Vec<u8>, digest: u64) {
     bytes.extend([0; BEFORE]);
     bytes.extend(digest.to_le_bytes());
@@ -155,46 +145,18 @@ pub(super) fn pieces(body: &[u8], at: u64) -> Option<Vec<(Key, Piece)>> {
     let mut pieces = Vec::new();
     while !rest.is_empty() {
         let (start, tail) = rest.split_at_checked(4 * NUMBERS)?;
-        let [patch, surface, from_hemisphere, to_hemisphere, from_shadow, to_shadow, links] = numbers(start);
-        to_hemisphere.checked_sub(from_hemisphere)?;
-        let piece = Piece {
-            at: at + (body.len() - tail.len()) as u64,
-            from: Share { hemisphere: from_hemisphere, shadow: from_shadow },
-            to: Share { hemisphere: to_hemisphere, shadow: to_shadow },
-            links,
-        };
+        let [patch, surface, from, to, size] = numbers(start);
+        to.checked_sub(from)?;
+        let piece = Piece { at: at + (body.len() - tail.len()) as u64, from, to, size };
         rest = tail.get(piece.bytes()..)?;
         pieces.push(((u64::from_le_bytes(*digest), patch, surface), piece));
     }
     Some(pieces)
 }
 
-/// What stands before the targets and links of a piece.
+/// What stands before the rays of a piece.
 pub(super) fn piece_start((_, patch, surface): Key, piece: &Piece) -> [u8; 4 * NUMBERS] {
-    let Piece { from, to, links, .. } = *piece;
-    let numbers = [patch, surface, from.hemisphere, to.hemisphere, from.shadow, to.shadow, links];
+    let Piece { from, to, size, .. } = *piece;
+    let numbers = [patch, surface, from, to, size];
     std::array::from_fn(|k| numbers[k / 4].to_le_bytes()[k % 4])
-}
-
-/// A link that says what it goes to by its lasting name.
-pub(super) fn link_bytes(link: &Link) -> [u8; LINK] {
-    let numbers = [link.to, link.kernel.to_bits(), link.index];
-    let found = match link.found {
-        Found::Hemisphere => 0,
-        Found::Shadow => 1,
-        Found::Blocked => 2,
-    };
-    std::array::from_fn(|k| numbers.get(k / 4).map_or(found, |number| number.to_le_bytes()[k % 4]))
-}
-
-/// The link of these bytes; `None` when there is no such kind.
-pub(super) fn link(bytes: &[u8; LINK]) -> Option<Link> {
-    let [to, kernel, index] = numbers(bytes);
-    let found = match bytes[LINK - 1] {
-        0 => Found::Hemisphere,
-        1 => Found::Shadow,
-        2 => Found::Blocked,
-        _ => return None,
-    };
-    Some(Link { to, kernel: f32::from_bits(kernel), index, found })
 }

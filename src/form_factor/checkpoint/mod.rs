@@ -31,7 +31,7 @@ use crate::{Error, Result, Setting, scene::Scene};
 use format::{HEADER, check_header, header};
 use store::Store;
 
-pub(super) use section::{Known, Record, Section};
+pub(super) use section::{Record, Section};
 
 /// Looks, a twentieth of a second apart, for a lock to be free.
 const PATIENCE: usize = 60;

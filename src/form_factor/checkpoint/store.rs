@@ -8,10 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{
-    super::hemisphere::Share,
-    format::{AFTER, BEFORE, HEADER, Key, Piece, body_length, damage, pieces},
-};
+use super::format::{AFTER, BEFORE, HEADER, Key, Piece, body_length, damage, pieces};
 use crate::{Error, Result};
 
 /// Time after which what was written is forced to the disk.
@@ -33,8 +30,8 @@ pub(super) struct Store {
 /// The rays of one patch.
 #[derive(Debug, Default)]
 pub(super) struct Kept {
-    /// How many of each kind there are.
-    pub(super) rays: Share,
+    /// How many there are.
+    pub(super) rays: u32,
     pub(super) pieces: Vec<Piece>,
 }
 
@@ -99,14 +96,11 @@ impl Store {
     pub(super) fn add(&mut self, key: Key, piece: Piece) -> bool {
         let Piece { from, to, .. } = piece;
         let kept = self.known.entry(key).or_default();
-        let follows = |from: u32, to: u32, end: u32| from == to || (from == end && from < to);
-        let fits = follows(from.hemisphere, to.hemisphere, kept.rays.hemisphere)
-            && follows(from.shadow, to.shadow, kept.rays.shadow);
+        let fits = from == kept.rays && from < to;
         if fits {
-            kept.rays.hemisphere = kept.rays.hemisphere.max(to.hemisphere);
-            kept.rays.shadow = kept.rays.shadow.max(to.shadow);
+            kept.rays = to;
             kept.pieces.push(piece);
-            self.rays += u64::from(to.hemisphere - from.hemisphere) + u64::from(to.shadow - from.shadow);
+            self.rays += u64::from(to - from);
         }
         fits
     }

@@ -61,16 +61,6 @@ impl Tile {
         rows.zip(&self.columns).zip(&self.values).map(|((row, &column), &value)| (row, column, value))
     }
 
-    /// Adds the entries of another one.
-    pub(super) fn append(&mut self, other: Tile) {
-        self.runs.reserve_exact(other.runs.len());
-        self.columns.reserve_exact(other.columns.len());
-        self.values.reserve_exact(other.values.len());
-        self.runs.extend(other.runs);
-        self.columns.extend(other.columns);
-        self.values.extend(other.values);
-    }
-
     /// Bytes held.
     pub(super) fn bytes(&self) -> usize {
         4 * self.runs.len() + 6 * self.values.len()

@@ -17,7 +17,6 @@ pub use catalogue::{
     coaxial_disks, opposed_rectangles, opposed_squares_with_blocker, perpendicular_rectangles,
 };
 pub(crate) use cubature::nodes;
-pub(super) use polygon::lambert;
-pub(crate) use polygon::{clip, exchange_area_to};
+pub(crate) use polygon::{clip, exchange_area_to, lambert};
 pub use polygon::{point_to_polygon, polygon_area, polygon_exchange_area, polygon_form_factor};
 pub use rectangle::{Axis, AxisRectangle, box_room_patches, rectangle_form_factors};

@@ -60,7 +60,7 @@ pub(crate) fn clip(polygon: &[DVec3], origin: DVec3, normal: DVec3, slack: f64) 
 
 /// Lambert's sum over the edges of a polygon above the horizon (*Photometria*, 1760): each adds the angle it subtends
 /// times the cosine between the normal and the normal of its plane through the point.
-pub(in crate::form_factor) fn lambert(point: DVec3, normal: DVec3, polygon: &[DVec3]) -> f64 {
+pub(crate) fn lambert(point: DVec3, normal: DVec3, polygon: &[DVec3]) -> f64 {
     let edge = |k: usize| {
         let start = polygon[k];
         let end = polygon[(k + 1) % polygon.len()];

@@ -1,0 +1,95 @@
+//! Where rays leave a patch.
+
+use std::ops::Range;
+
+use glam::Vec3A;
+
+use crate::{
+    patch::Patches,
+    trace::{
+        Tracer,
+        sampling::{cosine_hemisphere, square_to_triangle, tangents},
+        sobol::{LANES, Sobol, blocks},
+    },
+};
+
+/// A face no farther before a patch than this, in unit space, is at the same place: rays begin beyond it.
+const SAME_PLACE: f32 = 4e-6;
+
+/// Where rays leave a patch: its corners, inset from the triangle's edges, and its normal, in unit space.
+#[derive(Debug, Clone)]
+pub(crate) struct Footprint {
+    pub(super) corners: [Vec3A; 3],
+    pub(crate) normal: Vec3A,
+}
+
+/// A ray from a point of a patch in a cosine-distributed direction.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct HemisphereRay {
+    /// Its place in the sequence.
+    pub(crate) index: u32,
+    pub(crate) origin: Vec3A,
+    pub(crate) direction: Vec3A,
+}
+
+impl Footprint {
+    /// Of patch `i`.
+    pub(crate) fn new(tracer: &Tracer, patches: &Patches, i: usize) -> Footprint {
+        let triangle = &tracer.triangles()[patches.triangle(i)];
+        Footprint {
+            corners: patches.barycentric_corners(i).map(|b| triangle.point(b.map(|x| x as f32))),
+            normal: triangle.side_normal(patches.is_front(i)),
+        }
+    }
+
+    /// Hemisphere rays of a sequence.
+    pub(crate) fn hemisphere_rays(
+        &self,
+        indices: Range<u32>,
+        seed: u64,
+    ) -> impl Iterator<Item = HemisphereRay> + '_ {
+        let (sobol, [tangent, bitangent]) = (Sobol::new(seed), tangents(self.normal));
+        blocks(indices).flat_map(move |(first, lanes)| {
+            // The first two dimensions are the better stratified.
+            let [u, v, x, y] = sobol.points(first);
+            let (mut lifted, mut at) = ([[0.0; 3]; LANES], [[0.0; LANES]; 3]);
+            for lane in 0..LANES {
+                lifted[lane] = cosine_hemisphere(u[lane], v[lane]);
+                let b = square_to_triangle(x[lane], y[lane]);
+                for axis in 0..3 {
+                    let corner = |k: usize| self.corners[k][axis] * b[k];
+                    at[axis][lane] = corner(0) + corner(1) + corner(2);
+                }
+            }
+            for (axis, at) in at.iter_mut().enumerate() {
+                Tracer::leave_along(at, self.normal, axis);
+            }
+            lanes.map(move |lane| {
+                let [x, y, cosine] = lifted[lane];
+                HemisphereRay {
+                    index: first + lane as u32,
+                    origin: Vec3A::new(at[0][lane], at[1][lane], at[2][lane]),
+                    direction: tangent * x + bitangent * y + self.normal * cosine,
+                }
+            })
+        })
+    }
+}
+
+/// cos θ cos θ' / (π r²) over a path between two points whose unit normals face each other.
+#[inline]
+pub(crate) fn kernel(path: Vec3A, from: Vec3A, to: Vec3A) -> f32 {
+    let squared = path.length_squared();
+    path.dot(from) * -path.dot(to) / (std::f32::consts::PI * squared * squared)
+}
+
+/// Whether a ray that comes to the middle of patch `i` meets another face there, which faces the same way.
+pub(crate) fn is_hidden(tracer: &Tracer, patches: &Patches, i: usize) -> bool {
+    let Footprint { corners, normal } = Footprint::new(tracer, patches, i);
+    let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+    tracer.closest(Tracer::leave(middle, normal), -normal).is_some_and(|hit| {
+        hit.front == patches.is_front(i)
+            && hit.t <= SAME_PLACE
+            && hit.triangle as usize != patches.triangle(i)
+    })
+}

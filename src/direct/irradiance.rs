@@ -1,0 +1,350 @@
+//! From shadow rays to direct light.
+//!
+//! A shadow ray s of weight w stands for the irradiance V w B of a patch, where V is 1 if it is free and B the radiosity of the
+//! piece l that it went to. The mean of all is unbiased; and where it is known what arrives unblocked, G, the mean of w B is too.
+//! So with any number β that does not depend on s
+//!
+//!   y = (V - β) w B + β G
+//!
+//! has the same mean, and the least variance if β is about the share of the light that is free (a regression estimate: Cochran,
+//! *Sampling Techniques*, 1977, chapter 7). Each lamp has its own, told by the half of the shadow rays that s is not in: where
+//! all are free β is 1, and y exactly G; where all are blocked y is 0. The ratio G Σ V w / Σ w, with the share from the samples
+//! that it corrects, is biased where few are free: under a grille of which patches see a fiftieth it was 2.7 times too large.
+
+use rayon::prelude::*;
+
+use super::{
+    Constants, REPLICATES, part,
+    shadow::{HALVES, ShadowRays, mean},
+};
+use crate::parallel::{SHORT, ordered_sum};
+
+/// By how much each replicate's irradiance of a patch deviates from the mean of all, channel by channel.
+pub(crate) type Deviation<const C: usize> = [[f32; REPLICATES]; C];
+
+/// The light that comes straight from lamps.
+#[derive(Debug, Clone)]
+pub(crate) struct DirectLight<const C: usize> {
+    /// Irradiance of each patch.
+    pub(crate) irradiance: Vec<[f64; C]>,
+    /// Its replicates.
+    pub(crate) deviations: Vec<Deviation<C>>,
+    /// What of the lamps' power arrives nowhere.
+    pub(crate) escaped: [f64; C],
+    /// By how much each replicate's deviates.
+    pub(crate) escaped_deviations: [[f64; REPLICATES]; C],
+    /// Whether more escapes than error bars explain of a scene from which no ray escapes.
+    pub(crate) leaks: bool,
+}
+
+/// How far beyond its standard error what is missing of the light in a closed scene is taken for noise, and which share of all
+/// light may be missing besides: quadrature rounds.
+const NOISE: f64 = 4.0;
+const ROUNDING: f64 = 1e-5;
+/// How many times as much of the lamps' own light may escape as of all light, by its standard deviation.
+const PRIOR: f64 = 3.0;
+
+/// What the samples of one half say of a lamp.
+#[derive(Clone, Copy, Default)]
+struct Seen {
+    free: f64,
+    all: f64,
+    count: f64,
+}
+
+impl Seen {
+    fn add(&mut self, weight: f64) {
+        self.free += weight.max(0.0);
+        self.all += weight.abs();
+        self.count += f64::from(weight != 0.0);
+    }
+}
+
+impl ShadowRays {
+    /// The direct light of lamps that emit what `emission` says of each patch, where `escaping` is the share of all hemisphere rays that
+    /// leave the scene.
+    pub(crate) fn irradiance<const C: usize>(
+        &self,
+        emission: &[[f64; C]],
+        areas: &[f64],
+        escaping: f64,
+    ) -> DirectLight<C> {
+        let n = areas.len();
+        let sent: Vec<[f64; C]> =
+            self.lamps.pieces.iter().map(|piece| mean(&emission[piece.patches.clone()])).collect();
+        let scratch = || Scratch::new(self.lamps.count);
+        let (mut irradiance, mut deviations): (Vec<[f64; C]>, Vec<Deviation<C>>) = (0..n)
+            .into_par_iter()
+            .with_min_len(64)
+            .map_init(scratch, |scratch, i| self.of_patch(i, &sent, scratch))
+            .unzip();
+        if self.lamps.is_empty() {
+            return DirectLight {
+                irradiance,
+                deviations,
+                escaped: [0.0; C],
+                escaped_deviations: [[0.0; REPLICATES]; C],
+                leaks: false,
+            };
+        }
+        let of_lamps = |i: usize| if self.lamps.contains(i) { emission[i] } else { [0.0; C] };
+        let mut leaks = false;
+        let mut escaped = [0.0; C];
+        let mut escaped_deviations = [[0.0; REPLICATES]; C];
+        for c in 0..C {
+            let power = ordered_sum(n, |i| areas[i] * of_lamps(i)[c]);
+            let arrived = ordered_sum(n, |i| areas[i] * irradiance[i][c]);
+            for k in 0..REPLICATES {
+                escaped_deviations[c][k] = -ordered_sum(n, |i| areas[i] * f64::from(deviations[i][c][k]));
+            }
+            let variance = |i: usize| (areas[i] * areas[i]) * variance_of(&deviations[i][c]);
+            let variances = ordered_sum(n, variance);
+            let slack = NOISE * variances.sqrt() + ROUNDING * power;
+            // What is missing, and what is to escape as far as that and all rays tell together.
+            let missing = power - arrived;
+            let prior = (PRIOR * escaping * power).powi(2);
+            let trust = if prior + variances > 0.0 { prior / (prior + variances) } else { 1.0 };
+            let escapes = escaping * power + trust * (missing - escaping * power);
+            if escaping == 0.0 && missing.abs() > slack {
+                leaks = true;
+                escaped[c] = missing;
+                continue;
+            }
+            // Set right in proportion to variances; what rounding leaves, in all alike.
+            let more = missing - escapes;
+            if variances > 0.0 && more != 0.0 {
+                irradiance.par_iter_mut().enumerate().with_min_len(SHORT).for_each(|(i, e)| {
+                    e[c] = (e[c] + more * areas[i] * variance_of(&deviations[i][c]) / variances).max(0.0);
+                });
+            }
+            let arrived = ordered_sum(n, |i| areas[i] * irradiance[i][c]);
+            let factor = if arrived > 0.0 { (power - escapes) / arrived } else { 1.0 };
+            if more != 0.0 && (factor - 1.0).abs() < 1e-2 {
+                irradiance.iter_mut().for_each(|e| e[c] *= factor);
+                deviations.iter_mut().flat_map(|d| &mut d[c]).for_each(|d| *d *= factor as f32);
+            }
+            escaped_deviations[c].iter_mut().for_each(|d| *d *= trust);
+            escaped[c] = power - ordered_sum(n, |i| areas[i] * irradiance[i][c]);
+        }
+        DirectLight { irradiance, deviations, escaped, escaped_deviations, leaks }
+    }
+
+    /// The irradiance of patch `i`, and its replicates.
+    fn of_patch<const C: usize>(
+        &self,
+        i: usize,
+        sent: &[[f64; C]],
+        scratch: &mut Scratch,
+    ) -> ([f64; C], Deviation<C>) {
+        let rays = self.of(i);
+        if rays.is_empty() {
+            return ([0.0; C], [[0.0; REPLICATES]; C]);
+        }
+        // Of each half, the share of each lamp's light that is free, and the light of all that much of which arrives.
+        let mut controlled = [[0.0; C]; HALVES];
+        if self.lamps.are_known() {
+            scratch.look(self, i);
+            for ((piece, sent), f) in self.lamps.pieces.iter().zip(sent).zip(self.unoccluded(i)) {
+                for half in 0..HALVES {
+                    for c in 0..C {
+                        controlled[half][c] += scratch.free[half][piece.lamp] * f * sent[c];
+                    }
+                }
+            }
+        }
+        let mut parts = [[0f64; REPLICATES]; C];
+        for k in 0..REPLICATES {
+            let range = part(rays.len() as u32, k);
+            let many = range.len() as f64;
+            for s in range {
+                let (ray, half) = (rays[s], s % HALVES);
+                let piece = ray.piece as usize;
+                let free = scratch.free[half].get(self.lamps.pieces[piece].lamp).copied().unwrap_or(0.0);
+                let weight = f64::from(ray.weight);
+                let left = weight.max(0.0) - free * weight.abs();
+                for c in 0..C {
+                    parts[c][k] += (left * sent[piece][c] + controlled[half][c]) / many;
+                }
+            }
+        }
+        let weights: [f64; REPLICATES] =
+            std::array::from_fn(|k| part(rays.len() as u32, k).len() as f64 / rays.len() as f64);
+        let mean: [f64; C] =
+            std::array::from_fn(|c| parts[c].iter().zip(weights).map(|(part, weight)| weight * part).sum());
+        let deviation = std::array::from_fn(|c| parts[c].map(|part| (part - mean[c]) as f32));
+        (mean.map(|e| e.max(0.0)), deviation)
+    }
+}
+
+/// Which share of each lamp's light is free, as the samples of the other half say.
+struct Scratch {
+    seen: [Vec<Seen>; HALVES],
+    free: [Vec<f64>; HALVES],
+}
+
+impl Scratch {
+    fn new(lamps: usize) -> Scratch {
+        let each = || vec![Seen::default(); lamps];
+        Scratch { seen: [each(), each()], free: [vec![0.0; lamps], vec![0.0; lamps]] }
+    }
+
+    fn look(&mut self, rays: &ShadowRays, i: usize) {
+        let mut whole = [Seen::default(); HALVES];
+        self.seen.iter_mut().for_each(|seen| seen.fill(Seen::default()));
+        for (s, ray) in rays.of(i).iter().enumerate() {
+            let (half, piece) = (s % HALVES, &rays.lamps.pieces[ray.piece as usize]);
+            let weight = f64::from(ray.weight) * piece.brightness;
+            self.seen[half][piece.lamp].add(weight);
+            whole[half].add(weight);
+        }
+        // Samples of each lamp that a half should have.
+        let mut expected = vec![0.0; self.free[0].len()];
+        let shares = rays.lamps.shares(rays.unoccluded(i)).unwrap_or_default();
+        for (piece, share) in rays.lamps.pieces.iter().zip(shares) {
+            expected[piece.lamp] += 0.5 * rays.of(i).len() as f64 * share;
+        }
+        for half in 0..HALVES {
+            let other = 1 - half;
+            // Without a sample of its own a half tells nothing; then those at hand must do, of a lamp or of all.
+            let of = if whole[other].all > 0.0 { whole[other] } else { whole[half] };
+            let shared = if of.all > 0.0 { of.free / of.all } else { 0.0 };
+            for lamp in 0..expected.len() {
+                let (others, own) = (self.seen[other][lamp], self.seen[half][lamp]);
+                let seen = if others.count == 0.0 && expected[lamp] >= 1.0 { own } else { others };
+                let prior = if seen.count > 0.0 { Constants::SHARED * seen.all / seen.count } else { 1.0 };
+                // What was seen often needs no other lamps to tell of it.
+                let prior = if expected[lamp] >= Constants::MANY { 0.0 } else { prior };
+                self.free[half][lamp] = if seen.all + prior > 0.0 {
+                    (seen.free + prior * shared) / (seen.all + prior)
+                } else {
+                    shared
+                };
+            }
+        }
+    }
+}
+
+/// Variance of the mean of deviations, which sum to zero but for rounding.
+fn variance_of(deviations: &[f32; REPLICATES]) -> f64 {
+    let many = REPLICATES as f64;
+    let squares: f64 = deviations.iter().map(|&d| f64::from(d).powi(2)).sum();
+    squares / (many * (many - 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec3, dvec3};
+
+    use super::super::Lamps;
+    use super::*;
+    use crate::{
+        Progress,
+        exact::{point_to_polygon, polygon_form_factor},
+        patch::{Patches, Subdivision},
+        scene::{Material, Scene},
+        trace::Tracer,
+    };
+
+    fn quad([a, b, c, d]: [DVec3; 4], material: u32) -> [([DVec3; 3], u32); 2] {
+        [([a, b, c], material), ([a, c, d], material)]
+    }
+
+    /// A level square round an axis, counterclockwise as seen from above.
+    fn square(half: f64, z: f64) -> [DVec3; 4] {
+        [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| dvec3(half * x, half * y, z))
+    }
+
+    fn down(square: [DVec3; 4]) -> [DVec3; 4] {
+        let [a, b, c, d] = square;
+        [a, d, c, b]
+    }
+
+    /// The direct light of all patches with so many shadow rays, and their areas.
+    fn lit(triangles: &[([DVec3; 3], u32)], rays: u32, seed: u64) -> (DirectLight<1>, Patches) {
+        let materials =
+            vec![Material::new("dark", [0.0; 3], [0.0; 3]), Material::new("lamp", [0.0; 3], [1.0; 3])];
+        let scene = Scene::new(triangles, materials);
+        let (tracer, patches) =
+            (Tracer::new(&scene), Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY)));
+        let mut shadow = ShadowRays::none(Lamps::new(&tracer, &patches, |_| true));
+        shadow.extend(&tracer, &patches, |_| rays, seed, None, &Progress::new()).unwrap();
+        let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
+        (shadow.irradiance(patches.emission().as_chunks().0, &areas, 1.0), patches)
+    }
+
+    /// Nothing between a patch and a lamp: the closed form and no error, with however few rays; near, far, and across its plane.
+    #[test]
+    fn what_nothing_blocks_is_exact() {
+        let lamp = quad(down(square(1.0, 1.0)), 1);
+        for (corners, z) in [(square(0.5, 0.0), 0.0), (square(1.0, 0.97), 0.97), (square(3.0, -20.0), -20.0)]
+        {
+            let patch = [corners[0], corners[1], corners[2]];
+            let (direct, _) = lit(&[&[(patch, 0)], &lamp[..]].concat(), 16, 3);
+            let wanted = std::f64::consts::PI * polygon_form_factor(&patch, &down(square(1.0, 1.0)));
+            let found = direct.irradiance[0][0];
+            assert!((found / wanted - 1.0).abs() < 2e-6, "{z}: {found} for {wanted}");
+            assert!(direct.deviations[0][0].iter().all(|d| f64::from(d.abs()) < 1e-5 * wanted), "{z}");
+        }
+    }
+
+    /// A patch that sees a half to a two hundredth of a lamp through a hole, whatever the number of rays: the mean of many seeds is the
+    /// light of what it sees, within its error.
+    #[test]
+    fn light_through_holes_has_no_bias() {
+        let (half, z) = (0.01, 0.5);
+        let floor = [dvec3(-half, -half, 0.0), dvec3(half, -half, 0.0), dvec3(0.0, half, 0.0)];
+        let lamp = square(1.0, 1.0);
+        for (hole, rays, seeds) in [(0.35, 16, 400), (0.1, 16, 1000), (0.03, 16, 3000), (0.03, 64, 800)] {
+            // Four strips around the hole.
+            let strip = |a: f64, b: f64, c: f64, d: f64| {
+                quad([dvec3(a, c, z), dvec3(b, c, z), dvec3(b, d, z), dvec3(a, d, z)], 0)
+            };
+            let far = 5.0;
+            let strips = [
+                strip(-far, -hole, -far, far),
+                strip(hole, far, -far, far),
+                strip(-hole, hole, -far, -hole),
+                strip(-hole, hole, hole, far),
+            ];
+            let parts = [&[(floor, 0)], &quad(down(lamp), 1)[..], &strips.concat()[..]].concat();
+            let found: Vec<f64> = (0..seeds).map(|seed| lit(&parts, rays, seed).0.irradiance[0][0]).collect();
+            // What is seen of the lamp is twice as wide as the hole, wherever on the small patch.
+            let seen = square((2.0 * hole).min(1.0), 1.0);
+            let middle = (floor[0] + floor[1] + floor[2]) / 3.0;
+            let wanted = std::f64::consts::PI * point_to_polygon(middle, DVec3::Z, &seen);
+            let many = seeds as f64;
+            let mean = found.iter().sum::<f64>() / many;
+            let error =
+                (found.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (many * (many - 1.0))).sqrt();
+            assert!(
+                (mean - wanted).abs() < 4.0 * error + 1e-3 * wanted,
+                "{hole}: {mean} for {wanted} ± {error}"
+            );
+            assert!(error < 0.2 * wanted, "{hole}: {mean} ± {error}");
+        }
+    }
+
+    /// Samples say of themselves what is known of the unblocked light: also of a patch that a lamp's plane cuts, and of a lamp that a
+    /// patch's plane cuts.
+    #[test]
+    fn the_mean_of_samples_is_the_unblocked_light() {
+        let lamp = [dvec3(0.0, 0.0, 1.0), dvec3(0.0, 1.0, 1.0), dvec3(1.0, 0.0, 1.0)];
+        for patch in [
+            [dvec3(0.2, 0.2, 0.9), dvec3(0.5, 0.2, 0.9), dvec3(0.2, 0.5, 0.9)],
+            [dvec3(-0.1, 0.0, 0.0), dvec3(-0.1, 1.0, 0.5), dvec3(-0.1, 0.0, 9.0)],
+            [dvec3(0.4, -2.0, 0.0), dvec3(0.4, 2.0, 0.0), dvec3(0.4, 0.0, 1.5)],
+        ] {
+            let materials =
+                vec![Material::new("dark", [0.0; 3], [0.0; 3]), Material::new("lamp", [0.0; 3], [1.0; 3])];
+            let scene = Scene::new(&[(patch, 0), (lamp, 1)], materials);
+            let (tracer, patches) =
+                (Tracer::new(&scene), Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY)));
+            let mut shadow = ShadowRays::none(Lamps::new(&tracer, &patches, |_| true));
+            shadow.extend(&tracer, &patches, |_| 1 << 14, 5, None, &Progress::new()).unwrap();
+            let mean =
+                shadow.of(0).iter().map(|ray| f64::from(ray.weight.abs())).sum::<f64>() / f64::from(1 << 14);
+            let known = shadow.unoccluded(0)[0];
+            assert!((mean / known - 1.0).abs() < 3e-3, "{patch:?}: {mean} for {known}");
+        }
+    }
+}

@@ -1,0 +1,297 @@
+//! Shadow rays: paths between points of a patch and points of lamps, each free or blocked.
+//!
+//! The rays of a patch are two sequences with scrambles of their own, which take turns: what one of them says of visibility is
+//! independent of the other's samples. Halves of one sequence, which complement each other, told light behind a grille 0.3 % too
+//! large; where large lamps are partly hidden, they are up to 7 % better at 64 rays a patch, and alike at 256.
+
+use std::ops::Range;
+
+use glam::Vec3A;
+use rayon::prelude::*;
+
+use super::{
+    footprint::Footprint,
+    lamps::{Lamps, Path},
+};
+use crate::{
+    Progress, Result,
+    patch::Patches,
+    trace::{
+        Tracer,
+        sampling::mix,
+        sobol::{LANES, Sobol, blocks},
+    },
+};
+
+/// Halves of a patch's rays, each told by the other how much light is free.
+pub(super) const HALVES: usize = 2;
+
+/// A shadow ray: which piece of the lamps it went to, and its weight, negative where it was blocked, and zero where the two points
+/// did not face each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct ShadowRay {
+    pub(crate) piece: u32,
+    pub(crate) weight: f32,
+}
+
+impl ShadowRay {
+    const NONE: ShadowRay = ShadowRay { piece: 0, weight: 0.0 };
+}
+
+/// The shadow rays of all patches.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct ShadowRays {
+    pub(crate) lamps: Lamps,
+    /// Where those of patch `i` begin.
+    offsets: Vec<usize>,
+    rays: Vec<ShadowRay>,
+    /// The form factor of each patch to each piece if nothing stood between; empty where these are too many.
+    unoccluded: Vec<f64>,
+    /// Whether any light can reach each patch.
+    is_faced: Vec<bool>,
+}
+
+/// Where rays are kept, and taken from.
+pub(crate) trait Keep: Sync {
+    /// What is kept of a patch's rays with these numbers, from the first on.
+    fn known(&self, patch: usize, wanted: Range<u32>) -> Result<Vec<ShadowRay>>;
+    /// Keeps the rays of patches: of each the number of the first, and all from there on.
+    fn keep(&self, rays: &[(usize, u32, &[ShadowRay])]) -> Result<()>;
+}
+
+impl ShadowRays {
+    /// None yet.
+    pub(crate) fn none(lamps: Lamps) -> ShadowRays {
+        ShadowRays { lamps, offsets: vec![0], ..ShadowRays::default() }
+    }
+
+    /// Patches that rays were cast for.
+    fn len(&self) -> usize {
+        self.offsets.len().max(1) - 1
+    }
+
+    /// Rays of all patches.
+    pub(crate) fn rays(&self) -> u64 {
+        self.rays.len() as u64
+    }
+
+    /// Rays of patch `i`.
+    pub(crate) fn count(&self, i: usize) -> u32 {
+        if i < self.len() { (self.offsets[i + 1] - self.offsets[i]) as u32 } else { 0 }
+    }
+
+    /// The rays of patch `i`.
+    pub(super) fn of(&self, i: usize) -> &[ShadowRay] {
+        if i < self.len() { &self.rays[self.offsets[i]..self.offsets[i + 1]] } else { &[] }
+    }
+
+    /// The form factors of patch `i` to all pieces if nothing stood between; empty where they are not known.
+    pub(super) fn unoccluded(&self, i: usize) -> &[f64] {
+        let many = self.lamps.pieces.len();
+        if self.lamps.are_known() { &self.unoccluded[i * many..][..many] } else { &[] }
+    }
+
+    /// Bytes held.
+    pub(crate) fn bytes(&self) -> usize {
+        size_of_val(&self.rays[..]) + size_of_val(&self.unoccluded[..]) + 9 * self.len()
+    }
+
+    /// The first or second half of every patch's rays; `None` when some patch has but one.
+    pub(crate) fn half(&self, half: usize) -> Option<ShadowRays> {
+        let mut part = ShadowRays {
+            lamps: self.lamps.clone(),
+            offsets: vec![0],
+            rays: Vec::with_capacity(self.rays.len().div_ceil(2)),
+            unoccluded: self.unoccluded.clone(),
+            is_faced: self.is_faced.clone(),
+        };
+        for i in 0..self.len() {
+            let (all, middle) = (self.of(i), self.of(i).len() / 2);
+            if all.len() == 1 {
+                return None;
+            }
+            part.rays.extend_from_slice([&all[..middle], &all[middle..]][half]);
+            part.offsets.push(part.rays.len());
+        }
+        Some(part)
+    }
+
+    /// Lets nothing arrive at these patches, in order.
+    pub(crate) fn withdraw(&mut self, patches: &[usize]) {
+        let cast = self.len();
+        for &i in patches.iter().filter(|&&i| i < cast) {
+            self.rays[self.offsets[i]..self.offsets[i + 1]].fill(ShadowRay::NONE);
+        }
+    }
+
+    /// Learns what lamps send to each patch if nothing stands between.
+    pub(crate) fn face(&mut self, tracer: &Tracer, patches: &Patches) {
+        let (n, known) = (patches.len(), self.is_faced.len());
+        let lamps = &self.lamps;
+        let faces = |i: usize| {
+            let from = Footprint::new(tracer, patches, i);
+            let unoccluded = lamps.unoccluded(&from);
+            let faced = lamps.choice(&from, &unoccluded).is_some();
+            (unoccluded, faced)
+        };
+        let new: Vec<(Vec<f64>, bool)> = (known..n).into_par_iter().with_min_len(32).map(faces).collect();
+        for (unoccluded, faced) in new {
+            self.unoccluded.extend(unoccluded);
+            self.is_faced.push(faced);
+        }
+    }
+
+    /// What lamps that emit what `emission` says send to patch `i` if nothing stands between, channel by channel; `None` where that is
+    /// not known.
+    pub(crate) fn unblocked<const C: usize>(&self, i: usize, emission: &[[f64; C]]) -> Option<[f64; C]> {
+        self.lamps.are_known().then(|| {
+            let mut sum = [0.0; C];
+            for (piece, f) in self.lamps.pieces.iter().zip(self.unoccluded(i)) {
+                let sent = mean(&emission[piece.patches.clone()]);
+                (0..C).for_each(|c| sum[c] += f * sent[c]);
+            }
+            sum
+        })
+    }
+
+    /// Casts shadow rays of patch `i` with these numbers that are not kept, and calls `found` with the half that each is in and
+    /// what it says of the irradiance: the light of each channel, were all samples like this one and no ray blocked, all channels
+    /// together at the time of casting, and whether it is free. Those that face no lamp are left out.
+    pub(crate) fn each<const C: usize>(
+        &self,
+        (tracer, i, from): (&Tracer, usize, &Footprint),
+        emission: &[[f64; C]],
+        indices: Range<u32>,
+        seed: u64,
+        mut found: impl FnMut(usize, [f64; C], f64, bool),
+    ) {
+        cast(tracer, &self.lamps, from, self.unoccluded(i), indices, seed, |index, ray| {
+            let piece = &self.lamps.pieces[ray.piece as usize];
+            let weight = f64::from(ray.weight.abs());
+            let light = mean(&emission[piece.patches.clone()]).map(|sent| weight * sent);
+            found(index as usize % HALVES, light, weight * piece.brightness, ray.weight > 0.0);
+        });
+    }
+
+    /// Whether any light of lamps can reach patch `i`.
+    pub(crate) fn is_faced(&self, i: usize) -> bool {
+        self.is_faced[i]
+    }
+
+    /// Casts rays until every patch that light can reach has as many as `wanted` says; those cast already are kept.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so, and what `keep` returns.
+    pub(crate) fn extend(
+        &mut self,
+        tracer: &Tracer,
+        patches: &Patches,
+        wanted: impl Fn(usize) -> u32,
+        seed: u64,
+        keep: Option<&dyn Keep>,
+        progress: &Progress,
+    ) -> Result<()> {
+        if self.lamps.is_empty() {
+            return Ok(());
+        }
+        self.face(tracer, patches);
+        let n = patches.len();
+        let mut offsets = vec![0];
+        for i in 0..n {
+            let want = if self.is_faced[i] { wanted(i) } else { 0 };
+            offsets.push(offsets[i] + want.max(self.count(i)) as usize);
+        }
+        let mut rays = vec![ShadowRay::NONE; offsets[n]];
+        (0..self.len()).for_each(|i| rays[offsets[i]..][..self.of(i).len()].copy_from_slice(self.of(i)));
+        progress.begin("casting shadow rays", (offsets[n] - self.rays.len()) as u64);
+        const BLOCK: usize = 32;
+        let mut rest = &mut rays[..];
+        let mut work = Vec::new();
+        for start in (0..n).step_by(BLOCK) {
+            let end = (start + BLOCK).min(n);
+            let (block, tail) = rest.split_at_mut(offsets[end] - offsets[start]);
+            work.push((start..end, block));
+            rest = tail;
+        }
+        let this = &*self;
+        work.into_par_iter().try_for_each(|(range, mut rest)| {
+            let mut cast = Vec::new();
+            for i in range {
+                progress.check()?;
+                let (own, tail) = rest.split_at_mut(offsets[i + 1] - offsets[i]);
+                rest = tail;
+                let mut had = this.count(i);
+                let new = own.len() as u32 - had;
+                if let Some(keep) = keep.filter(|_| new > 0) {
+                    let known = keep.known(i, had..own.len() as u32)?;
+                    own[had as usize..][..known.len()].copy_from_slice(&known);
+                    had += known.len() as u32;
+                }
+                this.cast(
+                    tracer,
+                    &Footprint::new(tracer, patches, i),
+                    i,
+                    had,
+                    own,
+                    mix(&[seed, i as u64, 1]),
+                );
+                progress.advance(new.into());
+                cast.push((i, had, &*own));
+            }
+            let cast: Vec<_> = cast
+                .into_iter()
+                .map(|(i, had, own)| (i, had, &own[had as usize..]))
+                .filter(|(.., own)| !own.is_empty())
+                .collect();
+            keep.map_or(Ok(()), |keep| keep.keep(&cast))
+        })?;
+        (self.rays, self.offsets) = (rays, offsets);
+        Ok(())
+    }
+
+    /// Casts the rays of a patch from number `had` on.
+    fn cast(&self, tracer: &Tracer, from: &Footprint, i: usize, had: u32, own: &mut [ShadowRay], seed: u64) {
+        let indices = had..own.len() as u32;
+        if !indices.is_empty() {
+            cast(tracer, &self.lamps, from, self.unoccluded(i), indices, seed, |index, ray| {
+                own[index as usize] = ray;
+            });
+        }
+    }
+}
+
+/// The mean of some patches' light.
+pub(super) fn mean<const C: usize>(values: &[[f64; C]]) -> [f64; C] {
+    std::array::from_fn(|c| values.iter().map(|v| v[c]).sum::<f64>() / values.len() as f64)
+}
+
+/// Casts the shadow rays of a patch with these indices, and calls `found` with each, in the order in which they end; those whose
+/// points do not face each other are left out.
+fn cast(
+    tracer: &Tracer,
+    lamps: &Lamps,
+    from: &Footprint,
+    unoccluded: &[f64],
+    indices: Range<u32>,
+    seed: u64,
+    mut found: impl FnMut(u32, ShadowRay),
+) {
+    let Some(choice) = lamps.choice(from, unoccluded) else { return };
+    let turns = (0..HALVES as u32).flat_map(|turn| {
+        let sobol = Sobol::new(mix(&[seed, turn.into()]));
+        let number = |index: u32| (index + HALVES as u32 - 1 - turn) / HALVES as u32;
+        let numbers = number(indices.start)..number(indices.end);
+        blocks(numbers).flat_map(move |(first, lanes)| {
+            let points: [[f32; LANES]; 4] = sobol.points(first);
+            lanes.map(move |lane| (HALVES as u32 * (first + lane as u32) + turn, points.map(|x| x[lane])))
+        })
+    });
+    let choice = &choice;
+    let rays = turns.filter_map(|(index, point)| {
+        let Path { from, to, piece, weight } = lamps.sample(choice, from, point)?;
+        Some(((index, ShadowRay { piece, weight }), from, to)) as Option<((u32, ShadowRay), Vec3A, Vec3A)>
+    });
+    tracer.visible_each(rays, |(index, ray), visible| {
+        found(index, if visible { ray } else { ShadowRay { weight: -ray.weight, ..ray } });
+    });
+}

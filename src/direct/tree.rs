@@ -1,0 +1,203 @@
+//! A tree of many lamps: one is chosen nearly by what it would send to a patch, in a walk as long as the tree is deep.
+//!
+//! At each node the walk goes on to one of two children by their power over the squared distance, and by how far their normals
+//! may turn towards the patch (Conty Estévez and Kulla, "Importance Sampling of Many Lights with Adaptive Tree Splitting", 2018).
+//! A share of all choices goes by power alone, so that no lamp is left out by a bound.
+
+use glam::DVec3;
+
+use super::Constants;
+
+/// A node: the lamps below it as a ball, and a cone of their normals.
+#[derive(Debug, Clone)]
+struct Node {
+    centre: DVec3,
+    radius: f64,
+    power: f64,
+    axis: DVec3,
+    /// The angle between the axis and the farthest normal.
+    angle: f64,
+    /// The second child, where there is one; the first is the next node.
+    second: u32,
+    /// The lamp of a leaf.
+    lamp: u32,
+    parent: u32,
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Tree {
+    nodes: Vec<Node>,
+    /// The leaf of each lamp.
+    leaves: Vec<u32>,
+    /// Power of all lamps up to each, as a share of all.
+    cumulative: Vec<f64>,
+}
+
+const NONE: u32 = u32::MAX;
+
+/// A lamp on its way into the tree.
+type Item = (u32, DVec3, f64, DVec3, f64);
+
+impl Tree {
+    /// Of lamps with these corners, normals and powers.
+    pub(super) fn new(lamps: impl Iterator<Item = ([DVec3; 3], DVec3, f64)>) -> Tree {
+        let ball = |[a, b, c]: [DVec3; 3]| {
+            let centre = (a + b + c) / 3.0;
+            (centre, a.distance(centre).max(b.distance(centre)).max(c.distance(centre)))
+        };
+        let mut items: Vec<Item> = (0..)
+            .zip(lamps)
+            .map(|(k, (corners, normal, power))| {
+                let (centre, radius) = ball(corners);
+                (k, centre, radius, normal, power)
+            })
+            .collect();
+        let total: f64 = items.iter().map(|item| item.4).sum();
+        let mut sum = 0.0;
+        let cumulative = items
+            .iter()
+            .map(|item| {
+                sum += item.4 / total;
+                sum
+            })
+            .collect();
+        let mut tree = Tree { nodes: Vec::new(), leaves: vec![0; items.len()], cumulative };
+        tree.build(&mut items, NONE);
+        tree
+    }
+
+    /// Halves lamps along the longest side of the box of their centres.
+    fn build(&mut self, items: &mut [Item], parent: u32) -> u32 {
+        let at = self.nodes.len() as u32;
+        let bounds = |f: fn(DVec3, DVec3) -> DVec3| items.iter().map(|item| item.1).reduce(f);
+        let (low, high) = (bounds(DVec3::min).unwrap_or_default(), bounds(DVec3::max).unwrap_or_default());
+        let centre = 0.5 * (low + high);
+        let normals: DVec3 = items.iter().map(|item| item.4 * item.3).sum();
+        let axis = normals.normalize_or_zero();
+        let turn = |item: &Item| item.3.dot(axis).clamp(-1.0, 1.0).acos();
+        let angle = if axis == DVec3::ZERO {
+            std::f64::consts::PI
+        } else {
+            items.iter().map(turn).fold(0.0, f64::max)
+        };
+        self.nodes.push(Node {
+            centre,
+            radius: items.iter().map(|item| item.1.distance(centre) + item.2).fold(0.0, f64::max),
+            power: items.iter().map(|item| item.4).sum(),
+            axis,
+            angle,
+            second: NONE,
+            lamp: items[0].0,
+            parent,
+        });
+        if items.len() == 1 {
+            self.leaves[items[0].0 as usize] = at;
+            return at;
+        }
+        let extent = high - low;
+        let along = if extent.x >= extent.y && extent.x >= extent.z {
+            0
+        } else if extent.y >= extent.z {
+            1
+        } else {
+            2
+        };
+        items.sort_by(|a, b| a.1[along].total_cmp(&b.1[along]).then(a.0.cmp(&b.0)));
+        let (first, second) = items.split_at_mut(items.len() / 2);
+        self.build(first, at);
+        let second = self.build(second, at);
+        self.nodes[at as usize].second = second;
+        at
+    }
+
+    /// About what the lamps of a node send to a patch, given as a ball and a normal.
+    fn importance(&self, node: u32, (middle, radius, normal): (DVec3, f64, DVec3)) -> f64 {
+        let node = &self.nodes[node as usize];
+        let path = node.centre - middle;
+        let (distance, size) = (path.length(), node.radius + radius);
+        // Within this of the direction between the centres are all paths.
+        let spread = if distance > size { (size / distance).asin() } else { std::f64::consts::PI };
+        let facing = |cosine: f64, more: f64| {
+            let angle = (cosine.clamp(-1.0, 1.0).acos() - more).max(0.0);
+            if angle >= std::f64::consts::FRAC_PI_2 { 0.0 } else { angle.cos() }
+        };
+        let direction = path / distance.max(f64::MIN_POSITIVE);
+        let at_lamp = facing(-direction.dot(node.axis), node.angle + spread);
+        let at_patch = facing(direction.dot(normal), spread);
+        node.power * at_lamp * at_patch / distance.max(0.5 * size).powi(2).max(f64::MIN_POSITIVE)
+    }
+
+    /// The probability that a walk goes from a node to its first child.
+    fn first(&self, at: u32, patch: (DVec3, f64, DVec3)) -> f64 {
+        let (first, second) = (at + 1, self.nodes[at as usize].second);
+        let [a, b] = [first, second].map(|child| self.importance(child, patch));
+        if a + b > 0.0 {
+            return a / (a + b);
+        }
+        let [a, b] = [first, second].map(|child| self.nodes[child as usize].power);
+        a / (a + b)
+    }
+
+    /// The lamp for a number in \[0, 1), what is left of the number, stretched to \[0, 1) again, and the lamp's probability.
+    pub(super) fn choose(&self, patch: (DVec3, f64, DVec3), u: f64) -> (usize, f64, f64) {
+        let by_power = Constants::BY_POWER;
+        if u < by_power {
+            let u = u / by_power;
+            let k = self.cumulative.partition_point(|&c| c <= u).min(self.cumulative.len() - 1);
+            let below = if k > 0 { self.cumulative[k - 1] } else { 0.0 };
+            let share = self.cumulative[k] - below;
+            let mut walked = 1.0;
+            let mut at = self.leaves[k];
+            while self.nodes[at as usize].parent != NONE {
+                let parent = self.nodes[at as usize].parent;
+                let first = self.first(parent, patch);
+                walked *= if at == parent + 1 { first } else { 1.0 - first };
+                at = parent;
+            }
+            return (k, (u - below) / share, by_power * share + (1.0 - by_power) * walked);
+        }
+        let (mut u, mut at, mut walked) = ((u - by_power) / (1.0 - by_power), 0, 1.0);
+        while self.nodes[at as usize].second != NONE {
+            let first = self.first(at, patch);
+            if u < first {
+                (u, walked, at) = (u / first, walked * first, at + 1);
+            } else {
+                let rest = 1.0 - first;
+                (u, walked, at) = ((u - first) / rest, walked * rest, self.nodes[at as usize].second);
+            }
+        }
+        let k = self.nodes[at as usize].lamp as usize;
+        let share = self.cumulative[k] - if k > 0 { self.cumulative[k - 1] } else { 0.0 };
+        (k, u, by_power * share + (1.0 - by_power) * walked)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::dvec3;
+
+    /// Probabilities sum to one, whichever way a lamp is chosen, and are those with which it is.
+    #[test]
+    fn probabilities_sum_to_one() {
+        let lamp = |k: usize| {
+            let at = dvec3((k % 7) as f64, (k % 5) as f64, (k % 3) as f64);
+            let normal = dvec3(0.3, (k % 4) as f64 - 1.5, -1.0).normalize();
+            ([at, at + DVec3::X * 0.3, at + DVec3::Y * 0.3], normal, 1.0 + (k % 6) as f64)
+        };
+        let tree = Tree::new((0..105).map(lamp));
+        let patch = (dvec3(2.0, 2.0, -1.0), 0.2, DVec3::Z);
+        let (mut found, mut probability) = ([0.0; 105], [0.0; 105]);
+        let many = 200_000;
+        for k in 0..many {
+            let (lamp, rest, p) = tree.choose(patch, (f64::from(k) + 0.5) / f64::from(many));
+            assert!((0.0..=1.0).contains(&rest));
+            found[lamp] += 1.0 / f64::from(many);
+            probability[lamp] = p;
+        }
+        assert!((probability.iter().sum::<f64>() - 1.0).abs() < 1e-9, "{}", probability.iter().sum::<f64>());
+        for (found, p) in found.iter().zip(probability) {
+            assert!((found - p).abs() < 1e-4, "{found} for {p}");
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! Which patches shine brighter than the scene as a whole, so that their light is worth rays of its own.
+//!
+//! The light of the others goes the way of reflected light. In a furnace, where all surfaces emit and reflect as much in sum, so all
+//! light does, and is exact; to send rays to large, dim lamps would only take them from elsewhere.
+
+use rayon::prelude::*;
+
+use super::rays::{ESCAPED, RaySet};
+use crate::{parallel::ordered_sum, patch::Patches};
+
+/// Light bounces until its mean grows by less than this share, and so often at most.
+const ENOUGH: f64 = 1e-3;
+const MOST_BOUNCES: usize = 200;
+/// Rays of each patch that are asked.
+const ASKED: usize = 32;
+/// What is brighter by less than this is not worth rays: in a furnace nothing is brighter than the mean, but that is not known exactly.
+const BRIGHTER: f64 = 1.25;
+
+/// The radiosity at equilibrium as some rays alone tell it, interleaved channels, in the unit of emission.
+pub(super) fn radiosity(rays: &RaySet, patches: &Patches) -> Vec<f64> {
+    let channels = patches.channels();
+    let mut radiosity = patches.emission().to_vec();
+    let mut before = total(patches, &radiosity);
+    for _ in 0..MOST_BOUNCES {
+        let gathered = |i: usize| {
+            let asked = &rays.of(i)[..rays.of(i).len().min(ASKED)];
+            let mut sum = [0.0; 3];
+            for &j in asked.iter().filter(|&&j| j != ESCAPED) {
+                (0..channels).for_each(|c| sum[c] += radiosity[j as usize * channels + c]);
+            }
+            let of_channel = |c: usize| {
+                let q = i * channels + c;
+                patches.emission()[q] + patches.reflectance()[q] * sum[c] / asked.len().max(1) as f64
+            };
+            std::array::from_fn::<f64, 3, _>(|c| if c < channels { of_channel(c) } else { 0.0 })
+        };
+        let next: Vec<[f64; 3]> =
+            (0..patches.len()).into_par_iter().with_min_len(128).map(gathered).collect();
+        radiosity = next.iter().flat_map(|b| &b[..channels]).copied().collect();
+        let now = total(patches, &radiosity);
+        if now - before <= ENOUGH * now {
+            break;
+        }
+        before = now;
+    }
+    radiosity
+}
+
+/// The power that leaves all patches, all channels together.
+fn total(patches: &Patches, radiosity: &[f64]) -> f64 {
+    let channels = patches.channels();
+    let power = |i: usize| patches.area(i) * radiosity[i * channels..][..channels].iter().sum::<f64>();
+    ordered_sum(patches.len(), power)
+}
+
+/// Whether each front patch emits more than the mean radiosity of the scene, all channels together.
+pub(super) fn above_mean(rays: &RaySet, patches: &Patches) -> Vec<bool> {
+    let channels = patches.channels();
+    let area = ordered_sum(patches.len(), |i| patches.area(i));
+    let mean = total(patches, &radiosity(rays, patches)) / area;
+    let bright =
+        |i: usize| patches.emission()[i * channels..][..channels].iter().sum::<f64>() > BRIGHTER * mean;
+    (0..patches.fronts()).map(bright).collect()
+}
+
+/// The share of what leaves all patches that leaves the scene, as rays alone tell it.
+pub(super) fn escaping(rays: &RaySet, patches: &Patches, escaped: &[f64]) -> f64 {
+    let channels = patches.channels();
+    let radiosity = radiosity(rays, patches);
+    let power = |i: usize| patches.area(i) * radiosity[i * channels..][..channels].iter().sum::<f64>();
+    let there = || (0..rays.len()).filter(|&i| !rays.is_withdrawn(i));
+    let all: f64 = there().map(power).sum();
+    if all > 0.0 { there().map(|i| power(i) * escaped[i]).sum::<f64>() / all } else { 0.0 }
+}

@@ -1,0 +1,169 @@
+//! Hemisphere rays: from points spread over a patch, in cosine-distributed directions (Malley's method), the share of
+//! rays that land on patch j estimates the form factor F_ij.
+//!
+//! Two dimensions of an Owen-scrambled Sobol sequence choose the point, two the direction. Rays from the centroid
+//! alone would not converge to the form factor of the patch, and independent random rays need about ten times as many.
+//! A patch has one sequence, which more rays continue. Its [`REPLICATES`] equal parts, one after the other, tell the
+//! standard error by their spread.
+
+pub(super) mod casting;
+
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+
+use rayon::prelude::*;
+
+use super::checkpoint::Section;
+use crate::{
+    direct::{footprint::is_hidden, part},
+    patch::Patches,
+    trace::Tracer,
+};
+
+pub use crate::direct::REPLICATES;
+
+/// The target of a ray that left the scene.
+pub const ESCAPED: u32 = u32::MAX;
+
+/// So many hits are expected of other patches' rays at least where none can only mean that a patch is hidden from them: by
+/// chance that happens once in 10⁹ patches.
+const HIDDEN: f64 = 20.0;
+
+/// While casting: the ray met the back of this front patch, which was no unknown yet.
+const BACK: u32 = 1 << 31;
+
+/// What every hemisphere ray met. Kept ray by ray: at 4 bytes a ray that is no more than counts would take, and it holds the
+/// replicates apart.
+#[derive(Debug, Clone)]
+pub struct RaySet {
+    /// Where the rays of each patch begin in `targets`, and where the last ones end.
+    offsets: Vec<usize>,
+    targets: Vec<u32>,
+    back_hits: u64,
+    seconds: f64,
+    /// Patches that lose all light, in order.
+    withdrawn: Vec<usize>,
+    /// Where rays are kept, and looked for before they are cast.
+    pub(super) checkpoint: Option<Section>,
+}
+
+impl RaySet {
+    /// No rays yet.
+    pub(super) fn none() -> RaySet {
+        RaySet {
+            offsets: vec![0],
+            targets: Vec::new(),
+            back_hits: 0,
+            seconds: 0.0,
+            withdrawn: Vec::new(),
+            checkpoint: None,
+        }
+    }
+
+    /// The first or second half of every patch's rays; `None` when some patch has but one.
+    pub(super) fn half(&self, half: usize) -> Option<RaySet> {
+        let mut part = RaySet { withdrawn: self.withdrawn.clone(), ..RaySet::none() };
+        part.targets.reserve_exact(self.targets.len().div_ceil(2) + self.len());
+        for i in 0..self.len() {
+            let (all, middle) = (self.of(i), self.of(i).len() / 2);
+            if all.len() < 2 {
+                return None;
+            }
+            part.targets.extend_from_slice([&all[..middle], &all[middle..]][half]);
+            part.offsets.push(part.targets.len());
+        }
+        Some(part)
+    }
+
+    /// Number of patches.
+    pub fn len(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    /// Whether there is no patch.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// All rays cast.
+    pub fn rays(&self) -> u64 {
+        self.targets.len() as u64
+    }
+
+    /// Rays that met the back of a surface.
+    pub fn back_hits(&self) -> u64 {
+        self.back_hits
+    }
+
+    /// Seconds that casting took, nothing else.
+    pub fn seconds(&self) -> f64 {
+        self.seconds
+    }
+
+    /// Rays that left patch `i`.
+    pub fn rays_of(&self, i: usize) -> u32 {
+        (self.offsets[i + 1] - self.offsets[i]) as u32
+    }
+
+    /// What the rays of patch `i` met: patches, or [`ESCAPED`].
+    pub fn of(&self, i: usize) -> &[u32] {
+        &self.targets[self.offsets[i]..self.offsets[i + 1]]
+    }
+
+    /// The same of one replicate.
+    pub fn of_replicate(&self, i: usize, replicate: usize) -> &[u32] {
+        &self.of(i)[part(self.rays_of(i), replicate)]
+    }
+
+    /// The share of each patch's rays that leave the scene.
+    pub(super) fn escaped(&self) -> Vec<f64> {
+        let share = |i: usize| {
+            let escaped = self.of(i).iter().filter(|&&j| j == ESCAPED).count();
+            escaped as f64 / f64::from(self.rays_of(i))
+        };
+        (0..self.len()).into_par_iter().with_min_len(128).map(share).collect()
+    }
+
+    /// Whether patch `i` was made to lose all light.
+    pub(super) fn is_withdrawn(&self, i: usize) -> bool {
+        self.withdrawn.binary_search(&i).is_ok()
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        4 * self.targets.len() + 8 * self.offsets.len()
+    }
+
+    /// Lets patches lose all light that are not there for others: none ever met them, though another face is at the same place, or
+    /// though their own rays meet patches that should have met them [many times](HIDDEN). Reciprocity would have to send them what
+    /// they cannot get. Those that are `kept` stay, and those that are known to be `hidden` go.
+    pub(super) fn withdraw_hidden(
+        &mut self,
+        areas: &[f64],
+        tracer: &Tracer,
+        patches: &Patches,
+        (kept, hidden): (impl Fn(usize) -> bool + Sync, impl Fn(usize) -> bool + Sync),
+    ) -> &[usize] {
+        let density = |i: usize| f64::from(self.rays_of(i)) / areas[i];
+        let met: Vec<AtomicBool> = (0..self.len()).map(|_| AtomicBool::new(false)).collect();
+        let meets = |j: u32| {
+            // Most are known to be met: reading is cheaper than writing.
+            if !met[j as usize].load(Relaxed) {
+                met[j as usize].store(true, Relaxed);
+            }
+        };
+        let met_by = |i: usize| {
+            let targets = self.of(i).iter().filter(|&&j| j != ESCAPED);
+            targets.inspect(|&&j| meets(j)).map(|&j| density(j as usize) / density(i)).sum::<f64>()
+        };
+        let expected: Vec<f64> = (0..self.len()).into_par_iter().with_min_len(128).map(met_by).collect();
+        let is_hidden = |i: usize| {
+            let unmet = !met[i].load(Relaxed) && !kept(i);
+            unmet && (expected[i] >= HIDDEN || is_hidden(tracer, patches, i))
+        };
+        self.withdrawn = (0..self.len()).into_par_iter().filter(|&i| hidden(i) || is_hidden(i)).collect();
+        for &i in &self.withdrawn {
+            self.targets[self.offsets[i]..self.offsets[i + 1]].fill(ESCAPED);
+        }
+        &self.withdrawn
+    }
+}
