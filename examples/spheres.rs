@@ -78,9 +78,16 @@ impl Obj {
         for row in 0..ROWS {
             for column in 0..columns {
                 let at = |r: usize, c: usize| first + r * columns + c % columns;
-                let corners =
-                    [at(row, column), at(row + 1, column), at(row + 1, column + 1), at(row, column + 1)];
-                let _ = writeln!(self.text, "f {} {} {} {}", corners[0], corners[1], corners[2], corners[3]);
+                let mut corners =
+                    vec![at(row, column), at(row + 1, column), at(row + 1, column + 1), at(row, column + 1)];
+                // At the poles a side has no length.
+                match row {
+                    0 => drop(corners.pop()),
+                    r if r + 1 == ROWS => drop(corners.remove(2)),
+                    _ => {}
+                }
+                let corners: Vec<String> = corners.iter().map(usize::to_string).collect();
+                let _ = writeln!(self.text, "f {}", corners.join(" "));
             }
         }
     }
