@@ -37,81 +37,81 @@ use super::{
 
 /// The report in the output directory.
 const REPORT: &str = "report.json";
-/// Texels a side unless told.
+/// Texels per side of a page, by default.
 const RESOLUTION: u32 = 512;
 
-/// Make a lightmap: the irradiance of all surfaces as an image, and a mesh that it fits
+/// Bake a lightmap: the irradiance of all surfaces as an image, with a mesh that fits
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity bake room.obj -o room-lit/ --resolution 1024\n\n\
     Written to DIR:\n  \
       lightmap.exr, .hdr      irradiance, W/m2, linear R G B\n  \
       lightmap.png            the same for viewing\n  \
       scene.obj, .mtl         the mesh; its texture coordinates address the map, its materials emit scene.png\n  \
-      scene.png               what leaves the surfaces: any viewer shows scene.obj lit, without lights\n  \
-      scene-original-uv.obj   the same faces and corners with the scene's own texture coordinates and materials, for\n                              \
-      a second set of coordinates in an engine, where those of the map are new\n  \
+      scene.png               radiosity for viewing: a viewer shows scene.obj lit, without lights\n  \
+      scene-original-uv.obj   the same faces with the texture coordinates and materials of the scene, if\n                              \
+      those of the map are new\n  \
       report.json             all figures\n  \
-      .radiosity              which files a later bake may replace\n\
+      .radiosity              the list of files that a later bake may replace\n\
     Further pages are called lightmap-2.exr and so on.\n\n\
-    With -o NAME.glb one glTF file holds the lit scene, all else that is in a glTF scene included; NAME.exr beside it holds \
-    the irradiance.\n\n\
-    A face is shown by the side that has more light, or with --two-sided by both. The scene's own texture coordinates \
-    are used when they lie in 0..1 without overlap and leave room between charts; the report says why where they do \
-    not. Long faces may be cut for new ones. A file that no earlier bake wrote is never replaced.")]
+    With -o NAME.glb one glTF file holds the lit scene, with everything else that a glTF scene contained. NAME.exr beside \
+    it holds the irradiance.\n\n\
+    The map shows the side of each face that has more light, or both with --two-sided. The texture coordinates of the \
+    scene are used if they lie in 0..1, do not overlap and leave room between charts. Otherwise new ones are made, for \
+    which long faces may be cut, and the report says why. A file that no earlier bake wrote is never replaced.")]
 pub struct BakeArgs {
     #[command(flatten)]
     scene: SceneArgs,
-    /// Write the files into this directory, which is made if it is missing; or write one glTF file
+    /// Write the files into this directory, which is created if it is missing, or write one glTF file
     #[arg(short, long, value_name = "DIR|NAME.glb")]
     output: PathBuf,
-    /// How a glTF file shows the map: materials that emit it, which every viewer shows; the extension MOZ_lightmap; or texture
-    /// coordinates alone
+    /// How a glTF file holds the map: `emissive` materials, which every viewer shows; the extension MOZ_lightmap (`moz`); or texture
+    /// coordinates alone (`uv`)
     #[arg(long, value_enum, value_name = "HOW", default_value_t = GltfLightmap::Emissive)]
     gltf_lightmap: GltfLightmap,
-    /// Write all figures as JSON here too
+    /// Write the report to this file too
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
-    /// Side of a page in texels [default: 512; with --texel pages of up to 4096]
+    /// Texels per side of a page [default: 512; with --texel up to 4096]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=LARGEST as i64))]
     resolution: Option<u32>,
-    /// Length of a texel in the scene's unit, on as many pages as it takes
+    /// Length of a texel, in the unit of the scene. The map takes as many pages as it needs
     #[arg(long, value_name = "LENGTH", value_parser = finite_length)]
     texel: Option<f64>,
-    /// Rays a texel that gather the last bounce; 0 takes the patches as they are, flux exact
+    /// Rays per texel for the final gather. 0 takes the irradiance of the patches, with exact flux
     #[arg(long, value_name = "N", default_value_t = BakeOptions::default().final_gather,
         value_parser = clap::value_parser!(u32).range(0..=65536))]
     final_gather: u32,
-    /// Use the scene's own texture coordinates or fail
+    /// Use the texture coordinates of the scene, or fail
     #[arg(long)]
     keep_uv: bool,
-    /// Make new texture coordinates even if the scene's own would do
+    /// Make new texture coordinates, even if those of the scene could be used
     #[arg(long, conflicts_with = "keep_uv")]
     new_uv: bool,
-    /// Give both sides of a face texels where light reaches both, and the mesh a second face for the back
+    /// Give both sides of a face texels if light reaches both. The mesh gets a second face for the back
     #[arg(long, conflicts_with = "keep_uv")]
     two_sided: bool,
-    /// Make the texels of a material FACTOR times shorter than the others'. May be given several times
+    /// Make the texels of a material FACTOR times shorter than those of others. May be repeated
     #[arg(long, value_name = "MATERIAL=FACTOR", value_parser = density, conflicts_with = "keep_uv")]
     density: Vec<(String, f64)>,
-    /// Leave the noise of the final gather in
+    /// Do not denoise the final gather
     #[arg(long)]
     no_denoise: bool,
-    /// Leave texels without surface black
+    /// Do not fill texels without surface from their neighbours
     #[arg(long)]
     no_dilate: bool,
-    /// Leave both sides of seams as they were computed
+    /// Do not smooth the map across seams
     #[arg(long)]
     no_seams: bool,
-    /// Write mask.png too: white surface, grey hidden surface, dark grey filled from neighbours, black nothing
+    /// Write mask.png too: white is surface, grey hidden surface, dark grey filled from neighbours, black nothing
     #[arg(long)]
     mask: bool,
-    /// Write standard-error.exr too: that of the final gather, W/m2
+    /// Write standard-error.exr too: the standard error of the final gather, W/m2
     #[arg(long)]
     standard_error: bool,
-    /// Make the .png files brighter, by stops; negative is darker
+    /// Make the .png files brighter by this number of stops. Negative is darker
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
-    /// Another seed casts other rays; the same gives the same bytes
+    /// Seed of the random numbers. The same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     #[command(flatten)]

@@ -38,13 +38,13 @@ use super::{
 pub struct ExchangeArgs {
     #[command(flatten)]
     surfaces: SurfaceArgs,
-    /// What is known of the surfaces
+    /// Temperature, flux and emissivity of the surfaces
     #[arg(long = "surfaces", value_name = "FILE.toml")]
     conditions: PathBuf,
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
-    /// Write the exchange areas between surfaces in m2, by all reflections, as CSV
+    /// Write the exchange areas between surfaces in m2, reflections included, as CSV
     #[arg(long, value_name = "OUT.csv")]
     exchange_areas: Option<PathBuf>,
     #[command(flatten)]

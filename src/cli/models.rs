@@ -48,7 +48,7 @@ pub fn model(text: &str) -> Result<Model, String> {
 }
 
 impl Model {
-    /// Gives the specular part to all materials of the name. Tells how many those are.
+    /// Gives the specular part to all materials of this name, and returns their number.
     pub fn apply(&self, scene: &mut Scene) -> usize {
         let named = scene.materials.iter_mut().filter(|m| m.name == self.material);
         named.map(|m| m.specular = Some(Box::new(self.specular.clone()))).count()

@@ -16,42 +16,41 @@ use super::models;
 /// The scene, and light and colour that its file lacks: arguments of every command.
 #[derive(Args)]
 pub struct SceneArgs {
-    /// The scene: Wavefront .obj with its .mtl beside it, .ply, .gltf or .glb
+    /// The scene: Wavefront .obj with its .mtl beside it, .gltf, .glb, .ply or .stl
     #[arg(value_name = "SCENE")]
     pub path: PathBuf,
-    /// Reflectance of a material, whatever the file says, for example 0.6@wall or 0.6,0.5,0.4@wall. Without @ it is the
-    /// reflectance of surfaces without one in the file [default: 0.5], and of surfaces that only have colours at vertices or
-    /// on faces. May be repeated
+    /// Set the reflectance of a material, for example 0.6@wall or 0.6,0.5,0.4@wall. Without @ it applies to surfaces without a
+    /// reflectance in the file [default: 0.5], and to surfaces that only have colours at vertices or on faces. May be repeated
     #[arg(long, value_name = "R[,G,B][@MATERIAL]", allow_hyphen_values = true, value_parser = reflectance)]
     reflectance: Vec<Reflectance>,
     /// Let a material emit this radiance in W/(m2 sr), for example 10@lamp or 9,8,5@lamp. Without @ all materials emit. The
     /// materials of a .ply are named by their colours, for example 10@#ffcc00. May be repeated
     #[arg(long, value_name = "L[,M,N][@MATERIAL]", allow_hyphen_values = true, value_parser = emission)]
     emit: Vec<Emission>,
-    /// Let surfaces that a glTF file calls unlit emit their colour, instead of reflecting by it
+    /// Let unlit materials of a glTF file emit their colour. Otherwise the colour is their reflectance
     #[arg(long)]
     unlit_emits: bool,
-    /// Leave out all faces of a material, as of window panes. May be given several times
+    /// Leave out all faces of a material, for example of window panes. May be repeated
     #[arg(long, value_name = "MATERIAL")]
     ignore: Vec<String>,
-    /// Give a material a specular part on top of its Kd, as in floor=ward:0.2,0.1,0.1: mirror:KS, phong:KS,N, blinn-phong:KS,N,
+    /// Give a material a specular part besides its Kd, for example floor=ward:0.2,0.1,0.1: mirror:KS, phong:KS,N, blinn-phong:KS,N,
     /// ward:KS,AX,AY, beckmann:KS,ALPHA, ggx:KS,ALPHA, schlick:KS,ALPHA, conductor:ETA,KAPPA,ALPHA or
-    /// metallic-roughness:METALLIC,ROUGHNESS. May be given several times
+    /// metallic-roughness:METALLIC,ROUGHNESS. May be repeated
     #[arg(long, value_name = "MATERIAL=MODEL", value_parser = models::model)]
     model: Vec<models::Model>,
-    /// What becomes of specular parts where all surfaces count as Lambertian, which is everywhere but in path and light tracing
+    /// What to do with specular parts where surfaces count as Lambertian, which is everywhere except in path and light tracing
     #[arg(long, value_enum, default_value_t = SpecularName::Drop)]
     specular: SpecularName,
-    /// Only these materials emit, whatever the others do: the light of some lamps alone. Sums over all lamps are the whole
+    /// Let only these materials emit, to compute the light of some lamps alone. The results of all lamps sum to the whole
     #[arg(long, value_name = "MATERIAL,...", value_delimiter = ',')]
     emitters: Vec<String>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum SpecularName {
-    /// Left out
+    /// Leave them out
     Drop,
-    /// The share of diffuse light that they reflect is added to the diffuse reflectance
+    /// Add the share of diffuse light that they reflect to the diffuse reflectance
     Diffuse,
 }
 
@@ -70,7 +69,7 @@ struct Emission {
 }
 
 impl SceneArgs {
-    /// What becomes of specular parts where all surfaces count as Lambertian.
+    /// What to do with specular parts where surfaces count as Lambertian.
     pub fn specular(&self) -> SpecularPart {
         match self.specular {
             SpecularName::Drop => SpecularPart::Drop,
@@ -116,7 +115,7 @@ impl SceneArgs {
         no_material(scene, &self.path, option, name)
     }
 
-    /// Lets no material emit but those that were named, if any were.
+    /// Lets only the materials of `--emitters` emit, if there are any.
     fn keep_emitters(&self, scene: &mut Scene) -> RadiosityResult<()> {
         if self.emitters.is_empty() {
             return Ok(());
@@ -225,7 +224,7 @@ impl CastArgs {
         (Subdivision::Count(patches), format!("about {patches} for quality {name}"))
     }
 
-    /// A warning where the triangles outnumber the wanted patches: each triangle is at least one patch.
+    /// A warning if there are more triangles than wanted patches, because each triangle is at least one patch.
     pub fn too_few(&self, scene: &Scene) -> Option<String> {
         let triangles = scene.triangles.len();
         match self.subdivision().0 {

@@ -19,28 +19,28 @@ use super::{options, watch::Watch};
 /// Which surfaces, and how accurate their view factors are wanted.
 #[derive(Args)]
 pub struct SurfaceArgs {
-    /// The scene: a file that `inspect` reads
+    /// The scene, in any format that `inspect` reads
     #[arg(value_name = "SCENE")]
     pub scene: PathBuf,
-    /// Leave out all faces of a material, as of window panes. May be given several times
+    /// Leave out all faces of a material, for example of window panes. May be repeated
     #[arg(long, value_name = "MATERIAL")]
     pub ignore: Vec<String>,
     /// Cast rays until the RMS standard error of the view factors that are not zero is below this
     #[arg(long, value_name = "E", default_value_t = ViewFactorOptions::default().error, value_parser = error)]
     pub error: f64,
-    /// What one surface is [default: face; of `exchange` group]
+    /// What one surface is [default: face; group in `exchange`]
     #[arg(long, value_enum)]
     pub by: Option<ByName>,
-    /// Which sides of faces are surfaces
+    /// The sides of faces that are surfaces
     #[arg(long, value_enum, default_value_t = SideName::Front)]
     pub side: SideName,
-    /// The surfaces enclose a room: all rows sum to 1. Refused where they clearly do not
+    /// State that the surfaces enclose a room, so that all rows sum to 1. Refused if they clearly do not
     #[arg(long, conflicts_with = "open")]
     pub enclosed: bool,
-    /// The surfaces enclose no room: what rows miss to 1 escapes
+    /// State that the surfaces do not enclose a room. The difference between 1 and the row sum escapes
     #[arg(long)]
     pub open: bool,
-    /// Another seed casts other rays; the same gives the same bytes
+    /// Seed of the random numbers. The same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub seed: u64,
 }
@@ -61,11 +61,11 @@ pub enum ByName {
 /// Which sides of faces are surfaces.
 #[derive(Clone, Copy, ValueEnum)]
 pub enum SideName {
-    /// Where vertices run counter-clockwise
+    /// The side from which the corners run counter-clockwise
     Front,
-    /// Where they run clockwise
+    /// The side from which they run clockwise
     Back,
-    /// Each is a surface: first all fronts, then all backs
+    /// Each side is a surface of its own: first all fronts, then all backs
     Both,
 }
 
@@ -115,7 +115,7 @@ impl<'a> Told<'a> {
         self.warnings.push(warning);
     }
 
-    /// Names surfaces that others in their plane hide.
+    /// Warns of surfaces that others in their plane hide.
     pub fn hidden(&mut self, args: &SurfaceArgs, surfaces: &Surfaces, found: &ViewFactors) {
         let of: Vec<usize> = (0..found.len()).filter(|&i| found.hidden[i] > 0.0).collect();
         let Some(&most) = of.iter().max_by(|&&i, &&j| found.hidden[i].total_cmp(&found.hidden[j])) else {
@@ -131,7 +131,7 @@ impl<'a> Told<'a> {
         ));
     }
 
-    /// Names surfaces whose rows were more than full.
+    /// Warns of surfaces whose row sums exceeded one.
     pub fn overfull(&mut self, args: &SurfaceArgs, surfaces: &Surfaces, found: &ViewFactors) {
         let rows = found.overfull_rows();
         let Some(&worst) = rows.iter().max_by(|&&i, &&j| found.row_sums[i].total_cmp(&found.row_sums[j]))
@@ -148,7 +148,7 @@ impl<'a> Told<'a> {
         ));
     }
 
-    /// Names surfaces whose rows do not sum to one after they were scaled, as the rays of some contradict each other's.
+    /// Warns of surfaces whose rows do not sum to one after closure, because the rays of some contradict those of others.
     pub fn unclosed(&mut self, args: &SurfaceArgs, surfaces: &Surfaces, found: &ViewFactors) {
         let sums: Vec<f64> =
             (0..found.len()).map(|i| found.row(i).map(|(_, f)| f).sum::<f64>() + found.escaped(i)).collect();

@@ -51,11 +51,11 @@ pub struct ValidateArgs {
     #[arg(long, value_name = "N", default_value_t = ValidationOptions::default().particles,
         value_parser = clap::value_parser!(u64).range(1024..=1 << 40))]
     particles: u64,
-    /// Also measure what taking all surfaces as Lambertian costs: follow light with materials as given, and with Lambertian ones of the
-    /// same albedo, by the same random numbers
+    /// Also measure the error of the Lambertian assumption. Light is traced with the given materials and with Lambertian ones
+    /// of the same albedo, with the same random numbers
     #[arg(long)]
     lambert: bool,
-    /// With --lambert: write a coloured mesh whose faces tell how much irradiance changes, and the standard error of that
+    /// With --lambert: write a coloured mesh with the change of irradiance of each face and its standard error
     #[arg(short, long, value_name = "OUT.ply", requires = "lambert")]
     output: Option<PathBuf>,
     /// Seed of the random numbers. The same seed gives the same verdict
