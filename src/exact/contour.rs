@@ -131,7 +131,7 @@ mod tests {
     use glam::dvec3;
 
     use super::*;
-    use crate::form_factor::exact::cubature;
+    use crate::exact::cubature;
 
     /// The two ways to integrate, which share nothing but the rule, where both are good: 3 to 8 radii apart.
     #[test]

@@ -235,8 +235,12 @@ impl Scene {
     /// Cuts the holes of cut-outs.
     fn cut_holes(&mut self, path: &Path) -> Result<()> {
         cutouts::cut(self).map_err(|cutouts::TooFine { material }| {
-            Error::input(path, None, format!("material `{material}`: its holes cut the scene into millions of pieces"))
-                .with_hint("a smaller image, or one that is repeated less often, has fewer; --ignore leaves the material out")
+            Error::input(
+                path,
+                None,
+                format!("material `{material}`: its holes cut the scene into millions of pieces"),
+            )
+            .with_hint("use a smaller image, repeat it less often, or ignore the material")
         })?;
         if self.triangles.is_empty() {
             return Err(Error::input(path, None, "no face is left but holes").with_hint(

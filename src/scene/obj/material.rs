@@ -334,7 +334,7 @@ fn left_out(definition: &tobj::Material) -> Vec<String> {
     add(definition.shininess_texture.is_some(), "map_Ns");
     let clear =
         definition.dissolve.is_some_and(|d| 0.0 < d && d < 1.0) || number("Tr").is_some_and(|t| t > 0.0);
-    add(clear, "transparency (d, Tr), which --ignore with its name makes clear");
+    add(clear, "transparency (d, Tr), unless the material is ignored");
     add(parameter("map_Tr").is_some(), "transparency map (map_Tr)");
     let filters = |tf: &String| tf.split_whitespace().any(|w| w.parse::<f64>().is_ok_and(|t| t != 1.0));
     add(parameter("Tf").is_some_and(filters), "transmission filter (Tf)");
