@@ -41,7 +41,8 @@ fn probed(here: &Here, options: &str) -> [[f64; 3]; 2] {
 #[test]
 fn a_mirror_shows_a_second_lamp() {
     let [direct, image] = [LAMP, mirrored()].map(|lamp| point_to_polygon(POINT, DVec3::Y, &lamp));
-    assert!(image > 0.1 * direct);
+    // 4.6 % of the lamp's own light, many times the errors allowed below.
+    assert!((0.04..0.05).contains(&(image / direct)));
     for (lines, options, ks) in [
         ("Ks 1 0.5 0\nillum 3\n", "", [1.0, 0.5, 0.0]),
         ("", "--model wall=mirror:0.8", [0.8; 3]),
@@ -50,30 +51,32 @@ fn a_mirror_shows_a_second_lamp() {
         let [mean, error] = probed(&with_wall(lines), options);
         for (c, radiance) in [3.0, 1.0, 0.25].into_iter().enumerate() {
             let wanted = PI * radiance * (direct + ks[c] * image);
-            assert!(error[c] < 0.02 * wanted, "{lines}{options}: {mean:?} ± {error:?}");
+            assert!(error[c] < 0.008 * wanted, "{lines}{options}: {mean:?} ± {error:?}");
             assert!((mean[c] - wanted).abs() < 4.0 * error[c], "{lines}{options}: {mean:?}, not {wanted}");
         }
     }
 }
 
-/// A sharp lobe of Ks is a mirror of Ks but for its width.
+/// A sharp lobe of Ks is a mirror of Ks but for its width; Phong's lobes reflect less where light does not come from straight above.
 #[test]
 fn sharp_lobes_of_files_and_options_are_nearly_mirrors() {
-    let mirror = probed(&with_wall(""), "--model wall=mirror:0.8")[0][0];
-    for (lines, options) in [
-        ("Ks 0.8 0.8 0.8\nNs 100000\nillum 2\n", ""),
-        ("Ks 0.8 0.8 0.8\nNs 100000\n", ""),
-        ("", "--model wall=phong:0.8,100000"),
-        ("", "--model wall=blinn-phong:0.8,400000"),
-        ("", "--model wall=ward:0.8,0.003,0.003"),
-        ("", "--model wall=beckmann:0.8,0.003"),
-        ("", "--model wall=ggx:0.8,0.003"),
+    let [direct, image] = [LAMP, mirrored()].map(|lamp| PI * 3.0 * point_to_polygon(POINT, DVec3::Y, &lamp));
+    // What is seen of the mirrored lamp makes an angle with the normal of the wall of which this is the cosine.
+    let cos = 3.0 / 3f64.hypot(1.5);
+    for (lines, options, least) in [
+        ("Ks 0.8 0.8 0.8\nNs 100000\nillum 2\n", "", 0.95 * cos),
+        ("Ks 0.8 0.8 0.8\nNs 100000\n", "", 0.95 * cos),
+        ("", "--model wall=phong:0.8,100000", 0.95 * cos),
+        ("", "--model wall=blinn-phong:0.8,400000", 0.95 * cos * cos),
+        ("", "--model wall=ward:0.8,0.003,0.003", 0.97),
+        ("", "--model wall=beckmann:0.8,0.003", 0.97),
+        ("", "--model wall=ggx:0.8,0.003", 0.97),
     ] {
         let [mean, error] = probed(&with_wall(lines), options);
-        // Phong's lobe has less than Ks away from the normal: cos θ of it.
-        let low = if options.contains("phong") || lines.contains("Ns") { 0.7 } else { 0.96 };
-        let (least, most) = (low * mirror - 4.0 * error[0], 1.02 * mirror + 4.0 * error[0]);
-        assert!((least..most).contains(&mean[0]), "{lines}{options}: {mean:?} ± {error:?}, {mirror}");
+        let (share, error) = ((mean[0] - direct) / (0.8 * image), error[0] / (0.8 * image));
+        assert!(error < 0.06, "{lines}{options}: {share} ± {error}");
+        let within = (least - 4.0 * error..1.02 + 4.0 * error).contains(&share);
+        assert!(within, "{lines}{options}: {share} ± {error}");
     }
 }
 
@@ -140,7 +143,7 @@ fn pictures_by_particles_tell_that_mirrors_are_dark() {
 fn validation_tells_what_lambertian_surfaces_cost() {
     let here = with_wall("Ks 0.9 0.9 0.9\nillum 3\n");
     let validate = |options: &str| {
-        let effort = "--patches 60 --rays 256 --paths 256 --particles 20000 --report r.json";
+        let effort = "--patches 60 --rays 256 --paths 1024 --particles 20000 --report r.json";
         let output = here.run(&format!("validate scene.obj {effort} {options}"));
         assert!(matches!(output.status.code(), Some(0 | 1)), "{}", stderr(&output));
         (String::from_utf8(output.stdout).unwrap(), here.json("r.json"))
@@ -148,10 +151,12 @@ fn validation_tells_what_lambertian_surfaces_cost() {
     let (said, report) = validate("--lambert --threads 1");
     let lambert = &report["lambert"];
     let figure = |key: &str| lambert[key].as_f64().unwrap();
-    assert!(figure("rms_relative") > 5.0 * figure("standard_error") && figure("standard_error") > 0.0);
+    assert!(figure("standard_error") > 0.0);
     assert!(figure("largest_relative").abs() > figure("rms_relative"));
-    // Without the mirror its light goes nowhere: the floor is darker for it.
-    assert!(lambert["dropped"]["mean_relative"].as_f64().unwrap() > 0.0);
+    // Without the mirror its light goes nowhere, and the floor is darker for it.
+    let dropped = |key: &str| lambert["dropped"][key].as_f64().unwrap();
+    assert!(dropped("rms_relative") > 4.0 * dropped("standard_error"), "{lambert}");
+    assert!(dropped("mean_relative") > 4.0 * dropped("mean_standard_error"), "{lambert}");
     assert!(said.contains(lambert["verdict"].as_str().unwrap()), "{said}");
     assert!(said.contains("taking gloss as diffuse changes irradiance by"), "{said}");
     let (_, again) = validate("--lambert --threads 2 -o a.ply");

@@ -61,7 +61,8 @@ fn assert_same(scene: &Scene, wanted: &Quarters) {
         let ours = Estimate::of(&of_quarter);
         let theirs = Estimate { mean: *mean, standard_error: *standard_error };
         assert!(apart(&ours, &theirs) < 4.5, "quarter {quarter}: {ours:?} {theirs:?}");
-        assert!(ours.standard_error[0] < 0.01 * ours.mean[0], "{ours:?}");
+        // Paths find what a mirror throws of the small lamp's light by chance.
+        assert!(ours.standard_error[0] < 0.025 * ours.mean[0], "{ours:?}");
     }
 }
 
