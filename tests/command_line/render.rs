@@ -163,8 +163,8 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
     for method in [
         "path",
         "light",
-        "radiosity --patches 200 --rays 32",
-        "radiosity --patches 200 --rays 32 --final-gather 3",
+        "radiosity --patches 300 --rays 32",
+        "radiosity --patches 300 --rays 32 --final-gather 3",
     ] {
         let options = format!("--method {method} --spp 3 --width 33 --height 21");
         let run = |more: &str| render(&here, &mesh("door-ajar"), &format!("{options} {more}"), "out.png");

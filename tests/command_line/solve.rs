@@ -323,7 +323,9 @@ fn bad_input_is_told_with_file_and_line() {
     assert!(errors.lines().all(|l| l.starts_with("error: ") || l.starts_with("hint: ")), "{errors}");
 
     assert!(here.fails("solve missing.obj", 2).starts_with("error: missing.obj: "));
-    assert!(here.fails("solve scene.mtl", 2).starts_with("error: scene.mtl: unknown kind of scene\nhint: "));
+    assert!(
+        here.fails("solve scene.mtl", 2).starts_with("error: scene.mtl: this is a material library\nhint: ")
+    );
 
     let dark = Here::new(FURNACE, "newmtl wall\nKd 0.5 0.5 0.5\n");
     let errors = dark.fails("solve scene.obj -o out.ply", 2);

@@ -517,9 +517,8 @@ fn long_charts_are_split_and_leave_the_rest_its_texels() {
     for layout in [Layout::Resolution(128), Layout::Texel(0.05, 256)] {
         let map = s.bake(layout, &exact);
         let atlas = map.atlas();
-        // As one chart the strip would leave 0.97 of a page empty. Pieces of it are three texels wide, with four empty ones
-        // between.
-        assert!(used(&map) > 0.4, "{layout:?}: {}", used(&map));
+        // As one chart the strip would leave 0.97 of a page empty. 56 and 65 % were found.
+        assert!(used(&map) > 0.5, "{layout:?}: {}", used(&map));
         assert!(atlas.density_spread(&s.scene) < 0.05, "texels are equally dense everywhere");
         // The parts of cut triangles make up the surface and its light.
         let covered: f64 = (0..map.coverage().len()).map(|i| map.coverage().area(i)).sum();
@@ -528,9 +527,11 @@ fn long_charts_are_split_and_leave_the_rest_its_texels() {
         let flux = map.flux();
         assert_eq!(flux.unmapped, [0.0; 3]);
         assert!((flux.map[0] / flux.solver[0] - 1.0).abs() < 1e-6, "{flux:?}");
-        // And each point of the strip is found where it lies.
-        let compared = s.at_places(&map, &[(0, [0.45, 0.1, 0.45]), (1, [0.3, 0.4, 0.3])], 4096);
-        assert!(compared.rms() < 0.15, "{compared:?}");
+        // And each point of the strip is found where it lies; patches of half a metre would be too coarse to tell.
+        let gathered = s.bake(layout, &BakeOptions::default().with_final_gather(64));
+        let compared = s.at_places(&gathered, &[(0, [0.45, 0.1, 0.45]), (1, [0.3, 0.4, 0.3])], 4096);
+        // 0.3 % was found.
+        assert!(compared.rms() < 0.02, "{compared:?}");
     }
 }
 
