@@ -46,10 +46,9 @@ const RESOLUTION: u32 = 512;
     Written to DIR:\n  \
       lightmap.exr, .hdr      irradiance, W/m2, linear R G B\n  \
       lightmap.png            the same for viewing\n  \
-      scene.obj, .mtl         the mesh; its texture coordinates address the map, its materials emit scene.png\n  \
-      scene.png               radiosity for viewing: a viewer shows scene.obj lit, without lights\n  \
-      scene-original-uv.obj   the same faces with the texture coordinates and materials of the scene, if\n                              \
-      those of the map are new\n  \
+      scene.obj, .mtl         the mesh; its materials emit scene.png\n  \
+      scene.png               radiosity for viewing, without lights\n  \
+      scene-original-uv.obj   the same faces with the scene's texture coordinates\n  \
       report.json             all figures\n  \
       .radiosity              the list of files that a later bake may replace\n\
     Further pages are called lightmap-2.exr and so on.\n\n\
