@@ -36,7 +36,7 @@ pub(super) fn cut(scene: &mut Scene) -> Result<(), TooFine> {
     scene.textures = textures;
     let chains = cut?;
     if !left.is_empty() {
-        let cuts = cutting::cuts(scene, chains);
+        let cuts = cutting::cuts(scene, chains, Vec::new());
         cutting::replace(scene, &left, &cuts);
         scene.forget_unused_vertices();
     }

@@ -17,6 +17,17 @@ pub(super) struct Chain {
     pub(super) between: Vec<u32>,
 }
 
+impl Chain {
+    /// Of an edge's vertices in order, its ends included.
+    pub(super) fn new(mut line: Vec<u32>) -> Chain {
+        if line.first() > line.last() {
+            line.reverse();
+        }
+        let ends = [line[0], line[line.len() - 1]];
+        Chain { ends, between: line[1..line.len() - 1].to_vec() }
+    }
+}
+
 /// For each edge, the lower vertex first, the vertices on it in order from that.
 type OnEdges = HashMap<[u32; 2], Vec<u32>>;
 
@@ -29,8 +40,8 @@ pub(super) struct Cuts {
     parts: OnEdges,
 }
 
-/// The vertices that edges got in several cuttings, which may share edges.
-pub(super) fn cuts(scene: &Scene, chains: Vec<Chain>) -> Cuts {
+/// The vertices that edges got in several cuttings, which may share edges. `inner` are edges of pieces that got some.
+pub(super) fn cuts(scene: &Scene, chains: Vec<Chain>, inner: Vec<Chain>) -> Cuts {
     let mut cuts = Cuts::default();
     for Chain { ends, between } in chains.iter().filter(|chain| !chain.between.is_empty()) {
         cuts.whole.entry(*ends).or_default().extend(between);
@@ -58,6 +69,7 @@ pub(super) fn cuts(scene: &Scene, chains: Vec<Chain>) -> Cuts {
             from = v;
         }
     }
+    cuts.parts.extend(inner.into_iter().map(|Chain { ends, between }| (ends, between)));
     cuts
 }
 

@@ -55,7 +55,7 @@ pub(super) fn resolve(scene: &mut Scene) -> Vec<Hidden> {
     weld(scene, &components);
     let mut hidden = HashMap::new();
     let mut left: HashMap<u32, Vec<[u32; 3]>> = HashMap::new();
-    let mut chains = Vec::new();
+    let (mut chains, mut inner) = (Vec::new(), Vec::new());
     for component in &mut components {
         component.members.sort_by_key(|&t| ranks[t as usize]);
         let overlay = Overlay::new(scene, &component.members, component.tolerance);
@@ -67,9 +67,10 @@ pub(super) fn resolve(scene: &mut Scene) -> Vec<Hidden> {
             left.insert(t, pieces);
         }
         chains.extend(overlay.chains);
+        inner.extend(overlay.inner);
     }
     let told = tell(scene, &pairs, &ranks, &hidden);
-    let cuts = cutting::cuts(scene, chains);
+    let cuts = cutting::cuts(scene, chains, inner);
     cutting::replace(scene, &left, &cuts);
     told
 }

@@ -23,6 +23,8 @@ pub(super) struct Overlay {
     pub(super) left: Vec<Option<Vec<[u32; 3]>>>,
     /// The vertices on edges of members.
     pub(super) chains: Vec<Chain>,
+    /// The vertices on what are edges of pieces only.
+    pub(super) inner: Vec<Chain>,
 }
 
 impl Overlay {
@@ -32,16 +34,28 @@ impl Overlay {
         sheet.cut_edges(scene);
         let cells = sheet.cells(scene);
         let owners = sheet.owners(&cells);
-        let left = (0..members.len() as u32).map(|m| sheet.left(m, &cells, &owners)).collect();
-        let chain = |edge: Edge| {
-            let ends = edge.ends.map(|v| sheet.vertices[v]);
-            let mut between: Vec<u32> = edge.on.iter().map(|&(v, _)| sheet.vertices[v]).collect();
-            if ends[0] > ends[1] {
-                between.reverse();
-            }
-            Chain { ends: [ends[0].min(ends[1]), ends[0].max(ends[1])], between }
-        };
-        Overlay { left, chains: std::mem::take(&mut sheet.edges).into_iter().map(chain).collect() }
+        let straight = Straight::new(&sheet.edges);
+        let mut inner: Vec<Vec<usize>> =
+            cells.corners.iter().filter_map(|cell| straight.across(cell)).collect();
+        let left = (0..members.len() as u32)
+            .map(|m| {
+                let mut pieces = sheet.left(m, &cells, &owners)?;
+                pieces.retain(|piece| match straight.across(piece) {
+                    Some(line) => {
+                        inner.push(line);
+                        false
+                    }
+                    None => true,
+                });
+                Some(pieces.into_iter().map(|piece| piece.map(|v| sheet.vertices[v])).collect())
+            })
+            .collect();
+        let chain = |line: &[usize]| Chain::new(line.iter().map(|&v| sheet.vertices[v]).collect());
+        Overlay {
+            left,
+            chains: straight.lines.iter().map(|line| chain(line)).collect(),
+            inner: inner.iter().map(|line| chain(line)).collect(),
+        }
     }
 }
 
@@ -49,6 +63,41 @@ impl Overlay {
 struct Edge {
     ends: [usize; 2],
     on: Vec<(usize, f64)>,
+}
+
+/// Which vertices lie in a line because they are on one edge. Rounding makes triangles of them, which have no area but keep their
+/// neighbours apart: they are left out, and what lies across their longest side gets their vertices.
+struct Straight {
+    /// All vertices of each edge, in order.
+    lines: Vec<Vec<usize>>,
+    /// The lines that each vertex is on.
+    of: HashMap<usize, Vec<usize>>,
+}
+
+impl Straight {
+    fn new(edges: &[Edge]) -> Straight {
+        let line = |edge: &Edge| {
+            let [first, last] = edge.ends;
+            [first].into_iter().chain(edge.on.iter().map(|&(v, _)| v)).chain([last]).collect::<Vec<usize>>()
+        };
+        let lines: Vec<Vec<usize>> = edges.iter().map(line).collect();
+        let mut of: HashMap<usize, Vec<usize>> = HashMap::new();
+        for (k, line) in lines.iter().enumerate().filter(|(_, line)| line.len() > 2) {
+            line.iter().for_each(|&v| of.entry(v).or_default().push(k));
+        }
+        Straight { lines, of }
+    }
+
+    /// For three corners in a line: all vertices from the first of them on it to the last.
+    fn across(&self, corners: &[usize; 3]) -> Option<Vec<usize>> {
+        let places = |&k: &usize| {
+            let place = |v: &usize| self.lines[k].iter().position(|w| w == v);
+            let places = [place(&corners[0])?, place(&corners[1])?, place(&corners[2])?];
+            let [first, last] = [places.into_iter().min()?, places.into_iter().max()?];
+            Some(self.lines[k][first..=last].to_vec())
+        };
+        self.of.get(&corners[0])?.iter().find_map(places)
+    }
 }
 
 /// The members in their plane.
@@ -280,7 +329,7 @@ impl Sheet {
     }
 
     /// What is left of a member.
-    fn left(&self, member: u32, cells: &Cells, owners: &[Option<u32>]) -> Option<Vec<[u32; 3]>> {
+    fn left(&self, member: u32, cells: &Cells, owners: &[Option<u32>]) -> Option<Vec<[usize; 3]>> {
         let own = |k: usize| owners[k] == Some(member);
         let mut outline = Vec::new();
         for k in (0..owners.len()).filter(|&k| own(k)) {
@@ -299,7 +348,6 @@ impl Sheet {
         if outline == whole {
             return None;
         }
-        let pieces = within(&self.points, &outline).into_iter();
-        Some(pieces.map(|corners| corners.map(|v| self.vertices[v])).collect())
+        Some(within(&self.points, &outline))
     }
 }
