@@ -15,7 +15,7 @@ mod wide;
 use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
-use crate::scene::{Scene, centre_and_extent, direction};
+use crate::scene::{Scene, Triangle, centre_and_extent, direction};
 use bvh::Bvh;
 use query::{Free, Nearest};
 use watertight::Met;
@@ -233,15 +233,16 @@ impl Tracer {
 
 /// How far points to start from stay away from the edge from each corner of a triangle to the next.
 ///
-/// Rays begin 14 roundings above the surface, up to √3 times as far where it is oblique to the axes ([`Tracer::leave`]). Where
-/// another triangle rises from the edge at a small angle, that may be on its far side: outside a closed roof. At a distance of 48
-/// roundings times the cotangent of the angle it is not: 24 for the height, 4 for the ulp outward, 20 for the point and the two
-/// planes. With 36 six of 2·10⁵ rays from the edges of a roof of one degree escaped.
+/// Rays begin 14 roundings above the surface, up to √3 times as far where it is oblique to the axes ([`Tracer::leave`]). Where two
+/// triangles meet in an edge at a small angle, a point next to the edge may come to lie on the far side of the other one: outside a
+/// closed roof. At a distance of 48 roundings times the cotangent of the angle it does not: 24 for the height, 4 for the ulp
+/// outward, 20 for the point and the two planes. That holds for all triangles that have an end of the edge as a corner: they too are
+/// below the roof there.
 fn distances_to_edges(scene: &Scene) -> Vec<[f64; 3]> {
     const HEIGHT: f64 = 48.0 * ROUNDING;
     /// Cosine above which two triangles lie on each other rather than meet at an angle: a twentieth of a degree.
     const CLOSED: f64 = 1.0 - 4e-7;
-    let mut keep = vec![[INSET; 3]; scene.triangles.len()];
+    let mut from_corners = vec![0.0f64; scene.vertices.len()];
     let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * scene.triangles.len());
     for (t, triangle) in scene.triangles.iter().enumerate() {
         for k in 0..3 {
@@ -265,14 +266,17 @@ fn distances_to_edges(scene: &Scene) -> Vec<[f64; 3]> {
             let cos = inward(pair[0]).dot(inward(pair[1]));
             if cos > 0.0 && cos < CLOSED {
                 let far = HEIGHT * cos / (1.0 - cos * cos).sqrt();
-                for slot in pair {
-                    let kept = &mut keep[(slot / 3) as usize][(slot % 3) as usize];
-                    *kept = kept.max(INSET + far);
+                for v in [edge[0].0, edge[0].1] {
+                    from_corners[v as usize] = far.max(from_corners[v as usize]);
                 }
             }
         }
     }
-    keep
+    let keep = |triangle: &Triangle| {
+        let [a, b, c] = triangle.vertices.map(|v| INSET + from_corners[v as usize]);
+        [a.max(b), b.max(c), c.max(a)]
+    };
+    scene.triangles.iter().map(keep).collect()
 }
 
 /// The scene's triangles without duplicates: triangles with the corners of an earlier one in the same order. A ray hits both at
