@@ -144,8 +144,8 @@ fn what_will_go_wrong_is_told_and_is_no_failure() {
 
     let broken = Here::new(&ROOM.replace("f 1 5 6 2", "f 1 5 66 2"), "");
     assert!(broken.fails("inspect scene.obj --report r.json", 2).starts_with("error: scene.obj:13: "));
-    let errors = broken.fails("inspect scene.stl", 2);
-    assert!(errors.starts_with("error: scene.stl: unknown kind of scene\nhint: "), "{errors}");
+    let errors = broken.fails("inspect scene.abc", 2);
+    assert!(errors.starts_with("error: scene.abc: unknown kind of scene\nhint: "), "{errors}");
 }
 
 #[test]

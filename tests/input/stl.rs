@@ -54,7 +54,7 @@ fn text_and_bytes_say_the_same() {
     let surfaces = Surfaces::of(&ascii, By::Object, Side::Front);
     let names: Vec<&str> = surfaces.list.iter().map(|s| s.name.as_str()).collect();
     assert_eq!(names, ["lower part", "upper"]);
-    assert_eq!(surfaces.list[1].line, Some(15));
+    assert_eq!(surfaces.list[1].line, Some(17));
     assert!(ascii.warnings.is_empty() && (ascii.area(0) - 1.0).abs() < 1e-12);
 }
 
