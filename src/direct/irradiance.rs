@@ -124,7 +124,9 @@ impl ShadowRays {
                 deviations.iter_mut().flat_map(|d| &mut d[c]).for_each(|d| *d *= factor as f32);
             }
             escaped_deviations[c].iter_mut().for_each(|d| *d *= trust);
-            escaped[c] = power - ordered_sum(n, |i| areas[i] * irradiance[i][c]);
+            let rest = power - ordered_sum(n, |i| areas[i] * irradiance[i][c]);
+            // Rounding is not light.
+            escaped[c] = if rest.abs() > n as f64 * f64::EPSILON * power { rest } else { 0.0 };
         }
         DirectLight { irradiance, deviations, escaped, escaped_deviations, leaks }
     }

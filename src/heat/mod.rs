@@ -26,7 +26,7 @@ pub const STEFAN_BOLTZMANN: f64 = 5.670374419e-8;
 const TOLERANCE: f64 = 1e-13;
 
 /// Heat that is a smaller share than this of what surfaces emit counts as this much where its balance is judged.
-const LEAST: f64 = 1e-6;
+const LEAST: f64 = 1e-3;
 
 /// Solutions with view factors that are changed at random by their standard errors. Their spread tells a standard error to an
 /// eighth of it.
@@ -54,7 +54,7 @@ pub struct Exchange {
     pub sky: f64,
     /// The standard error of that.
     pub sky_error: f64,
-    /// The sum of all heat relative to the sum of its amounts, or to 10⁻⁶ of what surfaces emit where that is more.
+    /// The sum of all heat relative to the sum of its amounts, or to 10⁻³ of what surfaces emit where that is more.
     pub imbalance: f64,
     /// A_i 𝓕_ij, m²: what a surface absorbs for each σ T⁴ of another one, by all reflections, while floating surfaces float and fluxes
     /// stay. The last row and column are the sky's. Rows of surfaces without a given temperature are zero.

@@ -204,7 +204,8 @@ fn every_solver_and_quality_gives_the_furnace_the_same_light() {
     let (_, name, report) = absorbed("--quality draft --estimator one-way");
     assert_eq!((name.as_str(), &report["options"]["estimator"]), ("gauss-seidel", &Value::from("one-way")));
     assert_eq!(report["scene"]["patches"], 768);
-    assert_eq!(absorbed("--quality draft").2["options"]["rays_per_patch"], 64.0);
+    // Half of the rays find that all patches are equally bright; then no more are worth casting.
+    assert_eq!(absorbed("--quality draft").2["options"]["rays_per_patch"], 32.0);
 }
 
 #[test]
