@@ -253,8 +253,12 @@ impl Lamps {
 
     /// The form factor of a patch to each piece if nothing stands between; of many together, as roughly as it takes to say that there
     /// is any.
-    pub(super) fn unoccluded(&self, from: &Footprint) -> Vec<f64> {
-        let patch = Facing { corners: from.corners.map(|c| c.as_dvec3()), normal: from.normal.as_dvec3() };
+    pub(super) fn unoccluded(&self, tracer: &Tracer, patches: &Patches, i: usize) -> Vec<f64> {
+        // Of the whole patch: rays keep away from the edges of its triangle.
+        let triangle = &tracer.triangles()[patches.triangle(i)];
+        let exactly = |b: [f64; 3]| (0..3).map(|k| triangle.corners[k].as_dvec3() * b[k]).sum();
+        let normal = triangle.side_normal(patches.is_front(i)).as_dvec3();
+        let patch = Facing { corners: patches.barycentric_corners(i).map(exactly), normal };
         match self.tree {
             None => self.pieces.iter().map(|piece| form_factor(&patch, &piece.facing)).collect(),
             Some(_) => Vec::new(),

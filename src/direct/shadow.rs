@@ -130,7 +130,7 @@ impl ShadowRays {
         let lamps = &self.lamps;
         let faces = |i: usize| {
             let from = Footprint::new(tracer, patches, i);
-            let unoccluded = lamps.unoccluded(&from);
+            let unoccluded = lamps.unoccluded(tracer, patches, i);
             let faced = lamps.choice(&from, &unoccluded).is_some();
             (unoccluded, faced)
         };

@@ -1,4 +1,4 @@
-//! Which patches shine brighter than the scene as a whole, so that their light is worth rays of its own.
+//! Which patches shine brighter than what is around them, so that their light is worth rays of its own.
 //!
 //! The light of the others goes the way of reflected light. In a furnace, where all surfaces emit and reflect as much in sum, so all
 //! light does, and is exact; to send rays to large, dim lamps would only take them from elsewhere.
@@ -13,7 +13,7 @@ const ENOUGH: f64 = 1e-3;
 const MOST_BOUNCES: usize = 200;
 /// Rays of each patch that are asked.
 const ASKED: usize = 32;
-/// What is brighter by less than this is not worth rays: in a furnace nothing is brighter than the mean, but that is not known exactly.
+/// What is brighter by less than this is not worth rays: in a furnace nothing is brighter than what it sees, but that is not known exactly.
 const BRIGHTER: f64 = 1.25;
 
 /// The radiosity at equilibrium as some rays alone tell it, interleaved channels, in the unit of emission.
@@ -53,14 +53,28 @@ fn total(patches: &Patches, radiosity: &[f64]) -> f64 {
     ordered_sum(patches.len(), power)
 }
 
-/// Whether each front patch emits more than the mean radiosity of the scene, all channels together.
-pub(super) fn above_mean(rays: &RaySet, patches: &Patches) -> Vec<bool> {
+/// Whether each front patch emits more than what its triangle sees, in the mean of what its rays meet, all channels together. What
+/// is bright elsewhere does not matter: a dim lamp may be the only one behind a door.
+pub(super) fn above_what_is_seen(rays: &RaySet, patches: &Patches) -> Vec<bool> {
     let channels = patches.channels();
-    let area = ordered_sum(patches.len(), |i| patches.area(i));
-    let mean = total(patches, &radiosity(rays, patches)) / area;
-    let bright =
-        |i: usize| patches.emission()[i * channels..][..channels].iter().sum::<f64>() > BRIGHTER * mean;
-    (0..patches.fronts()).map(bright).collect()
+    let brightness = |b: &[f64], i: usize| b[i * channels..][..channels].iter().sum::<f64>();
+    if !patches.emission().iter().any(|&b| b > 0.0) {
+        return vec![false; patches.fronts()];
+    }
+    let radiosity = radiosity(rays, patches);
+    let emits = |i: &usize| brightness(patches.emission(), *i) > 0.0;
+    let mut shines = vec![false; patches.fronts()];
+    let parts: Vec<usize> = (0..patches.fronts()).filter(emits).collect();
+    for part in parts.chunk_by(|&i, &j| patches.triangle(i) == patches.triangle(j)) {
+        let (mut seen, mut met) = (0.0, 0.0);
+        for &j in part.iter().flat_map(|&i| rays.of(i)).filter(|&&j| j != ESCAPED) {
+            seen += brightness(&radiosity, j as usize);
+            met += 1.0;
+        }
+        let mean = if met > 0.0 { seen / met } else { 0.0 };
+        part.iter().for_each(|&i| shines[i] = brightness(patches.emission(), i) > BRIGHTER * mean);
+    }
+    shines
 }
 
 /// The share of what leaves all patches that leaves the scene, as rays alone tell it.

@@ -188,7 +188,7 @@ impl FormFactors {
             set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
             let mut lamps = Lamps::default();
             if share.shadow > 0 {
-                let shines = brightness::above_mean(&set, patches);
+                let shines = brightness::above_what_is_seen(&set, patches);
                 lamps = Lamps::new(tracer, patches, |i| shines[i]);
                 if lamps.is_empty() {
                     // None of the rays goes to lamps then.
