@@ -6,7 +6,7 @@ macro_rules! setters {
     ($options:ident $(<$life:lifetime>)? { $($with:ident($field:ident: $type:ty)),* $(,)? }) => {
         impl $(<$life>)? $options $(<$life>)? {
             $(
-                #[doc = concat!("The same with another [`", stringify!($field), "`](", stringify!($options), "::", stringify!($field), ").")]
+                #[doc = concat!("The same with another [`", stringify!($field), "`](field@", stringify!($options), "::", stringify!($field), ").")]
                 #[must_use]
                 pub fn $with(mut self, $field: $type) -> Self {
                     self.$field = $field;

@@ -3,7 +3,7 @@
 //! Pooling makes the exchange areas S reciprocal, and thereby spoils the row sums that one-way hits have for free. A
 //! positive diagonal D with  d_i (Σ_j S_ij d_j + X_i) = A_i  restores them, where X_i = A_i e_i is the exchange area with
 //! the outside, one more column that closes with the rest. The scaling keeps symmetry, zeros and positivity. Rows are nearly closed
-//! by [calibration](super::calibration) before, with the share that escapes as the rays say it, which is unbiased: what is left moves
+//! by calibration before, with the share that escapes as the rays say it, which is unbiased: what is left moves
 //! that as little as everything else. Were a row's surplus taken from what escapes first, the many rows of which no ray happened to
 //! escape could not give back what others take: a sphere with a port of half a percent lost half of the light that it should.
 

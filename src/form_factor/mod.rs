@@ -2,7 +2,7 @@
 //!
 //! [Hemisphere rays](rays) measure them, both directions of a pair are pooled into one symmetric exchange area
 //! S_ij = A_i F_ij (`pooling`), fitted to what each patch's own rays say (`calibration`), and scaled so that every row sums to one
-//! ([`closure`]). The light of lamps is no part of it: [`crate::direct`] brings it. [`exact`] holds the closed forms that all of it
+//! ([`closure`]). The light of lamps is no part of it: `direct` brings it. [`exact`] holds the closed forms that all of it
 //! is tested against. View factors of single surfaces, each accurate by itself, are in
 //! [`view_factor`](crate::view_factor).
 

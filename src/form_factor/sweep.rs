@@ -1,6 +1,6 @@
 //! One bounce of light without a matrix: rays are cast, bring the radiosity of what they meet, and are forgotten.
 //!
-//! Shadow rays bring the light of lamps, as everywhere ([`crate::direct`]), and hemisphere rays what the patches reflect. Memory is in
+//! Shadow rays bring the light of lamps, as everywhere (`direct`), and hemisphere rays what the patches reflect. Memory is in
 //! proportion to the patches, not to the rays.
 
 use std::{
