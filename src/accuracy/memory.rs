@@ -26,7 +26,7 @@ const SHADOW_RAY: f64 = 8.0;
 
 /// A patch without a matrix, for any number of rays: sums, batches, light and error of a channel, and everything that does not
 /// depend on channels; then the mesh that is written.
-const SWEPT: f64 = 360.0;
+const SWEPT: f64 = 480.0;
 const SWEPT_CHANNEL: f64 = 160.0;
 
 /// Peak number of bytes of a solution without a matrix, for a number of patches that includes backs.
