@@ -52,7 +52,7 @@ fn assert_same(scene: &Scene, wanted: &Quarters) {
     let paths = PathTracer::new(scene, &tracer, NEXT_EVENT);
     let films: Vec<Film> = (0..32)
         .map(|seed| {
-            let options = RenderOptions { samples: 8192, seed };
+            let options = RenderOptions { samples: 4096, seed };
             Film::render(&paths, &camera, &options, &Progress::new()).unwrap()
         })
         .collect();
