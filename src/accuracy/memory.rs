@@ -28,11 +28,26 @@ const SHADOW_RAY: f64 = 8.0;
 /// depend on channels; then the mesh that is written.
 const SWEPT: f64 = 480.0;
 const SWEPT_CHANNEL: f64 = 160.0;
+/// The form factor of a patch to a piece of a lamp.
+const KNOWN_PIECE: f64 = 8.0;
 
 /// Peak number of bytes of a solution without a matrix, for a number of patches that includes backs.
 pub fn without_matrix(scene: &Scene, patches: f64) -> f64 {
-    let of_patch = SWEPT + SWEPT_CHANNEL * scene.channels() as f64;
+    let of_patch =
+        SWEPT + SWEPT_CHANNEL * scene.channels() as f64 + KNOWN_PIECE * known_pieces(scene, patches);
     BASE + TRIANGLE * scene.triangles.len() as f64 + of_patch * patches
+}
+
+/// How many pieces of lamps there are whose unblocked light each patch holds: a lamp's triangle, or of one that shines by a texture
+/// each patch; none where they are too many.
+fn known_pieces(scene: &Scene, patches: f64) -> f64 {
+    let all: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
+    let of_triangle = |t: usize| match scene.material(t).emission_map {
+        Some(_) => (patches * scene.area(t) / all).max(1.0),
+        None => 1.0,
+    };
+    let pieces: f64 = (0..scene.triangles.len()).filter(|&t| scene.emits(t)).map(of_triangle).sum();
+    if pieces <= Constants::MOST_KNOWN as f64 { pieces } else { 0.0 }
 }
 
 /// Number of bytes of a solution with all its errors, by purpose. This is an upper estimate: with evenly distributed hits, a row of r
@@ -63,12 +78,9 @@ impl Memory {
     pub fn of(scene: &Scene, patches: f64, rays: f64, estimator: Estimator, solver: Solver) -> Memory {
         let n = patches.max(1.0);
         let channels = scene.channels() as f64;
-        let lamps: Vec<usize> = (0..scene.triangles.len()).filter(|&t| scene.emits(t)).collect();
         let pooled = estimator == Estimator::Pooled;
         let (hemisphere, shadow) = if pooled { (0.75 * rays, 0.25 * rays) } else { (rays, 0.0) };
-        // What each triangle sends if nothing stands between.
-        let of_lamps =
-            if pooled && lamps.len() <= Constants::MOST_KNOWN { 8.0 * lamps.len() as f64 } else { 0.0 };
+        let of_lamps = if pooled { KNOWN_PIECE * known_pieces(scene, n) } else { 0.0 };
         // Number of entries of a row with a number of samples among a number of patches.
         let row = |samples: f64, patches: f64| -patches * (-samples / patches).exp_m1();
         let both = if pooled { 2.0 } else { 1.0 };

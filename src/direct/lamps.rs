@@ -251,17 +251,15 @@ impl Lamps {
         mix(&words.collect::<Vec<_>>())
     }
 
-    /// The form factor of a patch to each piece if nothing stands between; of many together, as roughly as it takes to say that there
-    /// is any.
-    pub(super) fn unoccluded(&self, tracer: &Tracer, patches: &Patches, i: usize) -> Vec<f64> {
+    /// The form factor of a patch to each piece if nothing stands between, where [they are known](Self::are_known).
+    pub(super) fn unoccluded_into(&self, tracer: &Tracer, patches: &Patches, i: usize, found: &mut [f64]) {
         // Of the whole patch: rays keep away from the edges of its triangle.
         let triangle = &tracer.triangles()[patches.triangle(i)];
         let exactly = |b: [f64; 3]| (0..3).map(|k| triangle.corners[k].as_dvec3() * b[k]).sum();
         let normal = triangle.side_normal(patches.is_front(i)).as_dvec3();
         let patch = Facing { corners: patches.barycentric_corners(i).map(exactly), normal };
-        match self.tree {
-            None => self.pieces.iter().map(|piece| form_factor(&patch, &piece.facing)).collect(),
-            Some(_) => Vec::new(),
+        for (found, piece) in found.iter_mut().zip(&self.pieces) {
+            *found = form_factor(&patch, &piece.facing);
         }
     }
 

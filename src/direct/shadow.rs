@@ -128,16 +128,24 @@ impl ShadowRays {
     pub(crate) fn face(&mut self, tracer: &Tracer, patches: &Patches) {
         let (n, known) = (patches.len(), self.is_faced.len());
         let lamps = &self.lamps;
-        let faces = |i: usize| {
+        let many = if lamps.are_known() { lamps.pieces() } else { 0 };
+        let start = self.unoccluded.len();
+        // Written where they stay: of many pieces they are the largest part of the memory.
+        self.unoccluded.reserve_exact((n - known) * many);
+        self.unoccluded.resize(start + (n - known) * many, 0.0);
+        self.is_faced.resize(n, false);
+        let (unoccluded, faced) = (&mut self.unoccluded[start..], &mut self.is_faced[known..]);
+        let face = |i: usize, unoccluded: &mut [f64], faced: &mut bool| {
             let from = Footprint::new(tracer, patches, i);
-            let unoccluded = lamps.unoccluded(tracer, patches, i);
-            let faced = lamps.choice(&from, &unoccluded).is_some();
-            (unoccluded, faced)
+            lamps.unoccluded_into(tracer, patches, i, unoccluded);
+            *faced = lamps.choice(&from, unoccluded).is_some();
         };
-        let new: Vec<(Vec<f64>, bool)> = (known..n).into_par_iter().with_min_len(32).map(faces).collect();
-        for (unoccluded, faced) in new {
-            self.unoccluded.extend(unoccluded);
-            self.is_faced.push(faced);
+        let each = faced.par_iter_mut().enumerate().with_min_len(32);
+        if many == 0 {
+            each.for_each(|(k, faced)| face(known + k, &mut [], faced));
+        } else {
+            let rows = unoccluded.par_chunks_mut(many);
+            each.zip(rows).for_each(|((k, faced), row)| face(known + k, row, faced));
         }
     }
 
