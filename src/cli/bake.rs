@@ -151,7 +151,7 @@ impl BakeArgs {
         }
     }
 
-    /// How to lay the map out; both sides are for the solution to tell.
+    /// The layout of the map. Which faces need both sides follows from the solution.
     fn atlas(&self, scene: &Scene) -> Result<AtlasOptions> {
         let mut options = AtlasOptions::new(self.layout(), self.coordinates());
         for (name, factor) in &self.density {
@@ -291,7 +291,7 @@ fn compute(
     times: &mut BakeSeconds,
 ) -> Result<(Lightmap, BakeReport, Exposures)> {
     let energy = EnergyLedger::of(&form_factors, &patches, &solution);
-    // Texels need the light alone, and memory.
+    // Texels need only the light. Dropping the rest frees memory.
     drop(form_factors);
     let map;
     (map, times.texels) = watch.stage("texels", || {
@@ -309,7 +309,7 @@ fn compute(
     Ok((map, report, exposures))
 }
 
-/// A file that is to be written.
+/// An output file.
 struct File {
     name: String,
     output: OutputFile,
@@ -331,7 +331,7 @@ fn libraries(scene: &Scene, directory: &Path) -> Vec<String> {
     scene.files.iter().filter(is_library).map(|file| relative(file, directory)).collect()
 }
 
-/// The way to a file from a directory, with `/` on every system; the whole path where there is none.
+/// The relative path from a directory to a file, with `/` on every system. The whole path if there is no relative one.
 fn relative(file: &Path, directory: &Path) -> String {
     let [Ok(file), Ok(directory)] = [file, directory].map(std::fs::canonicalize) else {
         return file.display().to_string();

@@ -51,7 +51,7 @@ pub struct ExchangeArgs {
     common: Common,
 }
 
-/// The relative imbalance of heat that is let pass.
+/// Largest relative imbalance of heat that passes the check.
 const BALANCED: f64 = 1e-9;
 
 /// Runs the command.

@@ -129,7 +129,7 @@ impl SceneArgs {
                 names.dedup();
                 return Err(Error::Usage {
                     message: format!("--emitters: no material `{name}` of {} emits", self.path.display()),
-                    hint: Some(format!("those that emit are {}", names[..names.len().min(10)].join(", "))),
+                    hint: Some(format!("the emitters are {}", names[..names.len().min(10)].join(", "))),
                 });
             }
         }
@@ -141,7 +141,7 @@ impl SceneArgs {
     }
 }
 
-/// That no face has the material which an option names.
+/// The error for an option that names a material without faces.
 fn no_material(scene: &Scene, path: &Path, option: &str, name: &str) -> Error {
     let mut names: Vec<&str> = scene.materials.iter().map(|m| m.name.as_str()).collect();
     names.dedup();
@@ -163,7 +163,7 @@ pub fn ignore(scene: &mut Scene, path: &Path, materials: &[String]) -> Radiosity
         scene.leave_out(name);
     }
     if scene.triangles.is_empty() {
-        return Err(Error::input(path, None, "no face is left: all are of materials to be ignored"));
+        return Err(Error::input(path, None, "no face is left: all have materials that --ignore leaves out"));
     }
     Ok(())
 }

@@ -37,8 +37,8 @@ pub fn is_glb(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"))
 }
 
-/// A file beside a binary glTF file that belongs to it. One that is there already is replaced only where the glTF file is
-/// there too and an earlier run wrote it.
+/// A file that belongs to a binary glTF file beside it. An existing file is replaced only if the glTF file exists too and an
+/// earlier run of this program wrote it.
 pub fn beside_glb(glb: &Path, name: &str, scene: &Path) -> Result<OutputFile> {
     let path = glb.with_file_name(name);
     let is_ours = || {
@@ -137,7 +137,7 @@ impl Directory {
         Ok(directory)
     }
 
-    /// A file in it. One that is there already and no earlier run's might belong to a scene: it is never replaced.
+    /// A file in the directory. An existing file that no earlier run wrote is never replaced: it might belong to a scene.
     pub fn file(&self, name: &str, inputs: &[&Path]) -> Result<OutputFile> {
         let path = self.path.join(name);
         if path.exists() && !self.ours.iter().any(|ours| ours == name) {
@@ -147,7 +147,7 @@ impl Directory {
         OutputFile::new(&path, inputs)
     }
 
-    /// The list of what is written, for later runs. It has to be the first of the files that get their names.
+    /// The list of the written files, for later runs. It must get its name before all other files.
     pub fn marker<'a>(&'a self, names: impl Iterator<Item = &'a str>) -> Result<Pending> {
         let still_there = self.ours.iter().map(String::as_str).filter(|name| self.path.join(name).exists());
         let names: BTreeSet<&str> = names.chain(still_there).collect();

@@ -32,7 +32,7 @@ pub fn load(
     Ok((scene, tracer))
 }
 
-/// The same with the specular parts of its materials.
+/// As [`load`], but keeps the specular parts of materials.
 pub fn load_as_given(
     args: &SceneArgs,
     outputs: &[&OutputFile],
@@ -78,7 +78,7 @@ pub fn warn_of_turned_lamps(scene: &Scene, tracer: &Tracer, watch: &Watch) {
     }
 }
 
-/// Leaves the scene with Lambertian surfaces only; a warning tells whose specular part that costs.
+/// Makes all surfaces Lambertian, with a warning that names the materials with a specular part.
 pub fn flatten(scene: &mut Scene, args: &SceneArgs, watch: &Watch) {
     let glossy = scene.materials.iter().filter(|m| m.specular.is_some());
     let glossy: Vec<String> = glossy.map(|m| m.name.clone()).collect();
@@ -113,7 +113,7 @@ pub fn read(args: &SceneArgs, outputs: &[&OutputFile], watch: &Watch) -> Result<
     Ok(scene)
 }
 
-/// How commands that need a solution for something else compute it.
+/// Settings of the solution for commands that compute something else from it.
 pub struct Job<'a> {
     /// The file of the scene, for messages.
     pub file: &'a Path,

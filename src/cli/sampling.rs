@@ -49,7 +49,7 @@ pub struct Sampling<'a> {
     pub args: &'a SolveArgs,
     pub scene: &'a Scene,
     pub tracer: &'a Tracer,
-    /// That of the picture, where one is wanted.
+    /// The camera of the picture, if there is one.
     pub camera: Option<&'a Camera>,
     pub watch: &'a Watch,
     /// The store of rays.
@@ -150,7 +150,7 @@ impl Sampling<'_> {
             CastOptions::default().with_rays(rays).with_estimator(args.estimator()).with_seed(args.seed);
         let usable = with_matrix && cast.estimator == Estimator::Pooled;
         let first = first.filter(|_| usable);
-        // A first round that is continued counts as a round.
+        // A continued first round counts as a round.
         let kept = first.as_ref().map_or(0.0, |(_, round)| round.elapsed);
         times.subdivide = searching - kept + subdivide;
         let before = start.elapsed().as_secs_f64() - kept;

@@ -197,7 +197,7 @@ impl SolveArgs {
 struct Computed {
     scene: Scene,
     tracer: Tracer,
-    /// For the picture, where one is wanted.
+    /// The camera of the picture, if there is one.
     camera: Option<Camera>,
     answer: Answer,
     rounds: Vec<Round>,
@@ -272,7 +272,7 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     pending.extend(report_file.map(|file| file.write(|out| report.write(out))).transpose()?);
 
     watch.progress().check()?;
-    // Everything is on the disk already. From here on only names change.
+    // The contents of all files are on the disk. The rest only renames them.
     Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {

@@ -96,7 +96,7 @@ fn error(text: &str) -> std::result::Result<f64, String> {
     options::parse(text, |x| (1e-7..=0.1).contains(&x), "an error between 1e-7 and 0.1 is wanted")
 }
 
-/// A share of backs among what is seen that is worth a word.
+/// Share of hits on backs that causes a warning.
 const MANY_BACKS: f64 = 0.01;
 
 /// Warnings, for people and for the report.
@@ -115,7 +115,7 @@ impl<'a> Told<'a> {
         self.warnings.push(warning);
     }
 
-    /// Warns of surfaces that others in their plane hide.
+    /// Warns of surfaces that are hidden by others in their plane.
     pub fn hidden(&mut self, args: &SurfaceArgs, surfaces: &Surfaces, found: &ViewFactors) {
         let of: Vec<usize> = (0..found.len()).filter(|&i| found.hidden[i] > 0.0).collect();
         let Some(&most) = of.iter().max_by(|&&i, &&j| found.hidden[i].total_cmp(&found.hidden[j])) else {
@@ -148,7 +148,7 @@ impl<'a> Told<'a> {
         ));
     }
 
-    /// Warns of surfaces whose rows do not sum to one after closure, because the rays of some contradict those of others.
+    /// Warns of surfaces whose rows do not sum to one after closure, because their rays contradict each other.
     pub fn unclosed(&mut self, args: &SurfaceArgs, surfaces: &Surfaces, found: &ViewFactors) {
         let sums: Vec<f64> =
             (0..found.len()).map(|i| found.row(i).map(|(_, f)| f).sum::<f64>() + found.escaped(i)).collect();
@@ -167,7 +167,7 @@ impl<'a> Told<'a> {
     }
 }
 
-/// Rows that sum to one but for more than this are told: rounding leaves less than a hundredth of it.
+/// Rows whose sums differ from one by more than this cause a warning. Rounding errors are a hundred times smaller.
 const CLOSED: f64 = 1e-10;
 
 /// The file, and the line where a surface begins.
@@ -184,7 +184,7 @@ pub fn read(
     told: &mut Told,
 ) -> Result<(Scene, Surfaces)> {
     let path = &args.scene;
-    // Nothing here depends on it: given, it needs no warning where the file has none.
+    // View factors do not depend on the reflectance. Setting it avoids the warning about materials without one.
     let reflectance = Some([DEFAULT_REFLECTANCE; 3]);
     let options =
         LoadOptions::default().with_reflectance(reflectance).with_faces(true).with_keep_overlaps(true);
@@ -227,7 +227,7 @@ pub fn read(
     Ok((scene, surfaces))
 }
 
-/// The surfaces from which most of what they send is lost, with the share of it.
+/// The surfaces that lose most rays, with the lost share.
 fn open_faces(surfaces: &Surfaces, seen: &[Sight]) -> String {
     const MOST: usize = 4;
     let share = |i: usize| seen[i].lost() as f64 / seen[i].rays.max(1) as f64;
@@ -283,7 +283,7 @@ pub fn compute(
             let message =
                 format!("the view factors of surface `{name}` sum to {sum:.6}: no room is enclosed");
             let hint = match lost {
-                0 => "leave --enclosed out; `inspect` tells of open edges and of backs".into(),
+                0 => "leave --enclosed out; `inspect` reports open edges and backs".into(),
                 _ => format!(
                     "leave --enclosed out; it is open where rays leave {}",
                     open_faces(surfaces, seen)
@@ -291,7 +291,7 @@ pub fn compute(
             };
             Err(Error::input(&args.scene, *line, message).with_hint(hint))
         }
-        // No ray was lost, but more is missing than chance explains.
+        // No ray was lost, but a row sum deviates by more than chance explains.
         Err(Error::NotEnclosed { surface, sum }) => {
             told.warn(format!(
                 "{}: the view factors of `{}` sum to {sum:.6}, so no room is enclosed, though none of {} rays was lost",

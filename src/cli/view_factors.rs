@@ -47,7 +47,8 @@ use super::{
 pub struct ViewFactorsArgs {
     #[command(flatten)]
     surfaces: SurfaceArgs,
-    /// Write the matrix here: all entries as .csv or .npy, those that are not zero as .npz (SciPy) or .mtx (Matrix Market)
+    /// Write the matrix here: all entries as .csv or .npy, or the entries that are not zero as .npz (SciPy) or .mtx (Matrix
+    /// Market)
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Write a line `from,to,view_factor,standard_error` for each view factor that is not zero
@@ -160,13 +161,13 @@ pub fn run(args: &ViewFactorsArgs) -> Result<Outcome> {
         Outcome::Done
     } else {
         Outcome::CheckFailed(format!(
-            "the error is {:.1e}, {:.1e} was wanted",
+            "the error is {:.1e}, more than the wanted {:.1e}",
             report.error.rms, args.surfaces.error
         ))
     })
 }
 
-/// What the matrix is to be written as.
+/// The format of the matrix.
 fn format(path: &Path) -> Result<MatrixFormat> {
     MatrixFormat::of(path).ok_or_else(|| Error::Usage {
         message: format!("{}: unknown kind of table", path.display()),

@@ -68,7 +68,7 @@ impl Watch {
         Ok((result, radiosity::output::report::seconds(start.elapsed())))
     }
 
-    /// From here on temporary files exist.
+    /// Marks that temporary files exist from here on.
     pub fn begin_writing(&self) {
         self.shared.writing.store(true, Ordering::Relaxed);
     }

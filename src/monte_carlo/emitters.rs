@@ -1,4 +1,4 @@
-//! What emits, and points on it chosen by power.
+//! Emitters, and the choice of points on them by power.
 
 use std::{cmp::Ordering, collections::BinaryHeap};
 
@@ -23,8 +23,8 @@ struct Emitter {
     density: f64,
 }
 
-/// Parts that all triangles with emitting textures are cut into, beside one each. A texture whose light comes from a few
-/// texels is sampled there; of 2¹⁴ parts the list takes a millisecond to search and some hundred to make.
+/// Number of parts that triangles with emitting textures are cut into, in addition to one part each. A texture whose light
+/// comes from a few texels is then sampled there. A list of 2¹⁴ parts takes about a hundred milliseconds to make.
 const PARTS: f64 = 16384.0;
 
 /// No triangle is cut in more steps: its parts are numbered with 24 bits.
@@ -47,14 +47,15 @@ pub(super) struct EmitterPoint {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Emitters {
     list: Vec<Emitter>,
-    /// For each triangle of the scene where its parts begin in `list`, and last where the list ends; empty without emitters.
+    /// For each triangle of the scene, where its parts begin in `list`. The last entry is the end of the list. Empty without
+    /// emitters.
     starts: Vec<u32>,
     /// The largest radiance that any material emits.
     brightest: [f64; 3],
 }
 
 impl Emitters {
-    /// Lists what emits in `scene`.
+    /// Lists the emitters of `scene`.
     pub(super) fn new(scene: &Scene, tracer: &Tracer) -> Emitters {
         let whole = |t: usize| if scene.emits(t) { Part::new(scene, t, 0, 0).power } else { 0.0 };
         let powers: Vec<f64> = (0..scene.triangles.len()).map(whole).collect();
@@ -79,12 +80,12 @@ impl Emitters {
             } else {
                 vec![Part { power, child: 0, level: 0 }]
             };
-            // What the parts have together may be off the whole by the rounding of their means.
+            // The power of all parts may differ from the whole by the rounding of their means.
             let share = power / parts.iter().map(|part| part.power).sum::<f64>();
             let area = scene.area(t) / tracer.scale().powi(2);
             for part in parts {
                 let Part { power, child, level } = part;
-                // The density is that of the interval really held, so that rounding cannot favour anyone.
+                // The density follows from the rounded interval, so that rounding causes no bias.
                 let low = cumulative;
                 sum += power * share;
                 cumulative = sum / total;
@@ -102,7 +103,7 @@ impl Emitters {
         self.list.is_empty()
     }
 
-    /// The largest radiance that any material emits; a texture may make less of it.
+    /// The largest radiance that any material emits. A texture may reduce it.
     pub(super) fn brightest(&self) -> [f64; 3] {
         self.brightest
     }
@@ -124,8 +125,8 @@ impl Emitters {
         }
     }
 
-    /// Chooses a point. One pair of numbers does: the remainder of the number that chose the emitter is uniform
-    /// again, so strata survive.
+    /// Chooses a point. It needs one pair of numbers only: the remainder of the number that chose the emitter is uniform
+    /// again. This keeps strata.
     ///
     /// # Panics
     /// When nothing emits.
@@ -153,7 +154,7 @@ impl Emitters {
     }
 }
 
-/// A part of a triangle and the power that it emits; a greater power comes first out of a heap.
+/// A part of a triangle and its emitted power, ordered by power for a heap.
 #[derive(Debug, Clone, Copy)]
 struct Part {
     power: f64,
@@ -193,8 +194,8 @@ impl Ord for Part {
     }
 }
 
-/// At most so many parts of a triangle, in the order of the quadtree: always the one with the most power is cut, until it is
-/// smaller than a texel. Parts that emit nothing are left out.
+/// Cuts a triangle into at most `most` parts, in the order of the quadtree. It repeatedly cuts the part with the most power,
+/// down to the size of a texel. Parts that emit nothing are left out.
 fn parts(scene: &Scene, t: usize, most: usize) -> Vec<Part> {
     let texels = scene.emission_texels(t);
     let mut open = BinaryHeap::from([Part::new(scene, t, 0, 0)]);

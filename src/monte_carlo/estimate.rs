@@ -109,7 +109,7 @@ impl Effort {
         Ok(means.chunks(self.replicates as usize).map(Estimate::of).collect())
     }
 
-    /// Means of the replicates of `count` quantities, those of one quantity after each other.
+    /// Means of the replicates of `count` quantities, quantity by quantity.
     ///
     /// Replicates are the unit of parallel work, so that a single quantity keeps several threads busy. Each replicate is summed in
     /// order by one thread, so that the result does not depend on the number of threads.

@@ -17,12 +17,12 @@ const PLACES: u64 = 48;
 const OUTSIDE: f64 = 40.0;
 const INSIDE: f64 = 75.0;
 
-/// What the rays from one place met.
+/// Statistics of the rays from one place.
 struct Surroundings {
     place: Vec3A,
-    /// Fraction of the rays that met a back: high inside an object.
+    /// Fraction of the rays that hit a back. It is large inside an object.
     backs: f64,
-    /// Shortest distance met.
+    /// Shortest distance of a hit.
     clearance: f32,
     /// Fraction of the rays that escaped, by the direction's largest component: +x −x +y −y +z −z.
     escaped: [f64; 6],
@@ -190,7 +190,7 @@ mod tests {
     use crate::monte_carlo::tests::{box_walls, grey};
     use glam::{DVec3, dvec3};
 
-    /// How much of the picture shows fronts, and the camera.
+    /// The share of the picture that shows fronts, and the camera.
     fn framed(scene: &Scene) -> (Camera, f64) {
         let tracer = Tracer::new(scene);
         let camera = Camera::frame(scene, &tracer, 64, 48).unwrap();

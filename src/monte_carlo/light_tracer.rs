@@ -1,4 +1,4 @@
-//! Light tracing: particles followed forwards, from where they are emitted to where they are absorbed.
+//! Light tracing: particles are followed from emission to absorption.
 //!
 //! The energy of each particle balances to rounding. At the first reflections absorption is continuous: the particle keeps
 //! the share ρ and the rest is absorbed, which avoids the variance of early deaths. After that the particle survives with
@@ -30,7 +30,7 @@ use crate::{
     },
 };
 
-/// A particle that has hit this often will never end: reflectance 0.9999 would have stopped all but one in e¹⁰⁰.
+/// After this many hits a particle counts as endless: at a reflectance of 0.9999 only one in e¹⁰⁰ gets so far.
 const ENDLESS: u32 = 1_000_000;
 
 /// How particles are followed.
@@ -105,7 +105,7 @@ pub struct LightTracer<'a> {
     tracer: &'a Tracer,
     emitters: Emitters,
     surfaces: Surfaces,
-    /// Whether particles are followed as those of a scene with gloss.
+    /// Whether particles are followed as in a scene with gloss.
     glossy: bool,
     options: LightOptions,
 }
@@ -114,7 +114,7 @@ pub struct LightTracer<'a> {
 enum Event<'h> {
     /// Flux arrives.
     Arrives(&'h Hit, DVec3),
-    /// Flux leaves a point with this normal: so much a solid angle and cosine towards a vector.
+    /// Flux leaves a point with this normal. The function gives it per solid angle and cosine towards a vector.
     Leaves(Vec3A, Vec3A, &'h dyn Fn(Vec3A) -> DVec3),
 }
 
@@ -132,7 +132,7 @@ impl<'a> LightTracer<'a> {
         LightTracer { scene, tracer, emitters, surfaces, glossy, options }
     }
 
-    /// The same, but each particle takes as many random numbers a hit whatever it meets: see [`super::PathTracer::in_step`].
+    /// The tracer with an equal number of random numbers per hit: see [`super::PathTracer::in_step`].
     pub(crate) fn in_step(self) -> Self {
         LightTracer { glossy: true, ..self }
     }
@@ -178,7 +178,7 @@ impl<'a> LightTracer<'a> {
         })
     }
 
-    /// The books of each batch, W: emitted, absorbed and escaped, R G B.
+    /// The energy account of each batch, W: emitted, absorbed and escaped, R G B.
     ///
     /// # Errors
     /// [`Error::Stopped`]; [`Error::NoEquilibrium`] when particles do not end.
@@ -198,7 +198,7 @@ impl<'a> LightTracer<'a> {
         u32::try_from(particles.div_ceil(batches.into()).max(1)).expect("fewer particles a batch")
     }
 
-    /// Follows particle `index` of the stream `seed`, emitting a `1/count` of the scene's power on average.
+    /// Follows particle `index` of the stream `seed`. On average it carries `1/count` of the power of the scene.
     ///
     /// # Errors
     /// [`Error::NoEquilibrium`] when it does not end.
@@ -219,8 +219,8 @@ impl<'a> LightTracer<'a> {
         if self.emitters.is_empty() {
             return Ok(LightTransport { bins: vec![Estimate::default(); counters], ..Default::default() });
         }
-        // Waves keep no more arrays than threads; folding in the order of the batches makes the sums the same for
-        // any number of them.
+        // In waves there are no more arrays than threads. Folding in the order of the batches makes the sums independent of
+        // the number of threads.
         let wave = rayon::current_num_threads().max(1) as u32;
         let mut running = vec![Running::default(); counters + 3];
         for first in (0..batches).step_by(wave as usize) {
@@ -316,9 +316,9 @@ impl<'a> LightTracer<'a> {
 
     /// Adds flux that leaves a point to the radiance of the pixel in which the camera sees it.
     ///
-    /// A pixel is the mean of L over its square of the image plane at distance 1. Of that plane, the area dA at
-    /// distance r covers dA cos θ / (r² cos³ θc), θc being the angle to the optical axis; and of flux Φ that arrives on dA L dA = f Φ
-    /// leaves. What mirrors reflect never meets a pinhole.
+    /// A pixel is the mean of L over its square of the image plane at distance 1. On that plane an area dA at distance r
+    /// covers dA cos θ / (r² cos³ θc), where θc is the angle to the optical axis. If flux Φ arrives on dA, then L dA = f Φ.
+    /// Light from mirrors never passes the pinhole.
     #[inline]
     fn splat(
         &self,
@@ -335,7 +335,7 @@ impl<'a> LightTracer<'a> {
         if cos > 0.0 && self.tracer.visible(from, lens.eye()) {
             let squared = f64::from(to.length_squared());
             let cover = f64::from(cos) / (squared * squared.sqrt() * cos_axis.powi(3));
-            // Flux carries file areas, distances are of unit space.
+            // Flux refers to areas of the file, distances to unit space.
             let unit = lens.pixel_area() * self.tracer.scale().powi(2);
             add(&mut counters[pixel], leaving(to) * (cover / unit));
         }

@@ -1,7 +1,7 @@
-//! Path tracing: light followed backwards, from where it is wanted to where it was emitted.
+//! Path tracing: light is followed backwards, from the receiver to the emitters.
 //!
-//! At a Lambertian surface L = Le + ρ E/π: with directions by the cosine the probability density cancels everything but ρ. Where a
-//! scene has gloss, directions follow its lobes, and what the density leaves is the weight of a bounce.
+//! At a Lambertian surface L = Le + ρ E/π. If directions have a cosine density, this density cancels everything but ρ. On
+//! glossy surfaces directions follow the lobes, and the weight of a bounce is f cos θ over the density.
 
 use std::f64::consts::PI;
 
@@ -26,7 +26,7 @@ use crate::{
 /// is, with error bars of a few percent.
 const MOST_LIKELY_SURVIVAL: f64 = 0.9999;
 
-/// How far from a surface, in unit space, a point can come to lie when its coordinates are printed with six digits.
+/// The largest distance from its surface, in unit space, that a point gets when its coordinates are printed with six digits.
 const NEAR: f32 = 4e-6;
 
 /// How paths are built. Only `max_bounces` changes the expectation.
@@ -89,8 +89,7 @@ impl Receiver {
         }
     }
 
-    /// The share of the directions it receives from in which it sees the back of a face: most of them where it lies below or inside
-    /// a surface.
+    /// The share of directions in which the place sees the back of a face. It is large below a surface or inside a solid.
     pub fn share_of_backs(&self, tracer: &Tracer) -> f64 {
         const RAYS: u32 = 64;
         let origin = Tracer::leave(self.position, self.normal);
@@ -128,7 +127,7 @@ pub struct PathTracer<'a> {
     tracer: &'a Tracer,
     emitters: Emitters,
     surfaces: Surfaces,
-    /// Whether paths are followed as those of a scene with gloss.
+    /// Whether paths are followed as in a scene with gloss.
     glossy: bool,
     options: PathOptions,
 }
@@ -148,8 +147,8 @@ impl<'a> PathTracer<'a> {
         PathTracer { scene, tracer, emitters, surfaces, glossy, options }
     }
 
-    /// The same, but each path takes as many random numbers a bounce whatever it meets: runs of one seed on scenes that differ in their
-    /// materials alone are then correlated, and their difference is known better than each.
+    /// The tracer with an equal number of random numbers per bounce. Runs with one seed on scenes that differ in materials
+    /// only are then correlated, so their difference has a smaller error than each result.
     pub(crate) fn in_step(self) -> Self {
         PathTracer { glossy: true, ..self }
     }
@@ -200,8 +199,8 @@ impl<'a> PathTracer<'a> {
 
     /// Irradiance of places.
     ///
-    /// Samples that all missed the light do not show that there is none: where every sample is zero, the standard error is
-    /// what one more sample would have made of the mean, had it met the brightest emitter.
+    /// If all samples miss the light, this does not prove darkness. If every sample is zero, the standard error is the change
+    /// of the mean that one more sample would cause if it hit the brightest emitter.
     ///
     /// # Errors
     /// [`crate::Error::Stopped`].
@@ -235,7 +234,7 @@ impl<'a> PathTracer<'a> {
         effort.estimate(regions.len(), progress, |i, samples| self.irradiance_of(&regions[i], samples))
     }
 
-    /// The same, as the means of the replicates: those of one part after each other.
+    /// As [`PathTracer::mean_irradiances`], but returns the means of the replicates, part by part.
     pub(crate) fn replicates_of_irradiance(
         &self,
         regions: &[Region],
@@ -254,8 +253,8 @@ impl<'a> PathTracer<'a> {
         self.irradiance(Receiver::on_triangle(self.tracer, *triangle, barycentric, *front), samples)
     }
 
-    /// `throughput` times the radiance that a place sends on, or takes in; `bounces` reflections lie between the place and the
-    /// eye, its own included.
+    /// `throughput` times the radiance that a place reflects or receives. `bounces` counts the reflections between the place
+    /// and the eye, including its own.
     fn gather<'s, S: Scattering<'s>>(
         &'s self,
         mut at: Receiver,
@@ -296,16 +295,15 @@ impl<'a> PathTracer<'a> {
         Place { scene: self.scene, tracer: self.tracer, surfaces: &self.surfaces }
     }
 
-    /// One sample of the irradiance of a place that comes straight from emitters, W/m², and what the hemisphere ray met
-    /// that took part in it.
+    /// One sample of the direct irradiance of a place, W/m², and the hit of the hemisphere ray that took part in it.
     #[inline]
     pub(crate) fn direct(&self, at: Receiver, samples: &mut Samples) -> ([f64; 3], Option<Hit>) {
         let (light, met) = self.look(at, &Diffuse, samples);
         ((light * PI).to_array(), met.map(|(hit, _)| hit))
     }
 
-    /// Radiance that a place sends on of what comes straight from emitters: by a point chosen on one, and by a ray that goes on as
-    /// light would. Also what that ray met.
+    /// Radiance that a place reflects of the direct light. It is sampled by a point on an emitter and by a ray in a sampled
+    /// direction. Also returns the hit of that ray.
     #[inline]
     fn look<'s, S: Scattering<'s>>(
         &'s self,
@@ -330,12 +328,13 @@ impl<'a> PathTracer<'a> {
         (light, hit.map(|hit| (hit, bounce)))
     }
 
-    /// Le f cos θ over the density of a point chosen on an emitter, weighted against the same point met by a bounce.
+    /// Le f cos θ over the density of a point chosen on an emitter, with the weight against a bounce that hits the same point.
     ///
     /// With the power heuristic (Veach and Guibas, "Optimally Combining Sampling Techniques", SIGGRAPH 95, section 3.3) and
-    /// p the density of a bounce, which for Lambertian surfaces is f cos θ/ρ, Le p/q · q²/(p² + q²) is bounded, however near the lamp. With
-    /// the balance heuristic the few bounces that meet a small lamp carry p/q of its light, which error bars miss together with
-    /// them: at 32 rays a texel a floor under a lamp had 3.7 % of noise, and 83 % of its texels within 3.2 standard errors.
+    /// p the density of a bounce, which for Lambertian surfaces is f cos θ/ρ, Le p/q · q²/(p² + q²) is bounded, even near a
+    /// lamp. With the balance heuristic the few bounces that hit a small lamp carry p/q of its light, and error bars miss
+    /// this light when they miss the bounces. With 32 rays per texel a floor under a lamp had 3.7 % of noise, and 83 % of its
+    /// texels were within 3.2 standard errors.
     #[inline]
     fn look_at_emitter<'s, S: Scattering<'s>>(
         &self,
@@ -361,7 +360,7 @@ impl<'a> PathTracer<'a> {
         DVec3::from(lamp.radiance) * reflected * (chosen / (bounce * bounce + chosen * chosen))
     }
 
-    /// Weight of emission met by a bounce: 1, or p²/(p² + q²) where the emitter could also have been chosen.
+    /// Weight of emission that a bounce hits: 1, or p²/(p² + q²) if the emitter could also have been chosen.
     #[inline]
     fn bounce_weight(&self, hit: &Hit, bounce: &Bounce) -> f64 {
         if !self.options.next_event {

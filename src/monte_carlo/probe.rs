@@ -113,7 +113,7 @@ mod tests {
         ] {
             assert_eq!(read(table).unwrap(), wanted, "{table}");
         }
-        // Names are read over on the first line alone, and a broken number is no name.
+        // Only the first line may hold names, and a broken number is not a name.
         for (wrong, line) in [("1 2 3 0 0 1\nx y z nx ny nz", 2), ("1,x,3,0,0,1", 1), ("a b c", 1)] {
             assert!(matches!(read(wrong), Err(Error::Input { line: Some(l), .. }) if l == line), "{wrong}");
         }

@@ -54,7 +54,7 @@ impl Samples {
     /// they are stratified across paths too.
     #[inline]
     pub fn branch(&self, k: u32, of: u32) -> Samples {
-        // Sequences wrap: past their end another scramble would begin anyway.
+        // Indices may wrap: after the end of a sequence a new scramble begins in any case.
         Samples::new(self.index.wrapping_mul(of).wrapping_add(k), mix(&[self.seed, BRANCH]))
     }
 
@@ -79,8 +79,8 @@ impl Samples {
         [x, y]
     }
 
-    /// A point of the unit square whose first coordinate has 53 bits: enough to choose among millions of things and
-    /// still have a uniform number left.
+    /// A point of the unit square whose first coordinate has 53 bits. After a choice among millions of items the remainder
+    /// is still a uniform number.
     #[inline]
     pub fn fine_square(&mut self) -> (f64, f32) {
         let [x, y] = self.square();

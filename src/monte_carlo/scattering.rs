@@ -1,5 +1,5 @@
-//! How a path goes on from a place. Scenes without gloss have code of their own, made by the compiler from the same source: they pay
-//! nothing for what they do not have.
+//! Scattering of paths at surfaces. The compiler makes separate code for scenes without gloss from the same source, so that
+//! these pay nothing for gloss.
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
@@ -17,7 +17,7 @@ use crate::{
     },
 };
 
-/// A scene as paths and particles meet it.
+/// The surfaces of a scene for paths and particles.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Place<'s> {
     pub(super) scene: &'s Scene,
@@ -25,23 +25,23 @@ pub(super) struct Place<'s> {
     pub(super) surfaces: &'s Surfaces,
 }
 
-/// What a place does with light. Vectors are in unit space; `normal` is that of the side that receives.
+/// Scattering at a place. Vectors are in unit space. `normal` belongs to the side that receives light.
 pub(super) trait Scattering<'s>: Sized {
-    /// The surface that a ray in this direction, a unit vector, met; and a factor of all that it reflects.
+    /// The surface that a ray in this direction, a unit vector, has hit, and a factor of everything that it reflects.
     fn met(place: Place<'s>, hit: &Hit, direction: Vec3A) -> (Self, DVec3);
 
-    /// A direction to go on in.
+    /// Samples the direction in which the path continues.
     fn sample(&self, normal: Vec3A, samples: &mut Samples) -> Option<Bounce>;
 
-    /// f cos θ towards a vector of the length given, and the density with which [`Scattering::sample`] chooses that direction; without
-    /// what mirrors reflect.
+    /// f cos θ towards a vector of the given length, and the density of [`Scattering::sample`] for that direction. Mirror
+    /// reflection is not included.
     fn towards(&self, normal: Vec3A, to: Vec3A, length: f64) -> (DVec3, f64);
 
-    /// f towards a vector of any length above the surface, without what mirrors reflect.
+    /// f towards a vector of any length above the surface. Mirror reflection is not included.
     fn brdf(&self, to: Vec3A) -> DVec3;
 }
 
-/// Lambertian surfaces only: reflectance is a factor, and all else the same everywhere.
+/// Lambertian surfaces only: reflectance is a factor, and everything else is the same for all surfaces.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Diffuse;
 

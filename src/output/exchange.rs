@@ -6,22 +6,22 @@ use serde::Serialize;
 
 use crate::heat::Exchange;
 
-/// What `radiosity exchange --report` writes.
+/// The report of `radiosity exchange`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ExchangeReport {
     /// Version of the program.
     pub version: &'static str,
     /// The scene's file, as it was named.
     pub scene: String,
-    /// Faces, in each of which radiosity is uniform.
+    /// Number of faces. The radiosity of each is taken as uniform.
     pub parts: usize,
-    /// Whether these enclose a room, so that no part sees the sky.
+    /// Whether the faces enclose a room, so that none of them sees the sky.
     pub enclosed: bool,
     /// The surfaces.
     pub surfaces: Vec<SurfaceHeat>,
-    /// The sky, which is all that is outside.
+    /// The sky: everything outside the scene.
     pub sky: SurfaceHeat,
-    /// The sum of all heat, the sky's too, relative to the sum of its amounts.
+    /// The sum of all heat, including that of the sky, relative to the sum of absolute values.
     pub imbalance: f64,
     /// RMS standard error of the view factors between faces that are not zero.
     pub view_factor_error: f64,
@@ -31,20 +31,20 @@ pub struct ExchangeReport {
     pub seconds: f64,
 }
 
-/// What a surface exchanges.
+/// The heat of a surface.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SurfaceHeat {
     /// Its name.
     pub name: String,
-    /// m²; `null` of the sky.
+    /// Area, m²; `null` for the sky.
     pub area: Option<f64>,
-    /// K; of a surface with a given flux the mean, by the fourth power.
+    /// Temperature, K. For a surface with a given flux: the fourth root of the mean fourth power.
     pub temperature: f64,
-    /// The standard error of that: 0 where it was given.
+    /// Standard error of the temperature: 0 where the temperature was given.
     pub temperature_standard_error: f64,
-    /// W that leave it beyond what arrives.
+    /// Net power, W: what leaves the surface minus what arrives.
     pub heat: f64,
-    /// The standard error of that, by those of the view factors.
+    /// Standard error of the net power that follows from the standard errors of the view factors.
     pub heat_standard_error: f64,
 }
 
@@ -80,7 +80,7 @@ impl ExchangeReport {
     /// Writes it as JSON.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of writing to `out`.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         super::write_json(self, out)
     }
@@ -89,7 +89,7 @@ impl ExchangeReport {
 /// Writes A_i 𝓕_ij in m² as CSV, with names in the first line and column.
 ///
 /// # Errors
-/// What `out` says.
+/// Errors of writing to `out`.
 pub fn write_exchange_areas(names: &[String], found: &Exchange, out: &mut dyn Write) -> io::Result<()> {
     let names: Vec<String> =
         names.iter().map(|name| super::view_factors::quoted(name)).chain(["sky".into()]).collect();

@@ -1,15 +1,15 @@
-//! How bright a scene's radiosity is shown.
+//! The exposure of pictures and vertex colours.
 
 use crate::{
     patch::Patches,
     tone::{Exposure, luminance, rgb},
 };
 
-/// Automatic exposure ([`Exposure::automatic`]) by the area of the lit surfaces that do not emit. Lamps may clip, unlit
-/// surfaces and the unit of length have no say. A scene without light is shown black.
+/// Automatic exposure ([`Exposure::automatic`]), weighted by area, of the lit surfaces that do not emit. Lamps may clip.
+/// Neither unlit surfaces nor the unit of length change it. A scene without light is shown black.
 ///
 /// # Panics
-/// When `radiosity` does not hold `channels` values a patch.
+/// When `radiosity` does not hold `channels` values per patch.
 pub fn of_radiosity(patches: &Patches, radiosity: &[f64]) -> Exposure {
     let channels = patches.channels();
     assert_eq!(radiosity.len(), channels * patches.len(), "one value a patch and channel is wanted");

@@ -1,9 +1,8 @@
 //! Files that are written whole or not at all.
 //!
-//! What is written goes to a temporary file in the same directory, which then takes the name of the real one: rename
-//! within a file system is atomic. Whoever reads the output, and whoever pulls the plug, finds the old file or the new: the
-//! contents are on the disk before they get their name, and the name is when the last file of a run has it.
-//! What a killed process leaves is removed by the next that writes there.
+//! The contents go to a temporary file in the same directory. It is synchronised to the disk and then renamed. Renaming
+//! within a file system is atomic, so a reader finds either the old file or the new one, even after a loss of power.
+//! A temporary file that a killed process left behind is removed by the next process that writes to the same name.
 
 use std::{
     ffi::{OsStr, OsString},
@@ -16,10 +15,11 @@ use tempfile::NamedTempFile;
 
 use crate::{Error, Result};
 
-/// Characters that tell temporary files for one target apart.
+/// Number of random characters in the name of a temporary file.
 const RANDOM: usize = 6;
 
-/// A place that can be written to; made by [`OutputFile::new`], before the work whose result it shall hold.
+/// A file that can be written. Make it with [`OutputFile::new`] before a long computation, so that a bad path is noticed
+/// early.
 #[derive(Debug)]
 pub struct OutputFile {
     /// As the user named it, for messages.
@@ -28,7 +28,7 @@ pub struct OutputFile {
     target: Option<PathBuf>,
 }
 
-/// Written, but not yet there under its name. Dropping it leaves no trace.
+/// A file that is written but does not have its name yet. Dropping it removes it.
 #[derive(Debug)]
 #[must_use = "the file is removed unless it is committed"]
 pub struct Pending {
@@ -39,15 +39,15 @@ pub struct Pending {
 #[derive(Debug)]
 enum Contents {
     File(NamedTempFile),
-    /// Devices and pipes take everything at once, and only when there is everything.
+    /// Contents for a device or a pipe. They are sent in one go once they are complete.
     Memory(Vec<u8>),
 }
 
 impl OutputFile {
-    /// Checks that `path` can be written and is none of `inputs`. Leaves what is there untouched.
+    /// Checks that `path` can be written and is none of `inputs`. A file that exists stays as it is.
     ///
     /// # Errors
-    /// [`Error::Usage`] when it is an input or its directory is missing, [`Error::Io`] when it cannot be written.
+    /// [`Error::Usage`] when the file is an input or its directory is missing, [`Error::Io`] when it cannot be written.
     pub fn new(path: &Path, inputs: &[&Path]) -> Result<OutputFile> {
         let failed = |e| Error::io(path, e);
         let target = match fs::metadata(path) {
@@ -69,12 +69,12 @@ impl OutputFile {
         Ok(output)
     }
 
-    /// Checks that it is none of `inputs`: for those that are known only once others have been read.
+    /// Checks that the file is none of `inputs`. For inputs that are known only after others have been read.
     ///
     /// # Errors
-    /// [`Error::Usage`] when it is.
+    /// [`Error::Usage`] when the file is an input.
     pub fn check_inputs(&self, inputs: &[impl AsRef<Path>]) -> Result<()> {
-        // A place where there is no file yet cannot be a file that was read.
+        // A file that does not exist yet cannot be one that was read.
         let is_input = |input: &Path| fs::canonicalize(input).is_ok_and(|input| Some(input) == self.target);
         match inputs.iter().map(AsRef::as_ref).find(|input| is_input(input)) {
             None => Ok(()),
@@ -103,10 +103,10 @@ impl OutputFile {
         place(self).is_some_and(|p| Some(p) == place(other))
     }
 
-    /// Writes what `contents` writes, without yet giving it its name.
+    /// Writes the contents to the temporary file.
     ///
     /// # Errors
-    /// [`Error::Io`]; nothing is left behind then.
+    /// [`Error::Io`]; the temporary file is removed then.
     pub fn write(self, contents: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<Pending> {
         let failed = |e| Error::io(&self.path, e);
         if self.target.is_none() {
@@ -126,7 +126,7 @@ impl OutputFile {
     fn temporary(&self) -> Result<NamedTempFile> {
         let target = self.target.as_deref().expect("only regular files are replaced");
         let failed = |e| Error::io(&self.path, e);
-        // What goes on after its last name, as `a/` and `a/.` do, is the path of a directory.
+        // Paths like `a/` and `a/.` are those of directories.
         let is_last =
             |name: &&OsStr| target.as_os_str().as_encoded_bytes().ends_with(name.as_encoded_bytes());
         let Some(name) = target.file_name().filter(is_last) else {
@@ -141,7 +141,7 @@ impl OutputFile {
         builder.prefix(&prefix).rand_bytes(RANDOM).suffix(".part");
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        // tempfile's own error would name the temporary file, and hides the operating system's.
+        // The error of tempfile names the temporary file and hides the error of the operating system.
         let bare = |e: io::Error| io::Error::from(e.kind());
         if let Err(e) = fs::metadata(directory(target)) {
             let what = failed(e);
@@ -155,7 +155,8 @@ impl OutputFile {
         }
         let file = loop {
             let file = builder.tempfile_in(directory(target)).map_err(|e| failed(bare(e)))?;
-            // Locked until it has its name, so that nobody takes it for abandoned; who did so before is noticed.
+            // Locked until it has its name, so that no other process takes it for abandoned. If one removed it before the
+            // lock was held, another temporary file is made.
             let _ = file.as_file().lock();
             if file.path().exists() {
                 break file;
@@ -169,8 +170,7 @@ impl OutputFile {
 }
 
 impl Pending {
-    /// Gives all files their names. Devices and pipes come first: they may refuse what they are sent, and then nothing is
-    /// there yet.
+    /// Gives all files their names. Devices and pipes come first: if one of them fails, no file has been replaced yet.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -186,10 +186,10 @@ impl Pending {
         Ok(())
     }
 
-    /// Gives the file its name, replacing what was there.
+    /// Gives the file its name. Replaces an older file of this name.
     ///
     /// # Errors
-    /// [`Error::Io`]; what was there stays then.
+    /// [`Error::Io`]; the older file stays then.
     pub fn commit(self) -> Result<()> {
         Self::commit_all(vec![self])
     }
@@ -211,8 +211,8 @@ impl Pending {
     }
 }
 
-/// Removes temporary files for `target` that a process left which was killed: nobody holds their lock. What cannot be
-/// looked at stays.
+/// Removes temporary files for `target` that killed processes left: no process holds their lock. Files that cannot be
+/// opened stay.
 fn remove_abandoned(target: &Path) {
     let Some(name) = target.file_name() else { return };
     let prefix = [b".", name.as_encoded_bytes()].concat();
@@ -227,8 +227,8 @@ fn remove_abandoned(target: &Path) {
     }
 }
 
-/// Forces the names in a directory to the disk, where the system can: else a loss of power may bring an old one back, with the
-/// whole file that it was of, which is no reason to fail.
+/// Forces the names in a directory to the disk, where the system can do that. Where it cannot, a loss of power may bring
+/// back the older file, which is whole. So a failure here is no error.
 fn sync_directory(directory: &Path) {
     #[cfg(unix)]
     let _ = fs::File::open(directory).and_then(|directory| directory.sync_all());
@@ -236,7 +236,7 @@ fn sync_directory(directory: &Path) {
     let _ = directory;
 }
 
-/// Where a file would be made that is not there yet: also through links that lead nowhere so far.
+/// Where a file that does not exist yet would be made. Follows links to files that do not exist.
 fn end_of_links(path: &Path) -> PathBuf {
     let mut target = path.to_owned();
     while let Ok(next) = fs::read_link(&target) {

@@ -1,10 +1,11 @@
 //! Irradiance at a point from the radiosity solution: one last bounce, gathered there by rays.
 //!
-//! E = E direct + π mean(ρ E' / π): direct light comes from emitters chosen and met by rays, as the path tracer does
-//! it; the rest from rays with a cosine distribution that read the solved irradiance E' of the patch they hit. They do
-//! not read its emission, which has been counted. The integral smooths the patches away, and the sharp shadows of
-//! direct light never went through them (Reichert, "A Two-Pass Radiosity Method Driven by Lights and Viewer Position",
-//! 1992; Cohen and Wallace, "Radiosity and Realistic Image Synthesis", 1993, section 9.4).
+//! E = E direct + π mean(ρ E' / π). Direct light is sampled as in the path tracer, by rays to points on emitters and by
+//! hemisphere rays that hit emitters. Reflected light comes from hemisphere rays with a cosine distribution, which read
+//! the solved irradiance E' of the patch that they hit. They do not read its emission, which is direct light. The
+//! integral hides the borders of patches, and shadows of direct light are as sharp as they should be (Reichert, "A
+//! Two-Pass Radiosity Method Driven by Lights and Viewer Position", 1992; Cohen and Wallace, "Radiosity and Realistic
+//! Image Synthesis", 1993, section 9.4).
 
 use glam::{DVec3, Vec3A};
 
@@ -25,11 +26,11 @@ use crate::{
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Gathered {
-    /// Straight from emitters.
+    /// Direct light.
     pub direct: [f64; 3],
-    /// Reflected by other surfaces.
+    /// Light reflected by other surfaces.
     pub reflected: [f64; 3],
-    /// What the hemisphere ray met.
+    /// The hit of the hemisphere ray.
     pub hit: Option<Hit>,
 }
 
@@ -39,17 +40,17 @@ pub struct FinalGather<'a> {
     scene: &'a Scene,
     tracer: &'a Tracer,
     patches: &'a Patches,
-    /// Of each patch, never negative.
+    /// Irradiance of each patch, never negative.
     irradiance: Vec<[f64; 3]>,
     direct: PathTracer<'a>,
     rays: u32,
 }
 
 impl<'a> FinalGather<'a> {
-    /// Prepares to gather by `rays` (at least one) hemisphere rays a sample.
+    /// Prepares to gather with `rays` hemisphere rays per sample, at least one.
     ///
     /// # Panics
-    /// When the solution is not one of these patches.
+    /// When the solution belongs to other patches.
     pub fn new(
         scene: &'a Scene,
         tracer: &'a Tracer,
@@ -80,8 +81,7 @@ impl<'a> FinalGather<'a> {
         (direct + reflected / f64::from(self.rays)).to_array()
     }
 
-    /// One sample of the irradiance of a place with a single hemisphere ray: it looks for emitters and for reflected
-    /// light alike.
+    /// One sample of the irradiance of a place with a single hemisphere ray, which serves direct and reflected light.
     #[inline]
     pub fn gather(&self, at: Receiver, samples: &mut Samples) -> Gathered {
         let (direct, hit) = self.direct.direct(at, samples);
@@ -90,7 +90,7 @@ impl<'a> FinalGather<'a> {
         Gathered { direct, reflected, hit: Some(hit) }
     }
 
-    /// Irradiance of places, with the spread of the gathering; what the solution itself is off by is not in it.
+    /// Irradiance of places, with the standard error of the gathering. It does not include the error of the solution.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped).
@@ -110,7 +110,7 @@ impl<'a> FinalGather<'a> {
         outgoing(self.scene, &hit, irradiance.into())
     }
 
-    /// Radiosity that is reflected where a ray hit: none from backs that no ray of the solution met.
+    /// Reflected radiosity where a ray hit. Zero on backs that no ray of the solution hit.
     #[inline]
     fn reflected(&self, hit: &Hit) -> DVec3 {
         let patch = self.patches.at(hit.triangle, hit.barycentric, hit.front);
@@ -119,13 +119,13 @@ impl<'a> FinalGather<'a> {
     }
 }
 
-/// Radiance that leaves a surface with a given irradiance, Le + ρ E / π, with the texture's values at that very point.
+/// Radiance that leaves a surface with a given irradiance, Le + ρ E / π, with the values of textures at the point.
 pub(crate) fn outgoing(scene: &Scene, hit: &Hit, irradiance: DVec3) -> [f64; 3] {
     let reflected = DVec3::from(hit.reflectance(scene)) * irradiance / std::f64::consts::PI;
     (DVec3::from(hit.emission(scene)) + reflected).to_array()
 }
 
-/// Interleaved values as red, green and blue; what a solver left below zero, by its tolerance, as zero.
+/// Interleaved values as red, green and blue. Values that a solver left below zero, within its tolerance, become zero.
 pub(super) fn positive(values: &[f64], channels: usize) -> Vec<[f64; 3]> {
     values.chunks_exact(channels).map(|v| rgb(v).map(|x| x.max(0.0))).collect()
 }

@@ -1,4 +1,4 @@
-//! What is in a scene, as JSON, with what will go wrong in sentences.
+//! The contents of a scene as JSON, with its problems in sentences.
 
 use std::io::{self, Write};
 
@@ -13,26 +13,26 @@ use crate::{
     },
 };
 
-/// What `radiosity inspect --report` writes.
+/// The report of `radiosity inspect`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct InspectionReport {
     /// Version of the program.
     pub version: &'static str,
     /// The mesh.
     pub scene: MeshReport,
-    /// How its triangles join.
+    /// The edges of the mesh.
     pub edges: EdgesReport,
-    /// What rays from its fronts meet.
+    /// The hits of rays from fronts.
     pub seen: SeenReport,
-    /// Its materials, in the order of their first use.
+    /// The materials, in the order of their first use.
     pub materials: Vec<MaterialReport>,
-    /// Its textures.
+    /// The textures.
     pub textures: TexturesReport,
-    /// What each quality would take.
+    /// The cost of each quality.
     pub forecast: [ForecastReport; 4],
-    /// What the reader left out or assumed.
+    /// Warnings of the reader: what it left out or assumed.
     pub warnings: Vec<String>,
-    /// What will go wrong or look odd, a sentence each.
+    /// Problems of the scene, one sentence each.
     pub concerns: Vec<String>,
 }
 
@@ -41,15 +41,15 @@ pub struct InspectionReport {
 pub struct MeshReport {
     /// The file, as it was named.
     pub file: String,
-    /// Triangles that have an area.
+    /// Number of triangles with an area.
     pub triangles: usize,
-    /// Triangles left out because they have none.
+    /// Number of triangles that were left out because they have no area.
     pub degenerate: usize,
-    /// Triangles with the corners of another.
+    /// Number of triangles with the same corners as another triangle.
     pub doubled: usize,
-    /// Different positions.
+    /// Number of different positions.
     pub vertices: usize,
-    /// Positions that are almost another's.
+    /// Number of positions that are almost the same as another position.
     pub near_vertices: usize,
     /// Area of all triangles, one side each.
     pub area: f64,
@@ -57,32 +57,32 @@ pub struct MeshReport {
     pub bounds_min: [f64; 3],
     /// Largest coordinates.
     pub bounds_max: [f64; 3],
-    /// The unit of length that is likely; `null` where none is.
+    /// The likely unit of length; `null` where none is likely.
     pub unit_guess: Option<&'static str>,
-    /// 1 when everything in the scene is grey, else 3.
+    /// 1 if everything in the scene is grey, else 3.
     pub channels: usize,
 }
 
-/// Edges by the triangles that run through them.
+/// The edges by the number of their triangles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EdgesReport {
-    /// Their numbers.
+    /// The numbers of edges.
     #[serde(flatten)]
     pub count: Edges,
-    /// Neither open nor non-manifold ones.
+    /// Whether no edge is open or non-manifold.
     pub closed: bool,
 }
 
-/// What rays meet.
+/// The hits of rays.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SeenReport {
-    /// Rays from all fronts.
+    /// Number of rays from all fronts.
     pub rays: u64,
-    /// Share of what they met that was a back.
+    /// Share of the hits that are on backs.
     pub back_share: f64,
-    /// Share that left the scene.
+    /// Share of the rays that left the scene.
     pub escaped_share: f64,
-    /// Of rays from lamps, the share that left the scene; `null` without lamps.
+    /// Share of the rays from lamps that left the scene; `null` without lamps.
     pub lamp_escaped_share: Option<f64>,
 }
 
@@ -92,36 +92,36 @@ pub struct MaterialReport {
     /// Where and how it is used.
     #[serde(flatten)]
     pub used: MaterialUse,
-    /// Of what was seen from behind, the share made of it.
+    /// Its share of the hits on backs.
     pub share_of_backs: f64,
 }
 
 /// Textures.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TexturesReport {
-    /// Width and height of those that were read.
+    /// Width and height of each texture that was read.
     pub found: Vec<(usize, usize)>,
-    /// Names of files, textures or material libraries, that could not be read.
+    /// Names of textures and material libraries that could not be read.
     pub missing: Vec<String>,
 }
 
-/// What a solution would take.
+/// The cost of a solution.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ForecastReport {
     /// The preset.
     pub quality: &'static str,
-    /// Patches of fronts and of those backs that are likely to be seen.
+    /// Number of patches: fronts, and the backs that rays are likely to hit.
     pub patches: f64,
-    /// Rays, all patches together.
+    /// Number of rays of all patches.
     pub rays: f64,
-    /// Bytes of the form factors and the rays' hits; at most.
+    /// Largest number of bytes for form factors and hits.
     pub bytes: f64,
-    /// An estimate, from the rate of this scene's own rays on this machine.
+    /// Estimated time in seconds, from the rate of rays in this scene on this machine.
     pub seconds: f64,
 }
 
 impl InspectionReport {
-    /// Collects the figures. `forecast` gives patches, rays, bytes and seconds of a preset.
+    /// Collects the figures. `forecast` returns patches, rays, bytes and seconds of a preset.
     pub fn new(
         file: &str,
         scene: &Scene,
@@ -173,18 +173,18 @@ impl InspectionReport {
     /// Writes it as indented JSON with a line end after it.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of writing to `out`.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         super::write_json(self, out)
     }
 }
 
-/// Fresh snow and the whitest paints give back less than this.
+/// Fresh snow and the whitest paints reflect less than this.
 const BRIGHTEST: f64 = 0.95;
-/// Rays that graze an outline meet a back now and then even where all is well.
+/// Rays that graze an outline sometimes hit a back, even if all faces are turned the right way.
 const FEW: f64 = 0.001;
 
-/// What will go wrong or look odd.
+/// The problems of the scene.
 fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<String> {
     let mut concerns = Vec::new();
     let mut add = |applies: bool, sentence: &dyn Fn() -> String| {
@@ -251,7 +251,7 @@ fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<Stri
     concerns
 }
 
-/// The first few of a list.
+/// The first few items of a list.
 fn names(all: &[&str]) -> String {
     const MOST: usize = 3;
     let first: Vec<String> = all.iter().take(MOST).map(|name| format!("`{name}`")).collect();

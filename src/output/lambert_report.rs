@@ -1,4 +1,4 @@
-//! What taking all surfaces as Lambertian costs, as JSON and in a sentence.
+//! The error of the Lambertian assumption, as JSON and in a sentence.
 
 use serde::Serialize;
 
@@ -8,23 +8,24 @@ use crate::{
     scene::Scene,
 };
 
-/// Figures against Lambertian materials of the same hemispherical albedo; those against diffuse parts alone are `dropped`.
+/// Differences from Lambertian materials with the same hemispherical albedo. `dropped` holds the differences from the
+/// diffuse parts alone.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LambertReport {
-    /// Materials with a specular part.
+    /// Number of materials with a specular part.
     pub glossy_materials: usize,
-    /// Mean irradiance with materials as given, W/m².
+    /// Mean irradiance with the given materials, W/m².
     pub mean_irradiance: f64,
     /// The figures.
     #[serde(flatten)]
     pub matched: ChangeReport,
-    /// The same against the diffuse parts alone.
+    /// The differences from the diffuse parts alone.
     pub dropped: ChangeReport,
     /// The verdict in a sentence.
     pub verdict: String,
 }
 
-/// By how much irradiance with materials as given differs from that with Lambertian ones.
+/// The difference in irradiance between the given materials and Lambertian ones.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChangeReport {
     /// Area-weighted root mean square change, relative to the mean irradiance.
@@ -35,13 +36,13 @@ pub struct ChangeReport {
     pub mean_relative: f64,
     /// Its standard error.
     pub mean_standard_error: f64,
-    /// The largest change that is certain, relative to the mean irradiance: positive where gloss makes it brighter.
+    /// The largest significant change, relative to the mean irradiance: positive where gloss makes the patch brighter.
     pub largest_relative: f64,
     /// Its standard error.
     pub largest_standard_error: f64,
     /// Centre of the patch of the largest change.
     pub largest_position: [f64; 3],
-    /// Its material.
+    /// Material of that patch.
     pub largest_material: String,
     /// Change of the absorbed flux, W, R G B.
     pub absorbed: [f64; 3],
@@ -89,7 +90,7 @@ impl ChangeReport {
         }
     }
 
-    /// In percent of the mean irradiance, with 95 % intervals.
+    /// In percent of the mean irradiance, with 95 % confidence intervals.
     fn in_words(&self) -> String {
         let percent =
             |x: f64, error: f64| format!("{:.1} ± {:.1} %", 100.0 * x, 100.0 * CONFIDENCE_95 * error);

@@ -1,20 +1,28 @@
-//! Which side of each patch a mesh shows.
+//! Which patches a mesh shows, and from which side.
 //!
-//! A viewer that draws both sides of a face cannot tell two faces at one place apart: each pixel shows one or the other by
-//! chance of rounding. A mesh for such viewers has one face at each place, and it shows the side that has more light.
+//! A viewer that draws both sides of a face cannot decide between two faces at one place: rounding makes it show one here
+//! and the other there. A mesh for such viewers has one face at each place. It shows the side of a patch that has more
+//! light. Where faces of the scene lie on one another and face opposite ways, as the bottom of a box lies on a floor, it
+//! leaves out the darker surface as far as the brighter one covers it.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
+use super::surfaces::DisjointSets;
 use crate::{
     patch::Patches,
-    scene::Scene,
+    scene::{
+        Scene,
+        overlaps::{covered, in_one_plane},
+    },
     solve::Light,
     tone::{luminance, rgb},
 };
 
-/// For each unknown, whether it is the side to show. Of a patch and its back the one with the larger radiosity is, or with the
-/// larger irradiance where nothing is reflected, or else the front. Of triangles with the same corners one is shown: the one
-/// with the largest power.
+/// A patch is covered when at most this share of it is not: as much as faces in one plane may be off it.
+const UNCOVERED: f64 = 1e-3;
+
+/// For each unknown, whether the mesh shows it. Of a patch and its back it shows the one with the larger radiosity, or with
+/// the larger irradiance where nothing is reflected, or else the front.
 pub(super) fn lit_sides(scene: &Scene, patches: &Patches, light: Light<'_>) -> Vec<bool> {
     let channels = patches.channels();
     let of = |values: &[f64], i: usize| luminance(rgb(&values[i * channels..][..channels]));
@@ -24,37 +32,64 @@ pub(super) fn lit_sides(scene: &Scene, patches: &Patches, light: Light<'_>) -> V
         let back = patches.back_of(i).map(|back| back as usize);
         shown[back.filter(|&back| brightness(back) > brightness(i)).unwrap_or(i)] = true;
     }
-    let power = |t: usize| -> [f64; 2] {
-        let sides =
-            patches.fronts_of(t).flat_map(|i| [Some(i), patches.back_of(i).map(|back| back as usize)]);
-        let shown = sides.flatten().filter(|&i| shown[i]);
+    let pairs = in_one_plane(scene);
+    let power = |t: u32| {
+        let shown = sides(patches, t).filter(|&i| shown[i]);
         shown.fold([0.0; 2], |sum, i| {
             let (area, brightness) = (patches.area(i), brightness(i));
             std::array::from_fn(|k| sum[k] + area * brightness[k])
         })
     };
-    let hidden: Vec<usize> = doubled(scene)
-        .flat_map(|same| {
-            let brightest = same.iter().copied().reduce(|a, b| if power(b) > power(a) { b } else { a });
-            same.into_iter().filter(move |&t| Some(t) != brightest)
-        })
-        .collect();
-    for i in hidden.into_iter().flat_map(|t| patches.fronts_of(t)) {
-        shown[i] = false;
-        if let Some(back) = patches.back_of(i) {
-            shown[back as usize] = false;
+    let order = order(scene, &pairs, power);
+    let place: HashMap<u32, usize> = order.iter().copied().zip(0..).collect();
+    let mut above: HashMap<u32, Vec<u32>> = HashMap::new();
+    for [s, t] in pairs {
+        let (upper, lower) = if place[&s] < place[&t] { (s, t) } else { (t, s) };
+        above.entry(lower).or_default().push(upper);
+    }
+    for (t, above) in above {
+        for i in sides(patches, t) {
+            let corners = patches.corners(scene, i);
+            let share: f64 = above.iter().map(|&upper| covered(corners, scene.corners(upper as usize))).sum();
+            shown[i] &= share < 1.0 - UNCOVERED;
         }
     }
     shown
 }
 
-/// Triangles that have the same corners, in the order of the file.
-fn doubled(scene: &Scene) -> impl Iterator<Item = Vec<usize>> {
-    let mut at: HashMap<[u32; 3], Vec<usize>> = HashMap::with_capacity(scene.triangles.len());
-    for (t, triangle) in scene.triangles.iter().enumerate() {
-        let mut corners = triangle.vertices;
-        corners.sort_unstable();
-        at.entry(corners).or_default().push(t);
+/// The patches of both sides of a triangle.
+fn sides(patches: &Patches, t: u32) -> impl Iterator<Item = usize> {
+    let backs = |i| patches.back_of(i).map(|back| back as usize);
+    patches.fronts_of(t as usize).flat_map(move |i| [Some(i), backs(i)]).flatten()
+}
+
+/// The triangles that lie on others, first those that are shown whole. Of all triangles that lie on one another, these are
+/// the triangles that face the way that has more power. Single triangles would not do: two sheets whose quadrangles are
+/// cut along different diagonals would each lose one half.
+fn order(scene: &Scene, pairs: &[[u32; 2]], power: impl Fn(u32) -> [f64; 2]) -> Vec<u32> {
+    let mut triangles: Vec<u32> = pairs.iter().flatten().copied().collect();
+    triangles.sort_unstable();
+    triangles.dedup();
+    let at = |t: u32| triangles.binary_search(&t).expect("it is in a pair");
+    let mut sets = DisjointSets::new(triangles.len());
+    pairs.iter().for_each(|&[s, t]| sets.unite(at(s), at(t)));
+    let (numbers, _) = sets.numbers();
+    let mut stacks: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (&t, &number) in triangles.iter().zip(&numbers) {
+        stacks.entry(number).or_default().push(t);
     }
-    at.into_values().filter(|same| same.len() > 1)
+    let in_order = |stack: Vec<u32>| {
+        let normal = scene.normal(stack[0] as usize);
+        let (one_way, other): (Vec<u32>, Vec<u32>) =
+            stack.into_iter().partition(|&t| scene.normal(t as usize).dot(normal) > 0.0);
+        let total = |triangles: &[u32]| {
+            triangles
+                .iter()
+                .map(|&t| power(t))
+                .fold([0.0; 2], |sum, power| [sum[0] + power[0], sum[1] + power[1]])
+        };
+        let other_first = total(&other) > total(&one_way);
+        if other_first { [other, one_way] } else { [one_way, other] }.concat()
+    };
+    stacks.into_values().flat_map(in_order).collect()
 }

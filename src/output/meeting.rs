@@ -1,9 +1,4 @@
-//! Where patches of different size meet: vertices in the middle of edges, and the patches that are drawn as two halves.
-//!
-//! A face could take in the vertices on its edges, but trimesh reads no binary PLY whose faces differ in their number of
-//! corners, and CloudCompare and three.js leave out those of more than four. In [restricted
-//! quadtrees](crate::patch::restricted) a patch has one such vertex at most, and its two halves are triangles. Elsewhere whole
-//! triangles of very different size may meet; each patch is one face then, and vertices of others touch its edges.
+//! Where patches of different size meet: the triangles whose patches have vertices of neighbours on their edges.
 
 use rayon::prelude::*;
 
@@ -11,7 +6,7 @@ use crate::{
     patch::{
         Cell, Patches,
         edges::{Edges, edge_of},
-        restricted::{Corners, points},
+        restricted::points,
     },
     scene::Scene,
 };
@@ -19,11 +14,10 @@ use crate::{
 /// The front patches at which sizes may differ.
 #[derive(Debug)]
 pub(super) struct Meeting {
+    pub(super) edges: Edges,
     mixed: Vec<bool>,
-    /// Those of mixed triangles, but for the inner ones of uniform triangles: by patch, with their place.
+    /// The patches of mixed triangles with their places, without the inner patches of uniform triangles.
     pub(super) cells: Vec<(usize, Cell)>,
-    /// Of these, in restricted quadtrees, those with a vertex of others on an edge, in order, and on which edge it is.
-    pub(super) cut: Vec<(usize, usize)>,
 }
 
 impl Meeting {
@@ -38,29 +32,19 @@ impl Meeting {
                 .map(|i| (i, patches.cell(i)))
                 .filter(move |(_, c)| !patches.is_uniform(t) || at_rim(c))
         };
-        let cells: Vec<(usize, Cell)> =
-            (0..triangles).into_par_iter().filter(|&t| mixed[t]).flat_map_iter(of_triangle).collect();
-        if !patches.is_restricted() {
-            return Meeting { mixed, cells, cut: Vec::new() };
-        }
-        let places: Vec<Cell> = cells.iter().map(|&(_, cell)| cell).collect();
-        let corners = Corners::new(scene, &edges, &places);
-        let cut = cells.par_iter().filter_map(|(i, cell)| {
-            let cuts = corners.cuts(scene, &edges, cell);
-            Some((*i, cuts.iter().position(|&cut| cut > 0)?))
-        });
-        Meeting { cut: cut.collect(), mixed, cells }
+        let cells = (0..triangles).into_par_iter().filter(|&t| mixed[t]).flat_map_iter(of_triangle).collect();
+        Meeting { edges, mixed, cells }
     }
 
-    /// Whether a triangle, or one that it shares an edge with, has patches of another level than the rest of the two.
+    /// Whether a triangle and its neighbours have patches of several levels.
     pub(super) fn is_mixed(&self, t: usize) -> bool {
         self.mixed[t]
     }
 }
 
-/// Which triangles have patches of several levels, or share an edge with one that has others.
+/// Which triangles have patches of several levels, or share an edge with a triangle of another level.
 fn mixed(patches: &Patches, edges: &Edges, triangles: usize) -> Vec<bool> {
-    // The level that all have who share an edge, as far as they are known.
+    // The level of all triangles that share an edge.
     const UNKNOWN: u8 = u8::MAX;
     const SEVERAL: u8 = u8::MAX - 1;
     let mut levels = vec![UNKNOWN; 3 * triangles];

@@ -1,7 +1,7 @@
-//! What people take home: coloured meshes, pictures and reports.
+//! The files that the program writes: coloured meshes, pictures, tables and reports.
 //!
-//! Everything written here is written whole or not at all ([`mod@file`]), and holds finite numbers only, except where a
-//! figure is not known: NaN in a PLY, `null` in a report.
+//! A file is written whole or not at all ([`mod@file`]). All numbers in it are finite. A figure that is not known is NaN
+//! in a PLY and `null` in a report.
 
 pub mod exchange;
 pub mod exposure;
@@ -14,6 +14,7 @@ mod lit_sides;
 mod meeting;
 mod numpy;
 pub mod picture;
+mod pieces;
 #[cfg(feature = "cli")]
 mod plot;
 pub mod ply;

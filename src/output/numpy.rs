@@ -1,19 +1,19 @@
-//! Matrices as NumPy and SciPy read them.
+//! Matrices in the formats of NumPy and SciPy.
 //!
-//! The formats: `numpy.lib.format` version 1.0 for arrays, and for sparse matrices a zip archive of arrays, as `scipy.sparse.save_npz`
+//! Arrays have `numpy.lib.format` version 1.0. A sparse matrix is a zip archive of arrays, as `scipy.sparse.save_npz`
 //! writes it.
 
 use std::io::{self, Write};
 
 use rayon::prelude::*;
 
-/// Rows that are prepared at a time.
+/// Number of rows that are prepared at a time.
 const ROWS: usize = 256;
 
 /// The header of an array of little-endian items of this kind.
 fn header(kind: &str, shape: &str) -> Vec<u8> {
     let mut text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
-    // The data begin at a multiple of 64.
+    // The data begin at a multiple of 64 bytes.
     let start = b"\x93NUMPY\x01\x00".len() + 2;
     let length = (start + text.len() + 1).next_multiple_of(64) - start;
     text.extend(std::iter::repeat_n(' ', length - text.len() - 1));
@@ -27,7 +27,7 @@ fn header(kind: &str, shape: &str) -> Vec<u8> {
 /// Writes a square matrix with all its entries as an array of double precision.
 ///
 /// # Errors
-/// What `out` says.
+/// Errors of writing to `out`.
 pub(super) fn write_dense(
     n: usize,
     row: impl Fn(usize) -> Vec<f64> + Sync,
@@ -42,10 +42,10 @@ pub(super) fn write_dense(
     Ok(())
 }
 
-/// Writes the entries of a square matrix that are not zero as `scipy.sparse.load_npz` reads them, in compressed rows.
+/// Writes the non-zero entries of a square matrix in compressed rows, for `scipy.sparse.load_npz`.
 ///
 /// # Errors
-/// What `out` says, and when the file would be larger than 4 GiB.
+/// Errors of writing to `out`, and an error when the file would be larger than 4 GiB.
 pub(super) fn write_sparse<R: Iterator<Item = (usize, f64)>>(
     n: usize,
     row: impl Fn(usize) -> R,
@@ -69,7 +69,7 @@ pub(super) fn write_sparse<R: Iterator<Item = (usize, f64)>>(
     let mut zip = Zip { out, files: Vec::new(), at: 0 };
     zip.add("indices.npy", &array("<i4", format!("({count},)"), &columns))?;
     drop(columns);
-    // As wide as the indices where they may be: SciPy makes both so.
+    // As wide as the indices where possible, because SciPy wants both to have one width.
     let starts: Vec<u8> = match i32::try_from(count) {
         Ok(_) => starts.iter().flat_map(|&k| (k as i32).to_le_bytes()).collect(),
         Err(_) => starts.iter().flat_map(|&k| (k as i64).to_le_bytes()).collect(),
@@ -85,7 +85,7 @@ pub(super) fn write_sparse<R: Iterator<Item = (usize, f64)>>(
 /// A zip archive of files as they are, without compression (PKWARE, *APPNOTE.TXT* 6.3, sections 4.3.7, 4.3.12 and 4.3.16).
 struct Zip<'a> {
     out: &'a mut dyn Write,
-    /// What the central directory says of each.
+    /// The entries of the central directory.
     files: Vec<Vec<u8>>,
     at: u64,
 }

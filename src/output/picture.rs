@@ -1,4 +1,4 @@
-//! Pictures of a radiosity solution, through the camera and the film that paths and particles use too.
+//! Pictures of a radiosity solution. Camera and film are those of path and light tracing.
 
 use glam::DVec3;
 
@@ -16,10 +16,10 @@ use crate::{
     trace::{Hit, Tracer},
 };
 
-/// A solution seen as a smooth surface: irradiance at the vertices, linear over each patch.
+/// A solution as a smooth surface: irradiance at the vertices, linear over each patch.
 ///
-/// It is irradiance that is interpolated, not radiosity: vertices are shared within one material only, so without
-/// textures the two are the same, and with them texels stay sharp.
+/// It interpolates irradiance instead of radiosity, so that texels stay sharp. Without textures there is no difference,
+/// because vertices are shared within one material only.
 #[derive(Debug)]
 pub struct SmoothSurface<'a> {
     scene: &'a Scene,
@@ -32,14 +32,14 @@ impl<'a> SmoothSurface<'a> {
     /// Averages the irradiance of the patches at the vertices.
     ///
     /// # Panics
-    /// When the light is not that of these patches.
+    /// When the light belongs to other patches.
     pub fn new<'l>(scene: &'a Scene, patches: &'a Patches, light: impl Into<Light<'l>>) -> Self {
         let mesh = PatchMesh::new(scene, patches, CREASE);
         let values = at_vertices(scene, patches, &mesh, light.into().irradiance);
         SmoothSurface { scene, patches, mesh, irradiance: positive(&values, patches.channels()) }
     }
 
-    /// Radiance that leaves the point that a ray hit: none from backs that no ray of the solution met.
+    /// Radiance that leaves the point that a ray hit. Zero on backs that no ray of the solution hit.
     pub fn radiance(&self, hit: &Hit) -> [f64; 3] {
         let Some(patch) = self.patches.at(hit.triangle, hit.barycentric, hit.front) else { return [0.0; 3] };
         let corners = self.mesh.corners(patch as usize);
@@ -50,13 +50,13 @@ impl<'a> SmoothSurface<'a> {
     }
 }
 
-/// A picture of a solution: as it is, smoothed over each patch, or with `gather` rays a sample for the last bounce.
+/// A picture of a solution. The light is smoothed over each patch, or gathered with `gather` rays per sample.
 ///
 /// # Errors
 /// [`Error::Stopped`](crate::Error::Stopped).
 ///
 /// # Panics
-/// When the solution is not one of these patches.
+/// When the solution belongs to other patches.
 pub fn render(
     scene: &Scene,
     tracer: &Tracer,
@@ -84,7 +84,7 @@ pub fn render(
 /// [`Error::Stopped`](crate::Error::Stopped).
 ///
 /// # Panics
-/// When the light is not that of these patches.
+/// When the light belongs to other patches.
 pub fn smooth(
     scene: &Scene,
     tracer: &Tracer,
@@ -136,7 +136,7 @@ mod tests {
         let surface = SmoothSurface::new(&scene, &patches, &solution);
         let pi = std::f64::consts::PI;
         let seen = |barycentric, front| surface.radiance(&Hit { triangle: 0, front, t: 1.0, barycentric });
-        // Corners a and c belong to both triangles with equal angles: red irradiance 2; b to the first alone: 3.
+        // Corners a and c belong to both triangles with equal angles: red irradiance 2. Corner b belongs to the first: 3.
         for (barycentric, red) in [([1., 0., 0.], 2.0), ([0., 1., 0.], 3.0), ([0.25, 0.5, 0.25], 2.5)] {
             let got = seen(barycentric, true);
             let want = [1.0 + 0.5 * red / pi, 0.25 * 2.0 * red / pi, 3.0 * red / pi];
@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn the_emission_is_not_counted_twice() {
-        // A black floor under a lamp that reflects nothing: final gather is direct light alone, π L F.
+        // Under a lamp that reflects nothing, the final gather has direct light only: π L F.
         let lamp = [dvec3(0., 1., 0.), dvec3(1., 1., 0.), dvec3(0., 1., 1.)];
         let floor = [dvec3(0., 0., 0.), dvec3(0., 0., 1.), dvec3(1., 0., 0.)];
         let materials =

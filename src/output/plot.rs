@@ -1,4 +1,4 @@
-//! Drawings of figures over logarithmic axes, as SVG by [plotters](https://docs.rs/plotters).
+//! Charts with logarithmic axes as SVG, drawn by [plotters](https://docs.rs/plotters).
 
 use plotters::{
     chart::{ChartBuilder, ChartContext},
@@ -17,16 +17,16 @@ pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 /// Two logarithmic axes.
 pub(super) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Log, Log>>;
 type Log = WithKeyPoints<LogCoord<f64>>;
-/// Drawing into memory does not fail, but the type says that it may.
+/// The error of drawing. Drawing into memory does not fail.
 pub(super) type Drawn = Result<(), Box<dyn std::error::Error>>;
 
 pub(super) const TEXT: RGBColor = RGBColor(34, 34, 34);
 pub(super) const GREY: RGBColor = RGBColor(119, 119, 119);
 const GRID: RGBColor = RGBColor(204, 204, 204);
 pub(super) const FONT: f64 = 14.0;
-/// A label needs this many pixels of an axis, beside others.
+/// Pixels of an axis that a label needs.
 const LABEL: f64 = 48.0;
-/// Width of a letter, in pixels, at the font's size.
+/// Width of a letter in pixels at font size [`FONT`].
 const LETTER: f64 = 7.5;
 
 /// A logarithmic axis.
@@ -37,7 +37,7 @@ pub(super) struct Axis {
 }
 
 impl Axis {
-    /// With room for all positive values; a decade where there is none.
+    /// An axis that has room for all positive values, or one decade if there is no such value.
     pub fn over(values: impl Iterator<Item = f64>) -> Axis {
         let (mut low, mut high) = (f64::INFINITY, 0f64);
         for value in values.filter(|v| *v > 0.0 && v.is_finite()) {
@@ -49,8 +49,8 @@ impl Axis {
         Axis { low: low / 1.6, high: high * 1.6 }
     }
 
-    /// The values that get a line and a label: powers of ten, with 2 and 5 between where there is room; at every few decades
-    /// where there is little. `pixels` is the length of the axis.
+    /// The values that get a line and a label. These are powers of ten; also 2 and 5 times these if there is room, or only
+    /// every few decades if there is little room. `pixels` is the length of the axis.
     fn ticks(&self, pixels: f64) -> Vec<f64> {
         let decade = pixels / (self.high / self.low).log10();
         let digits: &[f64] = if 0.22 * decade > LABEL { &[1.0, 2.0, 5.0] } else { &[1.0] };
@@ -66,13 +66,13 @@ impl Axis {
     }
 }
 
-/// Divided by a whole power, so that 0.3 is the double that prints as 0.3.
+/// A digit times a power of ten. It divides by a whole power, so that 0.3 is the double that prints as 0.3.
 fn of_digit(digit: f64, decade: i32) -> f64 {
     let power = 10f64.powi(decade.abs());
     if decade < 0 { digit / power } else { digit * power }
 }
 
-/// A value of one digit as it stands at an axis: 0.02, 1, 50, then 10³, 2·10⁴.
+/// The label of a value with one significant digit: 0.02, 1, 50, then 10³, 2·10⁴.
 pub(super) fn label(value: f64) -> String {
     let text = format!("{value:.0e}");
     let (digit, power) = text.split_once('e').unwrap_or((&text, "0"));
@@ -95,7 +95,7 @@ pub(super) fn text_style(size: f64, colour: RGBColor) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&colour)
 }
 
-/// A chart with a grid and labels. `unit` stands after each label of the upright axis, whose values are multiplied by `factor`.
+/// A chart with a grid and labels. Labels of the vertical axis are multiplied by `factor` and followed by `unit`.
 pub(super) fn chart<'a, 'b>(
     area: &'a Area<'b>,
     [x, y]: [Axis; 2],
@@ -123,12 +123,12 @@ pub(super) fn chart<'a, 'b>(
     Ok(chart)
 }
 
-/// A value that a factor of ten has rounded, to one digit again.
+/// A value with one significant digit, without the rounding error of a factor of ten.
 fn of_label(value: f64) -> f64 {
     format!("{value:.0e}").parse().unwrap_or(value)
 }
 
-/// Words beside marks, placed so that none covers another or a mark.
+/// Places words beside marks so that no word covers another word or a mark.
 #[derive(Debug, Default)]
 pub(super) struct Words {
     /// Boxes that are taken: left, top, right, bottom in pixels.
@@ -142,11 +142,11 @@ impl Words {
         self.taken.push([x - radius, y - radius, x + radius, y + radius]);
     }
 
-    /// The upper left corner of a word beside a place, within the width of the drawing.
+    /// The upper left corner for a word beside a mark, within the width of the drawing.
     pub fn place(&mut self, word: &str, (x, y): (i32, i32), width: f64) -> (i32, i32) {
         let size = [LETTER * word.chars().count() as f64, FONT];
         let (x, y) = (f64::from(x), f64::from(y));
-        // Near before far; at each distance to the right, to the left, above and below.
+        // Tries near places first. At each distance: to the right, to the left, above and below.
         let offsets = (1..12).flat_map(|ring| {
             let far = 9.0 * f64::from(ring);
             let half = [0.5 * size[0], 0.5 * size[1]];
@@ -172,7 +172,7 @@ impl Words {
     }
 }
 
-/// Text that XML can hold: control characters have no place in it. What else it needs plotters does.
+/// The text without control characters, which XML cannot hold. Plotters escapes the rest.
 pub(super) fn printable(text: &str) -> String {
     let is_bad = |c: char| c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}');
     text.chars().map(|c| if is_bad(c) { '\u{fffd}' } else { c }).collect()

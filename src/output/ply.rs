@@ -11,8 +11,10 @@
 //! A face shows the side of its patch that has more light, and faces never lie on one another, so that viewers which draw both
 //! sides of a face show no noise. With [`PlyOptions::backs`] both sides of a patch are faces.
 //!
-//! Where patches differ in size ([`Patches::refined`]), some sides are two faces, halves: the second ones come after all
-//! others, and `patch` int says which belong together. Values are those of the whole patch, areas those of the face.
+//! Where patches of several sizes meet, a large patch has vertices of its neighbours on its edges. It is then cut to
+//! several triangles, so that no viewer shows gaps along its edges. The first triangle of each patch comes in the order
+//! of patches, the others come after all of these, and `patch` int says which belong together. Values are those of the
+//! whole patch, areas those of the face.
 
 use std::{
     io::{self, Write},
@@ -104,7 +106,7 @@ pub fn write<'a>(
 /// Writes the solution to `out`, which should be buffered.
 ///
 /// # Errors
-/// What `out` says; [`io::ErrorKind::InvalidData`] when a value exceeds single precision.
+/// Errors of writing to `out`; [`io::ErrorKind::InvalidData`] when a value exceeds single precision.
 ///
 /// # Panics
 /// When the sizes disagree.
@@ -128,7 +130,7 @@ pub fn encode<'a>(
         true => Shown::all(&mesh),
         false => Shown::of(&mesh, &lit_sides(scene, patches, light)),
     };
-    let header = header(exposure, &shown, options, patches.is_restricted());
+    let header = header(exposure, &shown, options, mesh.has_pieces());
 
     Writer::<Vertex>::new().write_header(&mut out, &header)?;
     let channels = patches.channels();

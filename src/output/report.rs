@@ -1,7 +1,7 @@
-//! The figures of a run as JSON.
+//! The figures of a solution as JSON.
 //!
-//! Arrays of three are red, green and blue. A figure that is not known or not finite is `null`. Lengths, and what
-//! derives from them, are in the scene's own unit; powers are watts where that is the metre.
+//! Arrays of three are red, green and blue. A figure that is unknown or not finite is `null`. Lengths and areas are in
+//! the unit of the scene. Powers are in watts if that unit is the metre.
 
 use std::{
     io::{self, Write},
@@ -24,28 +24,28 @@ use crate::{
     tone::rgb,
 };
 
-/// What `radiosity solve --report` writes.
+/// The report of `radiosity solve`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SolveReport {
     /// Version of the program.
     pub version: &'static str,
-    /// What was computed on.
+    /// The scene and its patches.
     pub scene: SceneReport,
-    /// The rays and what became of them.
+    /// The rays and the form factors.
     pub form_factors: FormFactorsReport,
     /// The linear system.
     pub solve: SolverReport,
-    /// Where the light went.
+    /// The energy ledger.
     pub energy: EnergyReport,
-    /// How wrong the answer is.
+    /// The estimated errors.
     pub error: ErrorReport,
-    /// How sampling went.
+    /// The rounds of sampling.
     pub rounds: Vec<RoundReport>,
     /// Time of each stage.
     pub seconds: Seconds,
-    /// Most memory held at any time; `null` where the operating system does not tell.
+    /// Most memory held at any time; `null` where the operating system does not report it.
     pub peak_bytes: Option<u64>,
-    /// What was asked for, enough to run it again.
+    /// The options, enough to run the computation again.
     pub options: OptionsReport,
 }
 
@@ -54,19 +54,19 @@ pub struct SolveReport {
 pub struct SceneReport {
     /// The file, as it was named.
     pub file: String,
-    /// Triangles that have an area.
+    /// Number of triangles with an area.
     pub triangles: usize,
-    /// Unknowns: patches of fronts and of those backs that rays have hit.
+    /// Number of unknowns: patches of fronts, and of backs that rays have hit.
     pub patches: usize,
     /// Area of all triangles, one side each.
     pub area: f64,
-    /// 1 when everything in the scene is grey, else 3.
+    /// 1 if everything in the scene is grey, else 3.
     pub channels: usize,
-    /// Those of the patches that are on backs.
+    /// Number of patches on backs.
     pub back_patches: usize,
-    /// No patch has an edge longer than this; `null` where triangles were left whole.
+    /// The longest edge that the subdivision allowed; `null` where triangles were left whole.
     pub patch_edge: Option<f64>,
-    /// What the reader left out or assumed.
+    /// Warnings of the reader: what it left out or assumed.
     pub warnings: Vec<String>,
 }
 
@@ -75,15 +75,15 @@ pub struct SceneReport {
 pub struct FormFactorsReport {
     /// Rays cast.
     pub rays: u64,
-    /// Form factors that are not zero.
+    /// Number of form factors that are not zero.
     pub non_zeros: usize,
-    /// Memory of the form factors and the hits.
+    /// Bytes of form factors and hits.
     pub bytes: usize,
     /// Share of the hemisphere rays that left the scene.
     pub escaped_fraction: f64,
-    /// Rays that hit the back of a surface.
+    /// Number of rays that hit the back of a surface.
     pub back_hits: u64,
-    /// Those outside 0 to 1: none, or something is wrong.
+    /// Number of form factors outside 0 to 1. Anything but 0 is a bug.
     pub out_of_range: usize,
     /// Largest |sum of a row + its escaped share - 1|.
     pub row_sum_deviation: BeforeAfter,
@@ -91,85 +91,85 @@ pub struct FormFactorsReport {
     pub reciprocity_deviation: BeforeAfter,
 }
 
-/// A figure of the rays as cast, and of the form factors in use; `null` without form factors.
+/// A figure before and after closure; `null` without form factors.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct BeforeAfter {
-    /// As cast.
+    /// For the form factors as the rays gave them.
     pub before: Option<f64>,
-    /// In use.
+    /// For the form factors that the solver uses.
     pub after: Option<f64>,
 }
 
-/// The solver and how far it went.
+/// The solver and its convergence.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SolverReport {
     /// Its name.
     pub solver: &'static str,
-    /// Its iterations.
+    /// Number of iterations.
     pub iterations: usize,
-    /// Σ A |Be + ρ E - B| / Σ A Be of the worst channel; `null` without a system that it could be of.
+    /// Σ A |Be + ρ E - B| / Σ A Be of the worst channel; `null` without a linear system.
     pub residual: Option<f64>,
-    /// No patch's radiosity is farther from the exact solution of the system; `null` where nothing bounds it.
+    /// Bound on the difference of any patch's radiosity from the exact solution of the system; `null` where there is none.
     pub error_bound: Option<f64>,
-    /// Whether the tolerance was reached; without a system, whether what the rays miss in energy is no more than
-    /// their error.
+    /// Whether the tolerance was reached. Without a linear system: whether the energy imbalance of the rays is within its
+    /// standard error.
     pub converged: bool,
 }
 
 /// The energy ledger.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct EnergyReport {
-    /// Power emitted.
+    /// Emitted power.
     pub emitted: [f64; 3],
-    /// Power absorbed.
+    /// Absorbed power.
     pub absorbed: [f64; 3],
-    /// Power that left the scene.
+    /// Escaped power.
     pub escaped: [f64; 3],
-    /// Standard error of that; `null` without a matrix.
+    /// Standard error of the escaped power; `null` without a matrix.
     pub escaped_standard_error: Option<[f64; 3]>,
     /// (emitted - absorbed - escaped) / emitted of the worst channel.
     pub imbalance: f64,
-    /// The part of the imbalance that the solver's residual makes; `null` without a system.
+    /// The part of the imbalance that is due to the residual of the solver; `null` without a linear system.
     pub solver_part: Option<f64>,
-    /// The part that form factors make which are not reciprocal; `null` without them.
+    /// The part that is due to form factors without reciprocity; `null` without form factors.
     pub reciprocity_part: Option<f64>,
-    /// Without a matrix: the imbalance of what the rays say, before it is scaled so that none remains.
+    /// Without a matrix: the imbalance of the rays, before the result is scaled to remove it.
     pub sampled_imbalance: Option<f64>,
-    /// Its standard error.
+    /// Standard error of that imbalance.
     pub sampled_imbalance_error: Option<f64>,
 }
 
-/// Estimated errors; `null` where they were not estimated.
+/// Estimated errors; `null` where there is no estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ErrorReport {
-    /// Root mean square of the irradiance's standard error, by area, relative to the mean irradiance.
+    /// Root mean square of the standard errors of irradiance, weighted by area, relative to the mean irradiance.
     pub rms_relative: Option<f64>,
-    /// Confidence of the intervals that derive from it.
+    /// Level of the confidence intervals.
     pub confidence: f64,
     /// Estimated bias, relative to the mean irradiance.
     pub bias_relative: Option<f64>,
-    /// Error of taking radiosity as constant over each patch, relative; without a matrix only where it chose the patches.
+    /// Discretisation error, relative to the mean irradiance. Without a matrix only if it determined the patches.
     pub discretisation_relative: Option<f64>,
-    /// Bound on what the solver left, relative to the mean irradiance; `null` where nothing bounds it.
+    /// Bound on the error of the solver, relative to the mean irradiance; `null` where there is none.
     pub solver_relative: Option<f64>,
-    /// The error that was asked for; `null` where none was.
+    /// The value of `--error`; `null` without it.
     pub target: Option<f64>,
 }
 
 /// A round of sampling.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RoundReport {
-    /// Mean number of rays a patch, all rounds so far together.
+    /// Mean number of rays per patch in all rounds so far.
     pub rays_per_patch: f64,
-    /// As `rms_relative` of the errors.
+    /// The sampling error, as `rms_relative` of the errors.
     pub rms_relative: f64,
     /// Seconds since the first round began.
     pub elapsed: f64,
 }
 
 impl Default for ErrorReport {
-    /// Nothing estimated, confidence 0.95.
+    /// No estimates, confidence level 0.95.
     fn default() -> Self {
         ErrorReport {
             rms_relative: None,
@@ -191,24 +191,24 @@ pub struct Seconds {
     pub subdivide: f64,
     /// Building the bounding volume hierarchy.
     pub bvh: f64,
-    /// Casting rays and making form factors of them.
+    /// Casting rays and computing form factors.
     pub form_factors: f64,
-    /// Solving the system, adding up its energy and estimating its errors.
+    /// Solving, energy ledger and error bars.
     pub solve: f64,
     /// Writing the mesh.
     pub output: f64,
-    /// Everything up to the report.
+    /// All stages up to the report.
     pub total: f64,
 }
 
-/// What the user chose, or what was chosen for them.
+/// The options as given, or their defaults.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OptionsReport {
-    /// Rays asked for, a patch.
+    /// Wanted number of rays per patch.
     pub rays_per_patch: f64,
     /// `pooled` or `one-way`; `sweeps` without a matrix.
     pub estimator: &'static str,
-    /// Relative residual demanded; `null` without a matrix.
+    /// Tolerance for the relative residual; `null` without a matrix.
     pub tolerance: Option<f64>,
     /// Seed of the rays.
     pub seed: u64,
@@ -217,7 +217,7 @@ pub struct OptionsReport {
 }
 
 impl SolveReport {
-    /// Collects the figures of a solution. Times, errors and peak memory are for the caller to fill in.
+    /// Collects the figures of a solution. The caller adds times, errors and peak memory.
     pub fn new(
         file: &str,
         scene: &Scene,
@@ -291,7 +291,7 @@ impl SolveReport {
     /// Writes it as indented JSON with a line end after it.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of writing to `out`.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         super::write_json(self, out)
     }
@@ -376,7 +376,7 @@ fn finite(x: f64) -> Option<f64> {
     x.is_finite().then_some(x)
 }
 
-/// Most memory that this process has held at any time, as Linux tells; `None` elsewhere.
+/// Peak memory of this process on Linux; `None` on other systems.
 pub fn peak_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

@@ -7,34 +7,34 @@ use serde::Serialize;
 use super::report::Seconds;
 use crate::monte_carlo::{Camera, Estimate, Film};
 
-/// What `radiosity render --report` and `radiosity probe --report` write.
+/// The report of `radiosity render` and `radiosity probe`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SamplingReport {
     /// Version of the program.
     pub version: &'static str,
     /// The scene's file, as it was named.
     pub scene: String,
-    /// Triangles that have an area.
+    /// Number of triangles with an area.
     pub triangles: usize,
     /// `path`, `light` or `radiosity`.
     pub method: &'static str,
-    /// Samples a pixel or a point.
+    /// Samples per pixel or point.
     pub samples: u32,
-    /// Whether points on emitters were chosen.
+    /// Whether next event estimation was used.
     pub next_event: bool,
-    /// Rays of the last bounce, a sample; `null` without one.
+    /// Rays of the final gather per sample; `null` without a final gather.
     pub final_gather: Option<u32>,
-    /// Patches of the solution; `null` where nothing was solved.
+    /// Number of patches of the solution; `null` without a solution.
     pub patches: Option<usize>,
-    /// Everything is a function of it.
+    /// Seed of the random numbers.
     pub seed: u64,
-    /// The picture, if one was made.
+    /// The picture, if there is one.
     pub picture: Option<PictureReport>,
-    /// The probes, if there were any.
+    /// The probes, if there are any.
     pub probes: Option<ProbesReport>,
     /// Time of each stage.
     pub seconds: SamplingSeconds,
-    /// Most memory held at any time; `null` where the operating system does not tell.
+    /// Most memory held at any time; `null` where the operating system does not report it.
     pub peak_bytes: Option<u64>,
 }
 
@@ -45,11 +45,11 @@ pub struct PictureReport {
     pub width: usize,
     /// Rows of pixels.
     pub height: usize,
-    /// Where the camera stands.
+    /// Position of the camera.
     pub eye: [f64; 3],
     /// The point in the middle of the picture.
     pub look_at: [f64; 3],
-    /// The direction that is upwards in the picture.
+    /// Direction that points upwards in the picture.
     pub up: [f64; 3],
     /// Vertical angle of view, degrees.
     pub fov: f64,
@@ -62,11 +62,11 @@ pub struct PictureReport {
 /// Probes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ProbesReport {
-    /// How many.
+    /// Number of probes.
     pub points: usize,
-    /// Mean irradiance over them, W/m².
+    /// Mean irradiance of the probes, W/m².
     pub mean_irradiance: [f64; 3],
-    /// Root mean square of their standard errors over the mean irradiance, of the worst channel.
+    /// Root mean square of the standard errors relative to the mean irradiance, in the worst channel.
     pub rms_relative: f64,
 }
 
@@ -115,7 +115,7 @@ impl SamplingReport {
     /// Writes it as indented JSON with a line end after it.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of writing to `out`.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         super::write_json(self, out)
     }

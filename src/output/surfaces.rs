@@ -1,8 +1,8 @@
-//! Which triangles make one smooth surface at an edge and round a vertex.
+//! Which triangles form one smooth surface at an edge and around a vertex.
 //!
-//! Two triangles continue each other across an edge when nobody else has that edge, their windings agree, they are of
-//! one material and their normals differ by less than the crease angle. An edge of three triangles is where surfaces
-//! meet, a floor and the walls of two rooms on it, and light on one says nothing about the others.
+//! Two triangles continue each other across an edge if no third triangle has that edge, their windings agree, they have
+//! one material, and their normals differ by less than the crease angle. At an edge of three triangles several surfaces
+//! meet, for example a floor and a wall with a room on each side. Their light is independent.
 
 use crate::{
     patch::{
@@ -15,10 +15,10 @@ use crate::{
 /// No such edge, vertex or slot.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// Triangles, their sides, and who continues whom.
+/// The sides of triangles, and which of them continue each other.
 ///
-/// A *slot* is a corner, or the edge that starts at it, of one side of one triangle: the front's are `3 t + k`, the
-/// back's come after all fronts'.
+/// A *slot* is a corner of one side of a triangle, or the edge that starts at it. Slots of fronts have the numbers
+/// `3 t + k`. Slots of backs follow after all fronts.
 pub(super) struct Surfaces {
     triangles: usize,
     /// For each slot, the slot of the same edge on the triangle that continues this one; [`NONE`] at a crease.
@@ -79,16 +79,16 @@ impl Surfaces {
     }
 }
 
-/// Sets of numbers, of which any two can be made one (Galler and Fischer, CACM 7(5), 1964).
+/// Disjoint sets of numbers that can be united (Galler and Fischer, CACM 7(5), 1964).
 pub(crate) struct DisjointSets(Vec<u32>);
 
 impl DisjointSets {
-    /// Of one member each.
+    /// `n` sets of one member each.
     pub(crate) fn new(n: usize) -> DisjointSets {
         DisjointSets((0..n as u32).collect())
     }
 
-    /// The least member of a set.
+    /// The smallest member of a set.
     fn root(&mut self, mut i: usize) -> usize {
         while self.0[i] as usize != i {
             self.0[i] = self.0[self.0[i] as usize];
@@ -102,7 +102,7 @@ impl DisjointSets {
         self.0[i.max(j)] = i.min(j) as u32;
     }
 
-    /// The number of the set of each, in the order of their first members; and how many sets there are.
+    /// The number of each member's set, and the number of sets. Sets are numbered in the order of their first members.
     pub(crate) fn numbers(mut self) -> (Vec<u32>, usize) {
         let (mut count, mut numbers) = (0, vec![NONE; self.0.len()]);
         for i in 0..self.0.len() {
@@ -128,7 +128,7 @@ fn next(slot: u32) -> u32 {
     if slot % 3 == 2 { slot - 2 } else { slot + 1 }
 }
 
-/// Pairs of front slots whose triangles continue each other across the edge, whatever their materials.
+/// Pairs of front slots whose triangles continue each other across the edge. Their materials may differ.
 pub(crate) fn smooth_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
     let normals: Vec<_> = (0..scene.triangles.len()).map(|t| scene.normal(t)).collect();
     let least_cosine = crease.to_radians().cos();

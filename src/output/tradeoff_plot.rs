@@ -1,4 +1,4 @@
-//! Speed against accuracy as a drawing: error over seconds, both logarithmic.
+//! The chart of speed against accuracy: error over seconds, both logarithmic.
 
 use plotters::{
     element::{Circle, Cross, EmptyElement, PathElement, Polygon, Rectangle, Text},
@@ -19,7 +19,7 @@ const HEADER: u32 = 84;
 const LEGEND_LINE: u32 = 20;
 /// Where the second chart begins.
 const MIDDLE: u32 = 640;
-/// From Okabe and Ito's palette, which the colour-blind can tell apart.
+/// Colours of Okabe and Ito's palette, which colour-blind people can distinguish.
 const LINES: [RGBColor; 3] = [RGBColor(86, 180, 233), RGBColor(0, 114, 178), RGBColor(0, 51, 90)];
 const PATH: RGBColor = RGBColor(213, 94, 0);
 const PRESET: RGBColor = RGBColor(204, 121, 167);
@@ -33,25 +33,25 @@ const SOLVERS: [(Solver, RGBColor); 5] = [
     (Solver::Direct, RGBColor(51, 51, 51)),
 ];
 
-/// How a point looks.
+/// The look of a point.
 #[derive(Clone, Copy, PartialEq)]
 enum Mark {
     Dot,
     Ring,
     Diamond,
     Cross,
-    /// Only in the legend: a line with a dot, a dotted line.
+    /// For the legend only: a line with a dot, a dotted line.
     Line,
     Dotted,
 }
 
-/// What the marks mean.
+/// The legend.
 type Legend = Vec<(RGBColor, Mark, String)>;
 
 /// The drawing as SVG.
 ///
-/// On the left error over all seconds: a line a patch size, path tracing, the presets and the estimators. On the right error
-/// over the seconds of the solver alone.
+/// The left chart shows the error over the time of everything: a line for each patch size, path tracing, the presets and
+/// the estimators. The right chart shows the error over the time of the solver alone.
 pub fn svg(file: &str, tradeoff: &Tradeoff) -> String {
     let of_solver = |p: &&Point| p.series == Series::Solver;
     let (right, left): (Vec<&Point>, Vec<&Point>) = tradeoff.points.iter().partition(of_solver);
@@ -132,24 +132,24 @@ fn line_of(point: &Point) -> Option<usize> {
     }
 }
 
-/// What is zero has no place on a logarithmic axis.
+/// The positive values: zero has no place on a logarithmic axis.
 fn place(x: f64, y: f64) -> Option<(f64, f64)> {
     (x > 0.0 && y > 0.0).then_some((x, y))
 }
 
-/// The errors that the reference cannot tell.
+/// Shades the errors that are smaller than the error of the reference.
 fn band(chart: &mut Chart, [x, y]: [Axis; 2], known: f64) -> Drawn {
     if known > y.low {
         let top = known.min(y.high);
         chart.draw_series([Rectangle::new([(x.low, y.low), (x.high, top)], BAND.filled())])?;
-        let text = format!("below the reference's own error, {:.2} %", 100.0 * known);
+        let text = format!("below the error of the reference, {:.2} %", 100.0 * known);
         let beside = EmptyElement::at((x.low, top)) + Text::new(text, (6, 4), text_style(11.0, GREY));
         chart.draw_series([beside])?;
     }
     Ok(())
 }
 
-/// The lines of patch sizes and of path tracing, with the errors that solutions estimate themselves dotted.
+/// The lines of patch sizes and of path tracing. Dotted lines show the estimated errors.
 fn lines(chart: &mut Chart, left: &[&Point]) -> Drawn {
     let of_line =
         |line: usize| -> Vec<&Point> { left.iter().copied().filter(|p| line_of(p) == Some(line)).collect() };
@@ -239,7 +239,7 @@ fn legend(left: &[&Point]) -> Legend {
             format!("path tracing with next event, {:.0} to {:.0} paths a patch", first.rays, last.rays);
         legend.push((PATH, Mark::Line, text));
     }
-    legend.push((GREY, Mark::Dotted, "the same with the error that the solution itself estimates".into()));
+    legend.push((GREY, Mark::Dotted, "the same, with the estimated error".into()));
     let mut letters = 'a'..='z';
     for p in left {
         match p.series {
@@ -273,7 +273,7 @@ fn mebibytes(point: &Point) -> f64 {
     point.bytes as f64 / f64::from(1 << 20)
 }
 
-/// Draws what the marks mean.
+/// Draws the legend.
 fn key(area: &Area, legend: &Legend) -> Drawn {
     for (k, (colour, kind, text)) in legend.iter().enumerate() {
         let (x, y) = (84, (LEGEND_LINE * k as u32) as i32 + 10);

@@ -13,82 +13,83 @@ use crate::{
 pub const CSV_NAMES: &str = "series,name,patches,rays,solver,tolerance,iterations,error,believed,estimated_error,\
     estimated_sampling,estimated_discretisation,seconds,seconds_casting,seconds_solving,seconds_error_bars,runs,bytes";
 
-/// What `radiosity tradeoff` writes. Errors are RMS by area over the common patches, relative to the mean irradiance.
+/// The report of `radiosity tradeoff`. Errors are RMS over the common patches, weighted by area, relative to the mean
+/// irradiance.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TradeoffReport {
     /// Version of the program.
     pub version: &'static str,
     /// The scene's file, as it was named.
     pub scene: String,
-    /// Its triangles.
+    /// Number of triangles.
     pub triangles: usize,
-    /// Threads that the times were taken with.
+    /// Number of threads.
     pub threads: usize,
     /// The seed of the first run of every point.
     pub seed: u64,
-    /// Patches that errors are taken over.
+    /// Number of common patches.
     pub common_patches: usize,
-    /// What the truth is taken from.
+    /// The reference.
     pub reference: ReferenceReport,
     /// The points.
     pub points: Vec<PointReport>,
-    /// What could not be had, a sentence each.
+    /// Points that were left out, one sentence each.
     pub left_out: Vec<String>,
 }
 
-/// The two solutions that the truth is taken from.
+/// The reference: the mean of two solutions.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ReferenceReport {
-    /// Patches of each.
+    /// Number of patches of each.
     pub patches: usize,
-    /// Rays a patch of each.
+    /// Rays per patch of each.
     pub rays: f64,
-    /// Estimated error of their mean: sampling and the size of patches. No true error below it is believed.
+    /// Estimated error of their mean: sampling error and discretisation error. Smaller measured errors mean nothing.
     pub error: f64,
-    /// The part of sampling.
+    /// The sampling error.
     pub sampling: f64,
-    /// The part of the patches' size.
+    /// The discretisation error.
     pub discretisation: f64,
 }
 
-/// One choice, what it costs and what it gives.
+/// One choice of options with its time and its error.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PointReport {
     /// `rays`, `preset`, `estimator`, `solver` or `path tracing`.
     pub series: &'static str,
     /// The preset or estimator.
     pub name: &'static str,
-    /// Patches.
+    /// Number of patches.
     pub patches: usize,
-    /// Mean rays a patch; of path tracing, paths.
+    /// Mean number of rays per patch; for path tracing, of paths.
     pub rays: f64,
-    /// The solver that ran; empty for path tracing.
+    /// The solver; empty for path tracing.
     pub solver: &'static str,
     /// Its tolerance.
     pub tolerance: Option<f64>,
-    /// Its iterations.
+    /// Number of iterations.
     pub iterations: usize,
-    /// The true error.
+    /// The measured error.
     pub error: f64,
-    /// Whether it is above the error of the reference.
+    /// Whether the measured error is above the error of the reference.
     pub believed: bool,
-    /// What the point itself tells of its error: sampling and the size of patches.
+    /// The error that the solution estimates for itself: sampling error and discretisation error.
     pub estimated_error: f64,
-    /// The part of sampling.
+    /// The sampling error.
     pub estimated_sampling: f64,
-    /// The part of the patches' size, where it can be told.
+    /// The discretisation error, if there is an estimate.
     pub estimated_discretisation: Option<f64>,
-    /// Wall clock: casting, solving and error bars.
+    /// Wall-clock time of casting, solving and error bars.
     pub seconds: f64,
-    /// Subdivision and form factors; of path tracing, everything.
+    /// Time of subdivision and form factors; for path tracing, of everything.
     pub seconds_casting: f64,
-    /// The linear system.
+    /// Time of the solver.
     pub seconds_solving: f64,
-    /// Error bars.
+    /// Time of the error bars.
     pub seconds_error_bars: f64,
-    /// Runs: times are medians, squares of errors are averaged.
+    /// Number of runs. Times are medians. Errors are root mean squares.
     pub runs: usize,
-    /// Bytes of form factors and hits; of path tracing, its estimates.
+    /// Bytes of form factors and hits; for path tracing, of its estimates.
     pub bytes: usize,
 }
 
@@ -118,16 +119,16 @@ impl TradeoffReport {
     /// Writes it as indented JSON with a line end after it.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of writing to `out`.
     pub fn write_json(&self, out: &mut dyn Write) -> io::Result<()> {
         super::write_json(self, out)
     }
 
-    /// Writes the points as CSV, names first, without quotes: no name has a comma. The columns are the fields of
-    /// [`PointReport`].
+    /// Writes the points as CSV, with the names of the columns first. There are no quotes, because no name has a comma. The
+    /// columns are the fields of [`PointReport`].
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of writing to `out`.
     pub fn write_csv(&self, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out, "{CSV_NAMES}")?;
         let maybe = |x: Option<f64>| x.map_or(String::new(), |x| x.to_string());

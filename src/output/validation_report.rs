@@ -17,7 +17,7 @@ use crate::{
     scene::Scene,
 };
 
-/// What `radiosity validate --report` writes.
+/// The report of `radiosity validate`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ValidationReport {
     /// Version of the program.
@@ -26,41 +26,40 @@ pub struct ValidationReport {
     pub scene: String,
     /// Whether every check passed.
     pub valid: bool,
-    /// What speaks against the answer, a sentence each.
+    /// The failed checks, one sentence each.
     pub objections: Vec<String>,
-    /// Patches under test.
+    /// Number of patches of the solution.
     pub patches: usize,
-    /// Rays of the solution under test.
+    /// Number of rays of the solution.
     pub rays: u64,
-    /// The energy ledger with its split.
+    /// The energy ledger.
     pub energy: EnergyReport,
     /// Largest |sum of a row + its escaped share - 1|.
     pub row_sum_deviation: BeforeAfter,
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j).
     pub reciprocity_deviation: BeforeAfter,
-    /// What the size of the patches may add to differences, RMS relative to the mean irradiance: measured by solving
-    /// with edges half as long.
+    /// Discretisation error, RMS relative to the mean irradiance. It was measured with edges half as long.
     pub discretisation_relative: f64,
-    /// Each pair of methods.
+    /// The comparisons of pairs of methods.
     pub comparisons: Vec<ComparisonReport>,
-    /// What taking all surfaces as Lambertian costs, where that was asked.
+    /// The error of the Lambertian assumption, if it was measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lambert: Option<LambertReport>,
 }
 
-/// How two methods differ.
+/// The differences between two methods.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ComparisonReport {
-    /// Which two.
+    /// The names of the methods.
     pub what: &'static str,
     /// The figures.
     #[serde(flatten)]
     pub figures: Comparison,
-    /// The worst patches.
+    /// The patches that differ most.
     pub worst: Vec<WorstReport>,
 }
 
-/// A patch where two methods differ most.
+/// A patch where two methods differ much.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct WorstReport {
     /// Index of the patch.
@@ -71,7 +70,7 @@ pub struct WorstReport {
     pub position: [f64; 3],
     /// Name of its material.
     pub material: String,
-    /// The difference in standard errors.
+    /// The difference in units of its standard error.
     pub z: f64,
     /// Irradiance by the first method, W/m².
     pub first: f64,
@@ -106,7 +105,7 @@ impl ValidationReport {
     /// Writes it as indented JSON with a line end after it.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of writing to `out`.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         super::write_json(self, out)
     }

@@ -1,22 +1,22 @@
 //! Radiosity at vertices, for viewers that shade smoothly.
 //!
-//! Patches carry one radiosity each; a vertex takes the mean of the patches of its surface that meet there, weighted
-//! by their angles at it, as Cohen and Wallace ("Radiosity and Realistic Image Synthesis", 1993, chapter 9) do with
-//! equal weights. Angles make the result independent of how a flat surface was cut into triangles, and reproduce a
-//! radiosity that varies linearly over a regular mesh.
+//! The value at a vertex is a mean over the patches of its surface that meet there, weighted by their angles at the
+//! vertex. Cohen and Wallace ("Radiosity and Realistic Image Synthesis", 1993, chapter 9) use equal weights. With angles
+//! as weights the result does not depend on how a flat surface was cut into triangles, and radiosity that varies linearly
+//! over a regular mesh is reproduced.
 
 use rayon::prelude::*;
 
 use super::vertices::PatchMesh;
 use crate::{patch::Patches, scene::Scene};
 
-/// Below this a corner has no angle worth the name; it still counts, or a vertex of slivers alone would have no value.
+/// The smallest weight, so that a vertex between slivers alone has a value.
 const LEAST_ANGLE: f64 = 1e-9;
 
-/// A quantity of the patches at the vertices; `patches.channels()` interleaved values each.
+/// Values at the vertices from values of the patches, both with `patches.channels()` interleaved channels.
 ///
 /// # Panics
-/// When `values` does not hold `channels` values a patch.
+/// When `values` does not hold `channels` values per patch.
 pub fn at_vertices(scene: &Scene, patches: &Patches, mesh: &PatchMesh, values: &[f64]) -> Vec<f64> {
     match patches.channels() {
         1 => mean::<1>(scene, patches, mesh, values),
@@ -42,7 +42,7 @@ fn mean<const C: usize>(scene: &Scene, patches: &Patches, mesh: &PatchMesh, valu
     for (sum, weight) in sums.iter_mut().zip(&weights) {
         *sum = sum.map(|s| s / weight);
     }
-    // The coarse edge is drawn straight between its ends: any other value here would show as a crack of colour.
+    // Light is linear along the edge of the larger patch. Another value here would show its pieces.
     for hanging in mesh.hanging() {
         let [a, b] = hanging.ends.map(|end| sums[end as usize]);
         sums[hanging.vertex as usize] = std::array::from_fn(|c| a[c] + (b[c] - a[c]) * hanging.fraction);
@@ -54,7 +54,7 @@ fn mean<const C: usize>(scene: &Scene, patches: &Patches, mesh: &PatchMesh, valu
 fn corner_angles(scene: &Scene, t: usize) -> [f64; 3] {
     let p = scene.corners(t);
     let edges = [p[1] - p[0], p[2] - p[1], p[0] - p[2]];
-    // Squares of very short or long edges would leave the range of double precision.
+    // Unscaled, the squares of very short or long edges would leave the range of double precision.
     let scale = edges.iter().map(|e| e.abs().max_element()).fold(0.0, f64::max);
     let edges = edges.map(|e| e / scale);
     std::array::from_fn(|k| {

@@ -1,18 +1,21 @@
 //! The patches as one mesh with shared vertices.
 //!
-//! A vertex is known by where it is: a vertex of the scene; a dyadic fraction of the way along an edge, counted from
-//! the end with the lower index; or a point inside one triangle. Its position comes from one expression of those, so
-//! patches that meet there agree to the last bit, also where one triangle is cut more finely than its neighbour.
-//! There the larger patch may be drawn as two halves, which meet at the vertex that is no corner of it
-//! (`meeting`).
+//! A vertex is a vertex of the scene, a point on an edge, or a point inside one triangle. A point on an edge is given by
+//! its distance from the end with the lower index, as a dyadic fraction. Its position is computed in the same way for all
+//! patches that meet there, so these agree to the last bit.
 //!
-//! Where surfaces meet at a crease, one place has a vertex for each surface, because each has its own radiosity there.
+//! Where one triangle is cut more finely than its neighbour, a large patch has vertices of smaller patches on its edge.
+//! It is drawn as several faces that have these vertices as corners (`pieces`). Otherwise viewers would show pixels of
+//! the background along such edges.
+//!
+//! Where surfaces meet at a crease, each surface has vertices of its own, because each has its own radiosity there.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
     meeting::{Meeting, common_edge},
+    pieces::{OnEdges, Pieces},
     surfaces::{NONE, Surfaces, has_side},
 };
 use crate::{
@@ -24,8 +27,7 @@ use crate::{
     scene::Scene,
 };
 
-/// Surfaces whose normals differ by less than this many degrees at an edge look smooth there: a column of 16 sides
-/// looks round, one of 8 sides keeps its edges.
+/// Default crease angle in degrees. A column of 16 sides looks round with it, a column of 8 sides keeps its edges.
 pub const CREASE: f64 = 30.0;
 
 /// A vertex within an edge of a patch, where smaller ones meet it.
@@ -44,8 +46,7 @@ pub struct Hanging {
 pub struct PatchMesh {
     positions: Vec<DVec3>,
     corners: Vec<[u32; 3]>,
-    /// Patches drawn as two halves, in order: which edge has a vertex in the middle, and which it is.
-    halved: Vec<(u32, usize, u32)>,
+    pieces: Pieces,
     hanging: Vec<Hanging>,
     fronts: usize,
 }
@@ -61,10 +62,11 @@ impl PatchMesh {
                 numbering.add(t, front);
             }
         }
-        let corners = (0..patches.len()).into_par_iter().map(|i| numbering.corners_of(i)).collect();
+        let corners: Vec<_> = (0..patches.len()).into_par_iter().map(|i| numbering.corners_of(i)).collect();
+        let met = numbering.met();
         PatchMesh {
-            halved: numbering.halved(&meeting),
-            hanging: numbering.hanging(&meeting),
+            pieces: Pieces::new(&numbering.positions, &corners, &met),
+            hanging: hanging(patches, &corners, &met),
             positions: numbering.positions,
             corners,
             fronts: patches.fronts(),
@@ -81,34 +83,30 @@ impl PatchMesh {
         self.corners[i]
     }
 
-    /// Number of faces: one a patch in their order, which may be a half, and the other halves.
+    /// Number of faces: first one for each patch, in the order of patches, then the other pieces of patches that are
+    /// drawn as several faces.
     pub fn faces(&self) -> usize {
-        self.corners.len() + self.halved.len()
+        self.corners.len() + self.pieces.others()
     }
 
-    /// The patch that a face is of, and the share of it that the face is.
+    /// Whether some patch is drawn as several faces.
+    pub fn has_pieces(&self) -> bool {
+        self.pieces.others() > 0
+    }
+
+    /// The patch of a face, and the share of the patch's area that the face covers.
     pub fn patch(&self, face: usize) -> (usize, f64) {
-        match face.checked_sub(self.corners.len()) {
-            Some(other) => (self.halved[other].0 as usize, 0.5),
-            None if self.halved_at(face).is_some() => (face, 0.5),
-            None => (face, 1.0),
-        }
+        self.pieces
+            .get(face, self.corners.len())
+            .map_or((face, 1.0), |piece| (piece.patch as usize, piece.share))
     }
 
     /// The vertices of a face, counter-clockwise seen from the side that it is on.
     pub fn face(&self, face: usize) -> [u32; 3] {
-        let (patch, _) = self.patch(face);
-        let mut corners = self.corners[patch];
-        if let Some((_, k, middle)) = self.halved_at(patch) {
-            // Each half has one end of the edge, and the middle in the place of the other.
-            corners[if face == patch { (k + 1) % 3 } else { k }] = middle;
-        }
-        let [a, b, c] = corners;
+        let piece = self.pieces.get(face, self.corners.len());
+        let (patch, [a, b, c]) =
+            piece.map_or_else(|| (face, self.corners[face]), |piece| (piece.patch as usize, piece.corners));
         if patch < self.fronts { [a, b, c] } else { [a, c, b] }
-    }
-
-    fn halved_at(&self, patch: usize) -> Option<(u32, usize, u32)> {
-        self.halved.binary_search_by_key(&(patch as u32), |&(patch, ..)| patch).ok().map(|at| self.halved[at])
     }
 
     /// The vertices within edges of larger patches, the largest first.
@@ -117,23 +115,40 @@ impl PatchMesh {
     }
 }
 
-/// Numbers of the vertices while they are given out. Points have whole barycentric coordinates that sum to 2^[`FINEST`],
-/// and those on edges are known by their distance from the end with the lower index.
+/// The vertices within edges of larger patches, the largest patches first.
+fn hanging(patches: &Patches, corners: &[[u32; 3]], met: &[OnEdges]) -> Vec<Hanging> {
+    let mut order: Vec<&OnEdges> = met.iter().collect();
+    order.sort_by_key(|met| patches.cell(met.patch as usize).level);
+    let of_patch = |met: &'_ &OnEdges| {
+        let corners = corners[met.patch as usize];
+        let of_edge = |k: usize| {
+            let ends = [corners[k], corners[(k + 1) % 3]];
+            let at = move |&(vertex, fraction): &(u32, f64)| Hanging { vertex, ends, fraction };
+            met.edges[k].iter().map(at).collect::<Vec<_>>()
+        };
+        (0..3).flat_map(of_edge).collect::<Vec<_>>()
+    };
+    order.iter().flat_map(of_patch).collect()
+}
+
+/// Gives numbers to the vertices. Points have whole barycentric coordinates that sum to 2^[`FINEST`]. A point on an edge
+/// is given by its distance from the end with the lower index.
 struct Numbering<'a> {
     scene: &'a Scene,
     patches: &'a Patches,
     surfaces: &'a Surfaces,
     meeting: &'a Meeting,
     positions: Vec<DVec3>,
-    /// The vertex at the corner of each slot that is the lowest of its cluster.
+    /// For the lowest slot of each cluster, the vertex at its corner.
     corner: Vec<u32>,
-    /// The first vertex inside the edge of each slot that is the lower of those that share it.
+    /// For the lower of the slots that share an edge, the first vertex inside the edge.
     edge: Vec<u32>,
     /// The first vertex inside each side of a triangle, fronts first.
     inner: Vec<u32>,
-    /// Those slots, and the points inside their edges, where mixed triangles have them; in order.
+    /// The points inside edges of mixed triangles, by edge of the scene and distance, in order. All surfaces that meet at
+    /// an edge have vertices at all of its points.
     on_edges: Vec<(u32, u32)>,
-    /// Triangles that are not uniform, and the points inside them, by two coordinates; in order.
+    /// The points inside triangles that are not uniform, by triangle and two coordinates, in order.
     inside: Vec<(u32, [u32; 2])>,
 }
 
@@ -163,19 +178,10 @@ impl<'a> Numbering<'a> {
             let t = cell.triangle as usize;
             for p in points(cell).into_iter().filter(|p| !p.contains(&(1 << FINEST))) {
                 match edge_of(p) {
-                    Some(k) => {
-                        on_edges.extend(self.owners(t, k).map(|owner| (owner, self.distance(t, k, p))))
-                    }
+                    Some(k) => on_edges.push((self.meeting.edges.of(t, k), self.distance(t, k, p))),
                     None if !self.patches.is_uniform(t) => inside.push((cell.triangle, [p[1], p[2]])),
                     None => {}
                 }
-            }
-        }
-        for &(i, k) in &self.meeting.cut {
-            let p = points(&self.patches.cell(i));
-            let (t, p) = (self.patches.triangle(i), middle(p[k], p[(k + 1) % 3]));
-            if let Some(k) = edge_of(p) {
-                on_edges.extend(self.owners(t, k).map(|owner| (owner, self.distance(t, k, p))));
             }
         }
         on_edges.par_sort_unstable();
@@ -183,13 +189,6 @@ impl<'a> Numbering<'a> {
         inside.par_sort_unstable();
         inside.dedup();
         (self.on_edges, self.inside) = (on_edges, inside);
-    }
-
-    /// The owners of edge `k` on those sides of triangle `t` that have patches.
-    fn owners(&self, t: usize, k: usize) -> impl Iterator<Item = u32> + use<'a> {
-        let (patches, surfaces) = (self.patches, self.surfaces);
-        let sides = [true, false].into_iter().filter(move |&front| has_side(patches, t, front));
-        sides.map(move |front| owner(surfaces, surfaces.slot(t, k, front)) as u32)
     }
 
     fn distance(&self, t: usize, k: usize, p: [u32; 3]) -> u32 {
@@ -236,7 +235,7 @@ impl<'a> Numbering<'a> {
         let [low, high] = [a.min(b), a.max(b)].map(|v| self.scene.vertices[v as usize]);
         let at = |k: u32, n: u32| low + (high - low) * (f64::from(k) / f64::from(n));
         if self.is_listed(slot) {
-            let (_, listed) = run(&self.on_edges, slot as u32);
+            let (_, listed) = run(&self.on_edges, self.scene_edge(slot));
             self.positions.extend(listed.iter().map(|&(_, distance)| at(distance, 1 << FINEST)));
         } else {
             let n = 1 << self.patches.level(self.surfaces.triangle(slot));
@@ -244,18 +243,24 @@ impl<'a> Numbering<'a> {
         }
     }
 
-    /// Whether the points inside the edge of a slot are listed; else its triangles cut it evenly.
+    /// Whether the points inside the edge of a slot are listed. Otherwise its triangles cut it evenly.
     fn is_listed(&self, slot: usize) -> bool {
         let is_mixed = |slot: usize| self.meeting.is_mixed(self.surfaces.triangle(slot));
         is_mixed(slot) || self.surfaces.across(slot).is_some_and(is_mixed)
+    }
+
+    /// The number of the scene's edge that a slot has.
+    fn scene_edge(&self, slot: usize) -> u32 {
+        self.meeting.edges.of(self.surfaces.triangle(slot), slot % 3)
     }
 
     /// The vertex inside an edge at a point, if there is one.
     fn on_edge(&self, slot: usize, distance: u32) -> Option<u32> {
         let owner = owner(self.surfaces, slot);
         let index = if self.is_listed(owner) {
-            let (start, _) = run(&self.on_edges, owner as u32);
-            self.on_edges.binary_search(&(owner as u32, distance)).ok()? - start
+            let edge = self.scene_edge(owner);
+            let (start, _) = run(&self.on_edges, edge);
+            self.on_edges.binary_search(&(edge, distance)).ok()? - start
         } else {
             (distance >> (FINEST - u32::from(self.patches.level(self.surfaces.triangle(owner))))) as usize - 1
         };
@@ -288,65 +293,48 @@ impl<'a> Numbering<'a> {
         Some(self.inner[self.surfaces.slot(t, 0, front) / 3] + index)
     }
 
-    /// The patches that are drawn as two halves.
-    fn halved(&self, meeting: &Meeting) -> Vec<(u32, usize, u32)> {
-        let sides = |&(i, k): &(usize, usize)| {
-            let p = points(&self.patches.cell(i));
-            let middle = middle(p[k], p[(k + 1) % 3]);
-            let vertex = |front| self.vertex(self.patches.triangle(i), front, middle).expect("it was listed");
-            let back = self.patches.back_of(i).map(|back| (back, k, vertex(false)));
-            std::iter::once((i as u32, k, vertex(true))).chain(back)
-        };
-        let mut halved: Vec<(u32, usize, u32)> = meeting.cut.par_iter().flat_map_iter(sides).collect();
-        halved.par_sort_unstable();
-        halved
-    }
-
-    /// The vertices within edges of patches.
-    fn hanging(&self, meeting: &Meeting) -> Vec<Hanging> {
+    /// The patches that have vertices of neighbours on their edges, in order.
+    fn met(&self) -> Vec<OnEdges> {
         let of_cell = |(i, cell): &(usize, Cell)| {
-            let sides =
-                [true, false].into_iter().filter(|&front| front || self.patches.back_of(*i).is_some());
-            let found = sides.flat_map(|front| self.hanging_of(cell, front));
-            found.map(|hanging| (cell.level, hanging)).collect::<Vec<_>>()
+            let back = self.patches.back_of(*i).map(|back| (back, false));
+            let sides = std::iter::once((*i as u32, true)).chain(back);
+            let met = sides.map(|(patch, front)| OnEdges { patch, edges: self.on_edges_of(cell, front) });
+            met.filter(|met| met.edges.iter().any(|edge| !edge.is_empty())).collect::<Vec<_>>()
         };
-        let mut hanging: Vec<(u8, Hanging)> = meeting.cells.par_iter().flat_map_iter(of_cell).collect();
-        hanging.par_sort_by_key(|&(level, _)| level);
-        hanging.into_iter().map(|(_, hanging)| hanging).collect()
+        let mut met: Vec<OnEdges> = self.meeting.cells.par_iter().flat_map_iter(of_cell).collect();
+        met.par_sort_unstable_by_key(|met| met.patch);
+        met
     }
 
-    /// The vertices within the edges of one patch.
-    fn hanging_of(&self, cell: &Cell, front: bool) -> Vec<Hanging> {
+    /// The vertices within each edge of a patch, with their fractions of the way along it, in order.
+    fn on_edges_of(&self, cell: &Cell, front: bool) -> [Vec<(u32, f64)>; 3] {
         let (t, p) = (cell.triangle as usize, points(cell));
-        let mut found = Vec::new();
-        for k in 0..3 {
+        std::array::from_fn(|k| {
             let (a, b) = (p[k], p[(k + 1) % 3]);
-            let end = |p| self.vertex(t, front, p).expect("corners of patches have vertices");
-            let mut add =
-                |vertex: u32, ends: [u32; 2], fraction: f64| found.push(Hanging { vertex, ends, fraction });
             match common_edge(a, b) {
                 Some(side) => {
-                    let owner = owner(self.surfaces, self.surfaces.slot(t, side, front));
+                    let slot = self.surfaces.slot(t, side, front);
+                    let first = self.edge[owner(self.surfaces, slot)];
                     let [from, to] = [a, b].map(|p| self.distance(t, side, p));
-                    let (_, listed) = run(&self.on_edges, owner as u32);
-                    let between = |x: u32| from.min(to) < x && x < from.max(to);
-                    let first = listed.partition_point(|&(_, x)| x <= from.min(to));
-                    for (n, &(_, x)) in
-                        listed.iter().enumerate().skip(first).take_while(|(_, (_, x))| between(*x))
-                    {
-                        let fraction = (f64::from(x) - f64::from(from)) / (f64::from(to) - f64::from(from));
-                        add(self.edge[owner] + n as u32, [end(a), end(b)], fraction);
+                    let (_, listed) = run(&self.on_edges, self.scene_edge(slot));
+                    let [start, end] =
+                        [from.min(to) + 1, from.max(to)].map(|x| listed.partition_point(|&(_, y)| y < x));
+                    let fraction =
+                        |x: u32| (f64::from(x) - f64::from(from)) / (f64::from(to) - f64::from(from));
+                    let mut within: Vec<_> =
+                        (start..end).map(|n| (first + n as u32, fraction(listed[n].1))).collect();
+                    if from > to {
+                        within.reverse();
                     }
+                    within
                 }
+                // Restricted quadtrees: a neighbour in the same triangle is smaller by one level at most.
                 None if !self.patches.is_uniform(t) && u32::from(cell.level) < FINEST => {
-                    if let Some(vertex) = self.vertex(t, front, middle(a, b)) {
-                        add(vertex, [end(a), end(b)], 0.5);
-                    }
+                    self.vertex(t, front, middle(a, b)).map(|vertex| (vertex, 0.5)).into_iter().collect()
                 }
-                None => {}
+                None => Vec::new(),
             }
-        }
-        found
+        })
     }
 }
 

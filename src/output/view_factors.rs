@@ -1,4 +1,4 @@
-//! View factors as tables that other programs read, and the figures of their computation as JSON.
+//! View factors as tables for other programs, and the report of their computation as JSON.
 
 use std::{
     fmt::Write as _,
@@ -15,24 +15,24 @@ use crate::{
     view_factor::{Share, Sight, ViewFactors},
 };
 
-/// Rows that are written as text at a time.
+/// Number of rows that are converted to text at a time.
 const ROWS: usize = 256;
 
-/// What a matrix is written as.
+/// The format of a matrix.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MatrixFormat {
-    /// All entries as text, with names, areas and what escapes.
+    /// All entries as text, with names, areas and escaped shares.
     Csv,
     /// All entries as a NumPy array.
     Npy,
-    /// What is not zero as SciPy's sparse matrix.
+    /// The non-zero entries as a sparse matrix of SciPy.
     Npz,
-    /// What is not zero as Matrix Market coordinates.
+    /// The non-zero entries as Matrix Market coordinates.
     MatrixMarket,
 }
 
 impl MatrixFormat {
-    /// By the ending of a name: `.csv`, `.npy`, `.npz` or `.mtx`.
+    /// The format for the ending of a name: `.csv`, `.npy`, `.npz` or `.mtx`.
     pub fn of(path: &Path) -> Option<MatrixFormat> {
         let extension = path.extension()?.to_string_lossy().to_lowercase();
         match extension.as_str() {
@@ -45,19 +45,19 @@ impl MatrixFormat {
     }
 }
 
-/// The matrix of view factors, with the sky and the ground as surfaces of their own where that is wanted.
+/// The matrix of view factors. Sky and ground may be surfaces of their own.
 ///
-/// What leaves a surface upward goes to the sky, what leaves it downward to the ground. Both are infinitely far and large: nothing of
-/// what leaves them is counted, and their rows are empty.
+/// Light that leaves the scene upward reaches the sky, light that leaves it downward the ground. Both are infinitely large
+/// and far away, so light that they send is not counted and their rows are empty.
 #[derive(Debug, Clone, Copy)]
 pub struct Table<'a> {
-    /// The surfaces,
+    /// The surfaces.
     pub surfaces: &'a Surfaces,
-    /// and what is known of them.
+    /// Their view factors.
     pub found: &'a ViewFactors,
     /// Whether the sky is a surface.
     pub sky: bool,
-    /// Whether the ground is one.
+    /// Whether the ground is a surface.
     pub ground: bool,
 }
 
@@ -68,12 +68,12 @@ impl Table<'_> {
         own.chain(self.sky.then(|| "sky".into())).chain(self.ground.then(|| "ground".into())).collect()
     }
 
-    /// How many rows and columns there are.
+    /// Number of rows and of columns.
     pub fn len(&self) -> usize {
         self.found.len() + usize::from(self.sky) + usize::from(self.ground)
     }
 
-    /// Whether there are none.
+    /// Whether there are no rows.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -82,7 +82,7 @@ impl Table<'_> {
         self.found.areas().get(i).copied().unwrap_or(f64::INFINITY)
     }
 
-    /// What of a row reaches no surface, nor the sky or the ground where they are surfaces.
+    /// The share of a row that reaches no surface. If sky or ground are surfaces, light that reaches them does not count.
     pub fn escaped(&self, i: usize) -> Share {
         let Some(lost) = self.found.lost.get(i) else { return Share::default() };
         match (self.sky, self.ground) {
@@ -93,7 +93,8 @@ impl Table<'_> {
         }
     }
 
-    /// Columns, view factors and standard errors of a row, by columns; also of those that rays found to be zero but might not be.
+    /// Columns, view factors and standard errors of a row, in the order of columns. Includes view factors that are zero with
+    /// a standard error.
     fn entries(&self, i: usize) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
         let own = (i < self.found.len()).then(|| self.found.entries(i)).into_iter().flatten();
         let lost = self.found.lost.get(i).copied().unwrap_or_default();
@@ -102,7 +103,7 @@ impl Table<'_> {
         own.chain(columns.map(|(j, share)| (j, share.value, share.error)))
     }
 
-    /// Columns and view factors of a row that are not zero, by columns.
+    /// Columns and view factors of the non-zero entries of a row, in the order of columns.
     fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
         self.entries(i).map(|(j, f, _)| (j, f)).filter(|&(_, f)| f > 0.0)
     }
@@ -116,7 +117,7 @@ impl Table<'_> {
     /// Writes the matrix.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of writing to `out`.
     pub fn write(&self, format: MatrixFormat, out: &mut dyn Write) -> io::Result<()> {
         match format {
             MatrixFormat::Csv => self.write_csv(out),
@@ -126,9 +127,9 @@ impl Table<'_> {
         }
     }
 
-    /// The first line names the columns: `surface`, `area`, `escaped`, then each surface. Row i holds its name, its area in the
-    /// square of the file's unit, the share of what leaves it that reaches no surface, and F_ij from it to each: what `escaped` and
-    /// these sum up to is 1. Numbers have as many digits as tell them from all others in double precision.
+    /// The first line names the columns: `surface`, `area`, `escaped`, then each surface. Row i holds its name, its area in
+    /// the unit of the file squared, the share that reaches no surface, and F_ij to each surface. `escaped` and the F_ij
+    /// sum to 1. Numbers have enough digits for double precision.
     fn write_csv(&self, out: &mut dyn Write) -> io::Result<()> {
         let names: Vec<String> = self.names().iter().map(|name| quoted(name)).collect();
         writeln!(out, "surface,area,escaped,{}", names.join(","))?;
@@ -154,11 +155,11 @@ impl Table<'_> {
         })
     }
 
-    /// Writes a line `from,to,view_factor,standard_error` for each view factor that is not zero, by rows, and for those that rays
-    /// found to be zero but might not be.
+    /// Writes a line `from,to,view_factor,standard_error` for each view factor that is not zero, and for each that is zero
+    /// with a standard error, in the order of rows.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of writing to `out`.
     pub fn write_pairs(&self, out: &mut dyn Write) -> io::Result<()> {
         let names: Vec<String> = self.names().iter().map(|name| quoted(name)).collect();
         writeln!(out, "from,to,view_factor,standard_error")?;
@@ -172,12 +173,12 @@ impl Table<'_> {
     }
 }
 
-/// Two shares of what escapes, which is known better than how it is divided.
+/// Splits the escaped share in two. Their sum is known better than each of them.
 fn sum(a: Share, b: Share) -> Share {
     Share { value: a.value + b.value, error: a.error.hypot(b.error) }
 }
 
-/// Writes what `row` makes of each row, in order.
+/// Writes the text that `row` returns for each row, in order.
 fn write_rows(n: usize, out: &mut dyn Write, row: impl Fn(usize, &mut String) + Sync) -> io::Result<()> {
     let text = |i: usize| {
         let mut text = String::new();
@@ -191,7 +192,7 @@ fn write_rows(n: usize, out: &mut dyn Write, row: impl Fn(usize, &mut String) + 
     Ok(())
 }
 
-/// Adds a comma and the shortest text that reads back as the same number.
+/// Adds a comma and the shortest text that parses to the same number.
 fn add(text: &mut String, x: f64) {
     let _ = if x == 0.0 || (1e-3..1e6).contains(&x) { write!(text, ",{x}") } else { write!(text, ",{x:e}") };
 }
@@ -205,68 +206,68 @@ pub(super) fn quoted(name: &str) -> String {
     }
 }
 
-/// What `radiosity view-factors --report` writes. A figure that is not finite is `null`.
+/// The report of `radiosity view-factors`. A figure that is not finite is `null`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ViewFactorsReport {
     /// Version of the program.
     pub version: &'static str,
     /// The scene's file, as it was named.
     pub scene: String,
-    /// Triangles of the scene that have an area.
+    /// Number of triangles with an area.
     pub triangles: usize,
-    /// Triangles and parallelograms between which view factors were computed.
+    /// Number of triangles and parallelograms between which view factors were computed.
     pub polygons: usize,
-    /// Of them, those left out because an earlier one is at the same place and faces the same way.
+    /// Number of these that were left out, because an earlier one is at the same place and faces the same way.
     pub doubled: usize,
-    /// Triangles left out as too small beside the scene.
+    /// Number of triangles that were left out because they are too small compared with the scene.
     pub tiny: usize,
-    /// Whether rows were closed to sum to one without escaping light.
+    /// Whether the surfaces count as an enclosure, so that all rows sum to one.
     pub enclosed: bool,
-    /// What hemisphere rays from the surfaces met, which tells whether they enclose a room.
+    /// The hits of hemisphere rays from the surfaces. They show whether the surfaces enclose a room.
     pub look: LookReport,
-    /// Rays cast between surfaces of which others hide parts.
+    /// Number of rays for pairs of surfaces that others partly hide.
     pub rays: u64,
-    /// View factors that are not zero.
+    /// Number of view factors that are not zero.
     pub non_zeros: usize,
-    /// How wrong they are.
+    /// The errors.
     pub error: ViewFactorErrorReport,
-    /// Largest |sum of a row + its escaped share - 1|; before closure only where rows are to sum to one.
+    /// Largest |sum of a row + its escaped share - 1|. Before closure only for an enclosure.
     pub row_sum_deviation: BeforeAfter,
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j).
     pub reciprocity_deviation: BeforeAfter,
     /// The surfaces, in the order of rows and columns.
     pub surfaces: Vec<SurfaceReport>,
-    /// What the reader and the computation left out or assumed.
+    /// Warnings: what was left out or assumed.
     pub warnings: Vec<String>,
     /// Time of each stage.
     pub seconds: ViewFactorSeconds,
-    /// Most memory held at any time; `null` where the operating system does not tell.
+    /// Most memory held at any time; `null` where the operating system does not report it.
     pub peak_bytes: Option<u64>,
-    /// What was asked for.
+    /// The options.
     pub options: ViewFactorOptionsReport,
 }
 
-/// What rays met.
+/// The hits of rays.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LookReport {
-    /// Rays: from each polygon some, and of large ones more.
+    /// Number of rays. Large polygons cast more.
     pub rays: u64,
-    /// Of them, those that met a surface from behind,
+    /// Number of rays that hit a back.
     pub backs: u64,
-    /// and those that met nothing.
+    /// Number of rays that hit nothing.
     pub escaped: u64,
 }
 
 /// Standard errors of view factors that are not zero.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ViewFactorErrorReport {
-    /// RMS over all of them, before rows are closed.
+    /// RMS of the standard errors, before closure.
     pub rms: f64,
-    /// The one that was wanted.
+    /// The wanted RMS.
     pub wanted: f64,
-    /// The largest of a view factor,
+    /// The largest standard error.
     pub largest: f64,
-    /// and from which surface to which it is.
+    /// The surfaces of the view factor with the largest standard error.
     pub largest_at: Option<[String; 2]>,
 }
 
@@ -275,61 +276,61 @@ pub struct ViewFactorErrorReport {
 pub struct SurfaceReport {
     /// Its name.
     pub name: String,
-    /// The line of its first face; `null` in binary files.
+    /// Line of its first face; `null` in binary files.
     pub line: Option<usize>,
-    /// Faces of the file that it is of,
+    /// Number of its faces in the file.
     pub faces: usize,
-    /// and triangles and parallelograms.
+    /// Number of its triangles and parallelograms.
     pub polygons: usize,
     /// Its area.
     pub area: f64,
-    /// Its area that others in its plane hide, which is not counted.
+    /// The area that faces in its plane hide. `area` does not include it.
     pub hidden_area: f64,
     /// Sum of its view factors before closure.
     pub row_sum: f64,
-    /// The share of what leaves it that reaches no surface: `backs` and `left`.
+    /// The share that reaches no surface: `backs` and `left`.
     pub escaped: f64,
-    /// The standard error of that.
+    /// Standard error of that share.
     pub escaped_standard_error: f64,
-    /// The share that meets the backs of surfaces,
+    /// The share that reaches the backs of surfaces.
     pub backs: f64,
-    /// with its standard error.
+    /// Its standard error.
     pub backs_standard_error: f64,
-    /// The share that leaves the scene: `sky` and `ground`,
+    /// The share that leaves the scene: `sky` and `ground`.
     pub left: f64,
-    /// with its standard error.
+    /// Its standard error.
     pub left_standard_error: f64,
-    /// The share that leaves it upward or level,
+    /// The share that leaves it upward or level.
     pub sky: f64,
-    /// with its standard error.
+    /// Its standard error.
     pub sky_standard_error: f64,
-    /// The share that leaves it downward,
+    /// The share that leaves it downward.
     pub ground: f64,
-    /// with its standard error.
+    /// Its standard error.
     pub ground_standard_error: f64,
 }
 
 /// Seconds that the stages took.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct ViewFactorSeconds {
-    /// Reading the scene, and making surfaces of it.
+    /// Reading the scene and forming its surfaces.
     pub load: f64,
-    /// Looking whether they enclose a room.
+    /// Finding out whether the surfaces enclose a room.
     pub look: f64,
     /// View factors.
     pub view_factors: f64,
     /// Writing tables.
     pub output: f64,
-    /// All.
+    /// All stages.
     pub total: f64,
 }
 
 /// What was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ViewFactorOptionsReport {
-    /// What one surface is.
+    /// What one surface is: a face, group, object or material.
     pub by: &'static str,
-    /// Which sides of faces are surfaces.
+    /// The sides of faces that are surfaces.
     pub side: &'static str,
     /// The seed.
     pub seed: u64,
@@ -338,7 +339,7 @@ pub struct ViewFactorOptionsReport {
 }
 
 impl LookReport {
-    /// The sum of what all surfaces saw.
+    /// Sums the hits of all surfaces.
     pub fn of(seen: &[Sight]) -> LookReport {
         let all = seen.iter().fold(Sight::default(), |all, sight| all.and(*sight));
         LookReport { rays: all.rays, backs: all.backs, escaped: all.up + all.down }
@@ -349,14 +350,14 @@ impl ViewFactorsReport {
     /// Writes it as JSON.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of writing to `out`.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         super::write_json(self, out)
     }
 }
 
 impl ViewFactorErrorReport {
-    /// Collects what is known of the errors.
+    /// Collects the errors.
     pub fn of(surfaces: &Surfaces, found: &ViewFactors, wanted: f64) -> Self {
         let largest = found.largest_standard_error();
         let name = |i: usize| surfaces.list[i].name.clone();
@@ -370,7 +371,7 @@ impl ViewFactorErrorReport {
 }
 
 impl SurfaceReport {
-    /// One report a surface.
+    /// The reports of the surfaces.
     pub fn all(surfaces: &Surfaces, found: &ViewFactors) -> Vec<SurfaceReport> {
         let report = |(i, surface): (usize, &crate::scene::surfaces::Surface)| {
             let lost = &found.lost[i];

@@ -1,9 +1,9 @@
-//! Cut-outs: fences, leaves and grilles whose texture says where they are.
+//! Cut-outs: fences, leaves and grilles whose texture has holes.
 //!
-//! Texels of which less than half is there are holes, all others are surface: [`Texture::is_solid`]. Triangles are cut along the
-//! borders of the texels, exactly, before anything else looks at the scene. Rays then pass through holes without a look at a
-//! texture, and areas, emitted power and means count what is left. A test of the texture at each ray's hit would have to be
-//! repeated for the points that rays leave from, the areas of patches, and the exact light of lamps.
+//! Texels with an alpha below a half are holes, all others are surface ([`Texture::is_solid`]). The reader cuts triangles
+//! along the borders of the texels, exactly. After that, rays pass through holes without looking at a texture, and areas,
+//! emitted power and means count the surface alone. A test of the texture at each hit would be simpler here, but the
+//! origins of rays, the areas of patches and the exact light of lamps would then need such tests too.
 
 use std::collections::HashMap;
 
@@ -14,19 +14,19 @@ use super::{
     cutting::{self, Chain, within},
 };
 
-/// Most pieces that all cut-outs of a scene may make: each is at least one patch.
+/// Largest number of pieces that all cut-outs of a scene may make. Each piece is at least one patch.
 const MOST_PIECES: usize = 4_000_000;
-/// Most texels along all lines of the texture's grid on one triangle.
+/// Largest number of texels along all grid lines of the texture on one triangle.
 const MOST_TEXELS: f64 = 3e8;
-/// Points closer than this share of an edge, or of a texel, are one.
+/// Points closer than this share of an edge, or of a texel, count as one.
 const SAME: f64 = 1e-9;
 
-/// Why a scene cannot be cut: the material, and what is too much.
+/// The reason why a scene cannot be cut: a material with too many pieces.
 pub(super) struct TooFine {
     pub(super) material: String,
 }
 
-/// Cuts the holes of all materials with cut-outs, and leaves out the faces of those that are not there at all.
+/// Cuts the holes of all materials with cut-outs, and leaves out the faces of absent materials.
 pub(super) fn cut(scene: &mut Scene) -> Result<(), TooFine> {
     let absent = |t: usize| scene.material(t).absent;
     let mut left: HashMap<u32, Vec<[u32; 3]>> = HashMap::new();
@@ -43,7 +43,7 @@ pub(super) fn cut(scene: &mut Scene) -> Result<(), TooFine> {
     Ok(())
 }
 
-/// Cuts all triangles with holes. Tells the vertices that edges got.
+/// Cuts all triangles with holes. Returns the new vertices on edges.
 fn cut_all(
     scene: &mut Scene,
     textures: &[Texture],
@@ -71,12 +71,13 @@ fn cut_all(
     Ok(chains)
 }
 
-/// The vertices made on edges, by the edge with its lower vertex first, each with its share of the way from that.
+/// The new vertices on edges. The key is an edge, its lower vertex first. Each vertex has its fraction of the way from that
+/// end.
 #[derive(Default)]
 struct EdgeVertices(HashMap<[u32; 2], Vec<(f64, u32)>>);
 
 impl EdgeVertices {
-    /// The vertex there, which is made unless it is known.
+    /// The vertex at a place. Makes a new one if there is none yet.
     fn at(&mut self, scene: &mut Scene, ends: [u32; 2], share: f64) -> u32 {
         let known = self.0.entry(ends).or_default();
         if let Some((_, v)) = known.iter().find(|(other, _)| (other - share).abs() < SAME) {
@@ -94,23 +95,23 @@ impl EdgeVertices {
 struct Sheet {
     vertices: [u32; 3],
     corners: [DVec3; 3],
-    /// Its corners, then other points, in texels; and the scene's vertices at them.
+    /// Its corners, then other points, in texels, and the vertices of the scene at these points.
     points: Vec<DVec2>,
     named: Vec<u32>,
     lattice: HashMap<[i64; 2], usize>,
-    /// Vertices on the edge from each corner to the next, by their share of the way from its lower vertex.
+    /// Vertices on the edge from each corner to the next, with their fraction of the way from its lower vertex.
     on_edges: [Vec<(f64, usize)>; 3],
     outline: Vec<[usize; 2]>,
 }
 
-/// Where a line of the grid meets the outline of the triangle: at a corner, or at a share of an edge.
+/// Where a grid line meets the outline of the triangle: at a corner, or at a fraction of an edge.
 #[derive(Clone, Copy)]
 enum End {
     Corner(usize),
     Edge(usize, f64),
 }
 
-/// Moves a point onto the lines of the grid that it is on but for rounding.
+/// Moves a point onto the grid lines that it misses by rounding only.
 fn snap(p: DVec2) -> DVec2 {
     let line = p.round();
     DVec2::select((p - line).abs().cmple(DVec2::splat(1e-7)), line, p)
@@ -136,14 +137,14 @@ impl Sheet {
         [a.min(b).min(c), a.max(b).max(c)]
     }
 
-    /// How many texels lie along the lines of the grid.
+    /// Number of texels along the grid lines.
     fn texels(&self) -> f64 {
         let [low, high] = self.bounds();
         let size = (high - low).ceil() + 1.0;
         2.0 * size.x * size.y
     }
 
-    /// What is left of the triangle; `None` where that is all of it.
+    /// The rest of the triangle; `None` if nothing is cut away.
     fn cut(
         &mut self,
         scene: &mut Scene,
@@ -174,7 +175,7 @@ impl Sheet {
         }
     }
 
-    /// Adds the borders between solid texels and holes that run along the lines on which the coordinate of an axis is constant.
+    /// Adds the borders between solid texels and holes along the grid lines on which the coordinate of an axis is constant.
     fn cut_along(
         &mut self,
         scene: &mut Scene,
@@ -191,11 +192,11 @@ impl Sheet {
             };
             let differs = |along: i64| texel(-1, along) != texel(0, along);
             let [from, to] = ends.map(|(along, _)| along);
-            // Where the end of a row is the end of the line, a row beyond it would have no length.
+            // If a row ends at the end of the line, the next row has no length.
             let (start, stop) = ((from + SAME).floor() as i64, (to - SAME).ceil() as i64);
             let mut begin = None;
             for along in start..stop {
-                // Borders that cross here: both of them end, so that each has a corner there.
+                // Where borders cross, both end, so that each has a corner there.
                 let crossed = along > start && texel(-1, along - 1) != texel(-1, along);
                 if begin.is_some() && (!differs(along) || crossed) {
                     let end = self.lattice_point(scene, axis, line, along);
@@ -216,7 +217,7 @@ impl Sheet {
         }
     }
 
-    /// Where a line of the grid enters and leaves the triangle; `None` where it runs along an edge or touches a corner only.
+    /// Where a grid line enters and leaves the triangle. `None` if it runs along an edge or only touches a corner.
     fn ends(&self, axis: usize, line: f64) -> Option<[(f64, End); 2]> {
         let mut ends = Vec::with_capacity(3);
         for k in 0..3 {
@@ -224,7 +225,7 @@ impl Sheet {
             if self.points[k][axis] == line {
                 ends.push((self.points[k][1 - axis], End::Corner(k)));
             }
-            // In the order of the vertices, so that both triangles at an edge compute the same.
+            // In the order of the vertices, so that both triangles at an edge compute the same point.
             let (i, j) = if self.vertices[k] < self.vertices[next] { (k, next) } else { (next, k) };
             let (p, q) = (self.points[i], self.points[j]);
             if (p[axis] - line) * (q[axis] - line) < 0.0 {
@@ -279,7 +280,7 @@ impl Sheet {
         })
     }
 
-    /// Adds those parts of the triangle's edges that have surface beside them, and tells the vertices on the edges.
+    /// Adds the parts of the triangle's edges that have surface beside them. Returns the vertices on the edges.
     fn close(&mut self, winding: f64, at: &impl Fn(DVec2) -> bool, chains: &mut Vec<Chain>) {
         for k in 0..3 {
             let next = (k + 1) % 3;
@@ -290,7 +291,7 @@ impl Sheet {
             let mut from = lower;
             for to in on.iter().map(|&(_, v)| v).chain([upper]) {
                 let (p, q) = (self.points[from], self.points[to]);
-                // Just beside the edge, which may run along a line of the grid.
+                // The test point lies just inside, because the edge may run along a grid line.
                 let beside = (p + q) * 0.5 + inward * (1e-6 * p.distance(q)).min(1e-6);
                 if at(beside) {
                     self.outline.push([from, to]);

@@ -1,4 +1,4 @@
-//! Triangles cut to pieces: along an outline in their plane, and where their edges got vertices.
+//! Cuts triangles along an outline in their plane, and at new vertices on their edges.
 
 use std::collections::HashMap;
 
@@ -18,7 +18,7 @@ pub(super) struct Chain {
 }
 
 impl Chain {
-    /// Of an edge's vertices in order, its ends included.
+    /// The chain of a line of vertices in order, from one end of the edge to the other.
     pub(super) fn new(mut line: Vec<u32>) -> Chain {
         if line.first() > line.last() {
             line.reverse();
@@ -28,19 +28,20 @@ impl Chain {
     }
 }
 
-/// For each edge, the lower vertex first, the vertices on it in order from that.
+/// Vertices on edges. The key is an edge, its lower vertex first. The vertices are in order from that end.
 type OnEdges = HashMap<[u32; 2], Vec<u32>>;
 
-/// The vertices that edges got.
+/// New vertices on edges.
 #[derive(Default)]
 pub(super) struct Cuts {
-    /// Of whole edges: for triangles that are left as they were.
+    /// New vertices on whole edges, for triangles that were not cut.
     whole: OnEdges,
-    /// Of what one cutting made of them, those of other cuttings: for its pieces, which have its own vertices as corners.
+    /// New vertices on parts of edges, for pieces. The pieces of one cutting have its vertices as corners, but lack the
+    /// vertices that other cuttings made on the same edge.
     parts: OnEdges,
 }
 
-/// The vertices that edges got in several cuttings, which may share edges. `inner` are edges of pieces that got some.
+/// Joins the new vertices of several cuttings, which may share edges. `inner` are new vertices on edges of pieces.
 pub(super) fn cuts(scene: &Scene, chains: Vec<Chain>, inner: Vec<Chain>) -> Cuts {
     let mut cuts = Cuts::default();
     for Chain { ends, between } in chains.iter().filter(|chain| !chain.between.is_empty()) {
@@ -85,12 +86,12 @@ fn on_edges(corners: [u32; 3], known: &OnEdges) -> [Vec<u32>; 3] {
     })
 }
 
-/// Puts what is left of each triangle in its place, and cuts triangles whose edges got vertices.
+/// Replaces each triangle by its rest, and cuts triangles with new vertices on their edges.
 pub(super) fn replace(scene: &mut Scene, left: &HashMap<u32, Vec<[u32; 3]>>, cuts: &Cuts) {
     let old = std::mem::take(&mut scene.triangles);
     let texcoords = [&mut scene.texcoords, &mut scene.emission_texcoords].map(std::mem::take);
     let colours = std::mem::take(&mut scene.colours);
-    // Pieces have corners that no face of the file has.
+    // Corners of pieces are not corners of faces of the file.
     scene.face_corners.clear();
     let backs = old.len() - scene.backs_of_lamps;
     scene.backs_of_lamps = 0;
@@ -132,14 +133,15 @@ fn weights(scene: &Scene, triangle: &Triangle, v: u32) -> [f64; 3] {
     [u, v, w].map(|x| x / (u + v + w))
 }
 
-/// A triangle as parts that have the vertices on its edges as corners. `on` are those on the edges from each corner to the next.
+/// Cuts a triangle so that the vertices on its edges become corners. `on` holds the vertices on the edge from each corner to
+/// the next.
 fn cut([a, b, c]: [u32; 3], on: [Vec<u32>; 3], parts: &mut Vec<[u32; 3]>) {
     let Some(k) = on.iter().position(|between| !between.is_empty()) else { return parts.push([a, b, c]) };
     let [p, q, r] = [0, 1, 2].map(|i| [a, b, c][(k + i) % 3]);
     let [first, second, third] = [0, 1, 2].map(|i| &on[(k + i) % 3]);
     let mut from = p;
     for &to in first.iter().chain([&q]) {
-        // A triangle whose corners are in a line has its third corner on its first edge.
+        // If the corners are in a line, the third corner lies on the first edge.
         if to != r && from != r {
             let of_second = if to == q { second.clone() } else { Vec::new() };
             let of_third = if from == p { third.clone() } else { Vec::new() };
@@ -149,7 +151,7 @@ fn cut([a, b, c]: [u32; 3], on: [Vec<u32>; 3], parts: &mut Vec<[u32; 3]>) {
     }
 }
 
-/// A projection along the axis that a normal is closest to: coordinates are copied, so that points in one place stay so.
+/// A projection along the axis that is closest to a normal. It copies coordinates, so that equal points stay equal.
 #[derive(Clone, Copy)]
 pub(super) struct Plane {
     pub(super) axes: [usize; 2],
@@ -164,7 +166,7 @@ impl Plane {
         let size = normal.abs();
         let along = if size.x.max(size.y) >= size.z { usize::from(size.x < size.y) } else { 2 };
         let (x, y) = ((along + 1) % 3, (along + 2) % 3);
-        // Counter-clockwise stays so.
+        // Keeps counter-clockwise order.
         let axes = if normal[along] > 0.0 { [x, y] } else { [y, x] };
         Plane { axes, along, normal }
     }
@@ -172,9 +174,15 @@ impl Plane {
     pub(super) fn flat(&self, p: DVec3) -> DVec2 {
         DVec2::new(p[self.axes[0]], p[self.axes[1]])
     }
+
+    /// A triangle that is parallel to the plane, counter-clockwise in it whichever way it faces.
+    pub(super) fn counter_clockwise(&self, corners: [DVec3; 3]) -> [DVec2; 3] {
+        let [a, b, c] = corners.map(|p| self.flat(p));
+        if (b - a).perp_dot(c - a) < 0.0 { [a, c, b] } else { [a, b, c] }
+    }
 }
 
-/// A vertex of a triangulation, by its index among the points.
+/// A vertex of a triangulation with its index among the points.
 #[derive(Clone, Copy)]
 pub(super) struct Corner {
     at: Point2<f64>,
@@ -191,13 +199,13 @@ impl HasPosition for Corner {
 
 pub(super) type Cdt = ConstrainedDelaunayTriangulation<Corner>;
 
-/// A vertex that is made where constraints cross unforeseen.
+/// The index of a vertex that the triangulation makes where rounding lets constraints cross.
 pub(super) const UNNAMED: usize = usize::MAX;
 
-/// Triangulates vertices with some edges that must be kept.
+/// Triangulates vertices with some edges as constraints.
 pub(super) fn triangulate(points: &[DVec2], vertices: &[usize], edges: &[[usize; 2]]) -> Cdt {
-    // About one unit large, so that no coordinate is beyond what the triangulation takes. By all points, so that some of them
-    // come to lie exactly where they lay among the others: edges that did not cross then do not now.
+    // Scales the points to about one unit, because the triangulation limits coordinates. The scale depends on all points, not
+    // only on `vertices`, so that a subset of them gets the same coordinates and no new crossings.
     let none = [DVec2::INFINITY, DVec2::NEG_INFINITY];
     let [low, high] = points.iter().fold(none, |[low, high], &p| [low.min(p), high.max(p)]);
     let extent = (high - low).max_element();
@@ -205,7 +213,7 @@ pub(super) fn triangulate(points: &[DVec2], vertices: &[usize], edges: &[[usize;
     let mut handles: HashMap<usize, FixedVertexHandle> = HashMap::new();
     for &vertex in vertices {
         let p = (points[vertex] - low) / extent;
-        // Subnormal differences are none.
+        // The triangulation refuses coordinates that are tiny but not zero.
         let p = p.to_array().map(|x| if x.abs() < 1e-40 { 0.0 } else { x });
         let at = Point2::new(p[0], p[1]);
         handles
@@ -220,7 +228,7 @@ pub(super) fn triangulate(points: &[DVec2], vertices: &[usize], edges: &[[usize;
     cdt
 }
 
-/// The triangles inside an outline: those that an odd number of its edges parts from the outside.
+/// The triangles inside an outline: an odd number of its edges separates them from the outside.
 pub(super) fn within(points: &[DVec2], outline: &[[usize; 2]]) -> Vec<[usize; 3]> {
     let mut vertices: Vec<usize> = outline.iter().flatten().copied().collect();
     vertices.sort_unstable();

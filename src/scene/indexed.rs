@@ -1,4 +1,4 @@
-//! Scenes from the arrays that other programs hold: vertices, faces as indices, a material for each face.
+//! Scenes from arrays: vertices, faces as indices, and a material for each face.
 
 use glam::DVec3;
 

@@ -16,21 +16,21 @@ pub const WELD: f64 = 1e-6;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Inspection {
-    /// Triangles that have an area.
+    /// Number of triangles with an area.
     pub triangles: usize,
-    /// Triangles left out because they have no area.
+    /// Number of triangles that were left out because they have no area.
     pub degenerate: usize,
-    /// Different positions.
+    /// Number of different positions.
     pub vertices: usize,
-    /// Vertices that lie within [`WELD`] of another: rays may pass through such cracks.
+    /// Number of vertices that lie within [`WELD`] of another vertex. Rays may pass through such cracks.
     pub near_vertices: usize,
     /// Area of all triangles, one side each, in the file's unit squared.
     pub area: f64,
     /// The lowest and highest corner of the bounding box.
     pub bounds: [DVec3; 2],
-    /// How the triangles join; near vertices count as one.
+    /// The edges of the triangles. Near vertices count as one.
     pub edges: Edges,
-    /// Triangles with the same three corners as an earlier one.
+    /// Number of triangles with the same three corners as an earlier one.
     pub doubled: usize,
     /// The materials, in the scene's order.
     pub materials: Vec<MaterialUse>,
@@ -57,7 +57,7 @@ impl Edges {
     }
 }
 
-/// Where and how a material is used.
+/// A material and its use.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MaterialUse {
     /// Its name.
@@ -116,7 +116,7 @@ fn bounds(scene: &Scene) -> [DVec3; 2] {
     scene.vertices.iter().fold([first; 2], |[low, high], &v| [low.min(v), high.max(v)])
 }
 
-/// Gives every vertex the index of the first vertex near it, and counts the vertices that got another index than their own.
+/// Gives every vertex the index of the first vertex near it. Also counts the vertices whose index has changed.
 fn weld(scene: &Scene, [low, high]: [DVec3; 2]) -> (Vec<u32>, usize) {
     // Halved first: the difference of two large coordinates may overflow.
     let extent = (high * 0.5 - low * 0.5).max_element();

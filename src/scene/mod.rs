@@ -1,4 +1,4 @@
-//! The scene: triangles, materials, textures, and the readers that bring them in.
+//! The scene: triangles, materials, textures, and the readers of file formats.
 //!
 //! A scene keeps the values of its file: lengths in the file's unit and in double precision, `Ke` as radiance, `Kd` as
 //! reflectance. The ray tracer recentres and rescales for itself ([`crate::trace`]).
@@ -57,13 +57,13 @@ pub struct Material {
     pub reflectance_map: Option<TextureMap>,
     /// Texture that multiplies the emitted radiance.
     pub emission_map: Option<TextureMap>,
-    /// Reflectance on top of what textures and colours of vertices leave of it: of a specular part that counts as diffuse.
+    /// Reflectance of a specular part that counts as diffuse. It is added after textures and vertex colours have been applied.
     pub reflectance_offset: [f64; 3],
     /// Its specular reflection, if any. Only path and light tracing use it.
     pub specular: Option<Box<Specular>>,
     /// Texture whose [holes](Texture::has_holes) are holes of the surface.
     pub cutout: Option<TextureMap>,
-    /// Whether its faces are not there at all.
+    /// Whether its faces are left out.
     pub absent: bool,
 }
 
@@ -125,7 +125,7 @@ pub struct Scene {
     pub colours: Vec<[[f32; 3]; 3]>,
     /// The faces that the triangles come from, in file order; empty unless [`LoadOptions::faces`] asked for them.
     pub faces: Vec<Face>,
-    /// Which corners of its face each triangle has, counted from 0; empty where the reader does not tell.
+    /// The corners of its face that each triangle has, counted from 0. Empty if the reader does not provide them.
     pub face_corners: Vec<[u32; 3]>,
     /// Objects and groups of the faces.
     pub parts: Vec<Part>,
@@ -133,13 +133,13 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Textures that the materials refer to.
     pub textures: Vec<Texture>,
-    /// Number of triangles at the end that are no faces of the file but the backs of double-sided emitters.
+    /// Number of triangles at the end that were added as backs of double-sided emitters.
     pub backs_of_lamps: usize,
-    /// Triangles left out because their area is zero.
+    /// Number of triangles that were left out because their area is zero.
     pub degenerate: usize,
-    /// Surface that [`Scene::cut_overlaps`] has cut away.
+    /// The surfaces that [`Scene::cut_overlaps`] has cut away.
     pub hidden: Vec<Hidden>,
-    /// What the reader left out or assumed, one sentence each.
+    /// Warnings of the reader: what it left out or assumed, one sentence each.
     pub warnings: Vec<String>,
     /// Files that were read: the mesh, then material libraries and textures; empty for a scene made in memory.
     pub files: Vec<PathBuf>,
@@ -158,7 +158,7 @@ pub struct LoadOptions {
     pub faces: bool,
     /// Whether unlit materials of a glTF file emit their colour. Otherwise the colour is their reflectance.
     pub unlit_emits: bool,
-    /// Whether to leave faces that overlap in one plane as they are: for callers that change which materials emit, and then call
+    /// Whether to keep faces that overlap in one plane. For callers that change the emission of materials and then call
     /// [`Scene::cut_overlaps`].
     pub keep_overlaps: bool,
 }
@@ -209,7 +209,7 @@ impl Scene {
     /// Reads a scene as [`Scene::load`] does, with options.
     ///
     /// # Errors
-    /// Those of [`Scene::load`].
+    /// Errors of [`Scene::load`].
     ///
     /// # Panics
     /// When a reflectance given is outside 0 to 1.
@@ -250,7 +250,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Leaves out all faces of materials of this name, and tells how many triangles those were.
+    /// Leaves out all faces of materials of this name, and returns the number of their triangles.
     pub fn leave_out(&mut self, material: &str) -> usize {
         let kept: Vec<bool> =
             self.triangles.iter().map(|t| self.materials[t.material as usize].name != material).collect();
@@ -270,7 +270,7 @@ impl Scene {
         kept.iter().filter(|&&kept| !kept).count()
     }
 
-    /// Renumbers the vertices so that none is left that no triangle has: they count in the size of the scene.
+    /// Removes vertices that no triangle has, because they would count in the size of the scene.
     fn forget_unused_vertices(&mut self) {
         let mut used = vec![false; self.vertices.len()];
         self.triangles.iter().flat_map(|t| t.vertices).for_each(|v| used[v as usize] = true);
@@ -287,9 +287,9 @@ impl Scene {
         }
     }
 
-    /// Cuts away surface that is hidden because faces overlap in one plane and face the same way, by the rule of [`overlaps`].
-    /// [`Scene::load`] does so; scenes made in memory are left as they are until this is called. Tells what it cut in
-    /// [`Scene::hidden`] and [`Scene::warnings`].
+    /// Where faces overlap in one plane and face the same way, cuts away what is hidden, by the rule of [`overlaps`].
+    /// [`Scene::load`] does this. For scenes made in memory, call it yourself. [`Scene::hidden`] and [`Scene::warnings`] list
+    /// what was cut away.
     pub fn cut_overlaps(&mut self) {
         for hidden in overlaps::resolve(self) {
             self.warnings.push(hidden.to_string());
@@ -474,7 +474,7 @@ impl Scene {
         self.emission_texcoords.get(t).unwrap_or_else(|| &self.texcoords[t])
     }
 
-    /// How many texels of its emission's texture triangle `t` extends over; zero where it has none.
+    /// Number of texels of its emission texture that triangle `t` extends over. Zero without such a texture.
     pub(crate) fn emission_texels(&self, t: usize) -> f64 {
         let Some(map) = &self.material(t).emission_map else { return 0.0 };
         let [a, b, c] = *self.uv_of_emission(t);
@@ -520,14 +520,14 @@ fn middle(part: &[[f64; 3]; 3]) -> [f64; 3] {
     std::array::from_fn(|k| (part[0][k] + part[1][k] + part[2][k]) / 3.0)
 }
 
-/// A part of a triangle, cut in four alike.
+/// The four congruent children of a part of a triangle.
 fn quarters([a, b, c]: &[[f64; 3]; 3]) -> [[[f64; 3]; 3]; 4] {
     let between = |p: &[f64; 3], q: &[f64; 3]| std::array::from_fn(|k| 0.5 * (p[k] + q[k]));
     let (ab, bc, ca) = (between(a, b), between(b, c), between(c, a));
     [[*a, ab, ca], [ab, *b, bc], [ca, bc, *c], [bc, ca, ab]]
 }
 
-/// Says why a path is no scene that can be read, and what to do.
+/// The error for a path that the program cannot read as a scene, with a hint.
 fn not_a_scene(path: &Path, extension: Option<&str>) -> Error {
     const READ: &str = "the program reads Wavefront .obj, .ply, .gltf, .glb and .stl files";
     const EXPORT: &str = "open it in a modelling program and export .glb or Wavefront .obj";
@@ -551,8 +551,8 @@ fn not_a_scene(path: &Path, extension: Option<&str>) -> Error {
     }
 }
 
-/// The texture coordinates at a point. Corners that share one have it everywhere: interpolated, a rounding would choose between two
-/// texels where it lies on their border.
+/// The texture coordinates at a point. A coordinate that all corners share is copied. Interpolation could round it, and on
+/// the border of two texels this would choose one of them by chance.
 fn interpolate(uv: &[DVec2; 3], b: [f64; 3]) -> DVec2 {
     if uv[0] == uv[1] && uv[1] == uv[2] {
         return uv[0];
@@ -626,14 +626,14 @@ impl SceneBuilder {
             })
         });
         self.scene.triangles.push(Triangle { vertices, material, source });
-        // Triangles before the first one with texture coordinates get zeros. A scene without any keeps none.
+        // Triangles before the first one with texture coordinates get zeros. A scene without any has no such list.
         if texcoords.is_some() || !self.scene.texcoords.is_empty() {
             self.scene.texcoords.resize(self.scene.triangles.len() - 1, Default::default());
             self.scene.texcoords.push(texcoords.unwrap_or_default());
         }
     }
 
-    /// Adds the next triangle of the file, some corners of a face whose corners are at `points`.
+    /// Adds the next triangle of the file: three of the corners `points` of a face.
     pub(crate) fn push_part(
         &mut self,
         points: &[DVec3],
@@ -648,7 +648,7 @@ impl SceneBuilder {
         }
     }
 
-    /// The triangles and their corners, as yet without materials.
+    /// The scene with triangles and vertices, but without materials.
     pub(crate) fn finish(self) -> Scene {
         self.scene
     }

@@ -1,16 +1,16 @@
 //! PLY meshes, ASCII and binary, through [ply-rs](https://docs.rs/ply-rs-bw).
 //!
-//! The format has no materials and no light, and the names of its elements are convention. The reader knows:
+//! The format has no materials and no light, and the names of its elements are convention. The reader knows these:
 //!
 //! - `vertex`: `x y z`; `red green blue`, integers of 0 to 255 (`ushort` to 65535) or floats of 0 to 1, sRGB-encoded.
-//! - `face`: a list `vertex_indices` or `vertex_index` of any integer type; the same colours, which count before those
-//!   of the vertices; `reflectance_r reflectance_g reflectance_b`, linear, which count before any colour; `emission_r
-//!   emission_g emission_b`, radiance in W/(m² sr).
+//! - `face`: a list `vertex_indices` or `vertex_index` of any integer type; the same colours, which take precedence over
+//!   those of the vertices; `reflectance_r reflectance_g reflectance_b`, linear, which take precedence over any colour;
+//!   `emission_r emission_g emission_b`, radiance in W/(m² sr).
 //!
-//! The reflectance of a face is the mean of its vertices' colours, taken of the linear values. The name of a material is
-//! its reflectance as a colour, `#rrggbb`; faces without reflectance have the material `(none)`. Files that this program
-//! wrote can be read too. Their vertex colours show light and are not taken for reflectances. A face that shows the
-//! back of its patch is turned round. It is left out if the file has a face for the front too ([`BOTH_SIDES`]).
+//! The reflectance of a face is the mean of the linear colours of its vertices. The name of a material is its reflectance
+//! as a colour, `#rrggbb`. Faces without reflectance have the material `(none)`. Files that this program wrote can be
+//! read too. Their vertex colours show light and are not taken for reflectances. A face that shows the back of its patch
+//! is turned round. It is left out if the file has a face for the front too ([`BOTH_SIDES`]).
 //!
 //! Elements are read one by one and become triangles at once. So a false header cannot make the reader allocate memory.
 
@@ -30,7 +30,7 @@ use super::{
 };
 use crate::{Error, Result, tone};
 
-/// The comment of a file of this program that has both sides of patches as faces.
+/// The comment in files that have both sides of patches as faces.
 pub(crate) const BOTH_SIDES: &str = "faces: both sides of patches";
 
 /// Reads `path`.
@@ -64,7 +64,7 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     mesh.finish(&header)
 }
 
-/// The header, the number of the line after it, and what follows.
+/// The header, the number of the line after it, and the rest of the file.
 ///
 /// ply-rs needs UTF-8 without blank lines and without blanks before a keyword, and lines that end with LF. Comments often
 /// hold names in other encodings, so that ply-rs gets a clean copy.
@@ -74,7 +74,7 @@ fn read_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Header, usize, &'a [
     if !bytes.starts_with(b"ply") {
         return Err(error(Some(1), "not a PLY file: it does not begin with `ply`"));
     }
-    // CR LF ends a line, and LF. Without any LF, CR does.
+    // A line ends with CR LF or LF. In a file without any LF it ends with CR.
     let first = bytes.iter().position(|b| matches!(b, b'\n' | b'\r')).unwrap_or(0);
     let end =
         if bytes[first..].starts_with(b"\r") && !bytes[first..].starts_with(b"\r\n") { b'\r' } else { b'\n' };
@@ -115,7 +115,7 @@ fn read_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Header, usize, &'a [
     Ok((header, line + 1, rest))
 }
 
-/// Checks that the header has all that a mesh needs, in types that can be used.
+/// Checks that the header has everything that a mesh needs, with usable types.
 fn check(path: &Path, header: &Header) -> Result<()> {
     let error = |message: String| Error::input(path, None, message);
     let faces = header.elements.get("face");
@@ -141,7 +141,7 @@ fn check(path: &Path, header: &Header) -> Result<()> {
     {
         return Err(error("element `face` has no list `vertex_indices`".into()));
     }
-    // Of nothing there could be any number.
+    // A header could announce any number of elements without properties.
     match header.elements.values().find(|e| e.count > 0 && e.properties.is_empty()) {
         Some(empty) => Err(error(format!("element `{}` has no properties", empty.name))),
         None => Ok(()),
@@ -257,9 +257,9 @@ struct Mesh<'a> {
     options: &'a LoadOptions,
     /// Whether colours show light.
     light: bool,
-    /// Whether the file is one of this program's, whose faces say which side of a patch they show.
+    /// Whether this program wrote the file, so that its faces know which side of a patch they show.
     sides: bool,
-    /// Whether each back is beside its front.
+    /// Whether the file has both sides of patches.
     both: bool,
     vertices: Vec<(DVec3, Option<[f64; 3]>)>,
     builder: SceneBuilder,
@@ -274,7 +274,7 @@ struct Mesh<'a> {
 }
 
 impl Mesh<'_> {
-    /// Whether colours are reflectances: neither pictures of light, nor less than a reflectance from outside.
+    /// Whether colours are reflectances. They are not if they show light or if an option sets the reflectance.
     fn colours_count(&self) -> bool {
         !self.light && self.options.reflectance.is_none()
     }

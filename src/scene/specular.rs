@@ -1,6 +1,6 @@
-//! The specular part of materials: what a surface reflects beside its Lambertian part.
+//! The specular part of materials, which is added to the Lambertian part.
 //!
-//! The solver has no use for it. Path and light tracing follow it ([`crate::monte_carlo::reflection`]).
+//! The solver ignores it. Path and light tracing follow it ([`crate::monte_carlo::reflection`]).
 
 /// A model of specular reflection with its parameters. Reflectances are R G B in \[0, 1\].
 #[derive(Debug, Clone, PartialEq)]
@@ -9,14 +9,14 @@ pub enum Specular {
     Mirror(Fresnel),
     /// The modified Phong model.
     Phong {
-        /// Share of the light from straight above that the lobe reflects.
+        /// Share of the light at normal incidence that the lobe reflects.
         reflectance: [f64; 3],
         /// Exponent of the cosine, at least 0.
         exponent: f64,
     },
     /// The Blinn-Phong model.
     BlinnPhong {
-        /// Share of the light from straight above that the lobe reflects.
+        /// Share of the light at normal incidence that the lobe reflects.
         reflectance: [f64; 3],
         /// Exponent of the cosine, at least 0.
         exponent: f64,
@@ -30,28 +30,28 @@ pub enum Specular {
     },
     /// Cook and Torrance's microfacets.
     Microfacet {
-        /// How the slopes of the facets are distributed.
+        /// Distribution of the slopes of the facets.
         distribution: Distribution,
         /// Roughness along the tangent and across it, above 0.
         alpha: [f64; 2],
-        /// What a facet reflects.
+        /// Reflectance of a facet.
         fresnel: Fresnel,
-        /// Which facets others hide.
+        /// Masking and shadowing of facets by other facets.
         shadowing: Shadowing,
     },
-    /// glTF's metallic-roughness model. The reflectance of the material, with its texture, is the base colour: what a metal reflects,
-    /// or what is below the surface of a dielectric.
+    /// The metallic-roughness model of glTF. The reflectance of the material, with its texture, is the base colour: the
+    /// reflectance of a metal, or the diffuse reflectance of a dielectric.
     MetallicRoughness {
-        /// From 0, a dielectric, to 1, a metal.
+        /// From 0 for a dielectric to 1 for a metal.
         metallic: f64,
         /// Perceptual roughness from 0 to 1: the square root of GGX's alpha.
         roughness: f64,
-        /// From 0, alike in all directions, to 1, brushed along the tangent.
+        /// From 0 for an isotropic surface to 1 for one that is brushed along the tangent.
         anisotropy: f64,
     },
 }
 
-/// How the slopes of microfacets are distributed.
+/// Distribution of the slopes of microfacets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Distribution {
     /// Gaussian slopes (Beckmann and Spizzichino, 1963).
@@ -60,25 +60,25 @@ pub enum Distribution {
     Ggx,
 }
 
-/// How Smith's masking of one direction and shadowing of the other combine.
+/// The combination of Smith's masking in one direction with shadowing in the other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Shadowing {
-    /// As facets of one height field: what is high is seen from both sides (Heitz, "Understanding the Masking-Shadowing Function in
-    /// Microfacet-Based BRDFs", JCGT 3(2), 2014, equation 99).
+    /// Correlated by height: a high facet is visible from both directions (Heitz, "Understanding the Masking-Shadowing
+    /// Function in Microfacet-Based BRDFs", JCGT 3(2), 2014, equation 99).
     #[default]
     HeightCorrelated,
-    /// As if independent: a little darker. Some other programs use it.
+    /// Independent of each other, which is a little darker. Some other programs use it.
     Separable,
 }
 
-/// What a smooth surface reflects, by the angle of incidence.
+/// Reflectance of a smooth surface as a function of the angle of incidence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fresnel {
     /// The same at all angles.
     Constant([f64; 3]),
     /// Schlick's approximation, from its value at normal incidence.
     Schlick([f64; 3]),
-    /// A metal, by its complex index of refraction η + iκ relative to what is outside.
+    /// A metal with the complex index of refraction η + iκ relative to the outside.
     Conductor {
         /// The real part, above 0.
         eta: [f64; 3],
@@ -88,10 +88,10 @@ pub enum Fresnel {
 }
 
 impl Specular {
-    /// What is wrong with the parameters, if anything.
+    /// Checks the parameters.
     ///
     /// # Errors
-    /// The first parameter that is out of its range, in words.
+    /// A sentence about the first parameter that is out of range.
     pub fn check(&self) -> Result<(), String> {
         let share = |x: f64, what: &str| match (0.0..=1.0).contains(&x) {
             true => Ok(()),
@@ -133,5 +133,5 @@ impl Specular {
     }
 }
 
-/// Largest exponent: its lobe is a tenth of a degree wide, and single-precision directions still resolve it.
+/// Largest exponent. Its lobe is a tenth of a degree wide, which directions in single precision still resolve.
 pub const MOST_EXPONENT: f64 = 1e6;

@@ -1,7 +1,7 @@
 //! STL meshes, ASCII and binary (3D Systems, *StereoLithography Interface Specification*, 1989).
 //!
-//! The format knows triangles alone: neither materials nor light, and no unit. Each solid of an ASCII file is an object. Normals that a
-//! file gives are not looked at: the order of the corners tells the front.
+//! The format has triangles only: no materials, no light and no unit. Each solid of an ASCII file is an object. Normals in
+//! the file are ignored: the order of the corners determines the front.
 
 use std::path::Path;
 
@@ -10,15 +10,15 @@ use glam::{DVec3, Vec3};
 use super::{LoadOptions, Material, Part, Scene, SceneBuilder, text, warnings::Warnings};
 use crate::{Error, Result};
 
-/// Bytes before the number of triangles of a binary file, and bytes of a triangle.
+/// Bytes before the number of triangles in a binary file, and bytes per triangle.
 const HEADER: usize = 80;
 const TRIANGLE: usize = 50;
 
 /// Reads `path`.
 ///
 /// # Errors
-/// [`Error::Io`] when it cannot be read; [`Error::Input`], with the line of an ASCII file or the number of the triangle of a binary
-/// one, when what it says cannot be used.
+/// [`Error::Io`] when the file cannot be read. [`Error::Input`] when its contents cannot be used, with the line of an ASCII
+/// file or the number of the triangle in a binary file.
 pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
     let mut mesh = Mesh { path, options, builder: SceneBuilder::default(), parts: Vec::new(), faces: 0 };
@@ -34,7 +34,8 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     mesh.finish()
 }
 
-/// The triangles of a binary file. Many of these begin with `solid` as well: the number of triangles tells, which sets the length.
+/// The triangles of a binary file. Many binary files begin with `solid` too. So the length decides, which follows from the
+/// number of triangles.
 fn binary_triangles(bytes: &[u8]) -> Option<&[[u8; TRIANGLE]]> {
     let (count, rest) = bytes.get(HEADER..)?.split_first_chunk::<4>()?;
     let (triangles, left) = rest.as_chunks();
@@ -67,7 +68,7 @@ impl Mesh<'_> {
         self.begin("");
         for (k, triangle) in triangles.iter().enumerate() {
             let number = |at: usize| f32::from_le_bytes([0, 1, 2, 3].map(|b| triangle[at + b]));
-            // After the normal.
+            // The corners follow after the normal.
             let corners =
                 [12, 24, 36].map(|at| Vec3::new(number(at), number(at + 4), number(at + 8)).as_dvec3());
             if !corners.iter().all(|c| c.is_finite()) {

@@ -1,7 +1,7 @@
-//! Surfaces as heat transfer counts them: the faces of a file, or its groups, objects or materials, each of triangles and
-//! parallelograms.
+//! Surfaces for heat transfer: the faces of a file, or its groups, objects or materials.
 //!
-//! A quadrilateral that is a parallelogram stays one; all other faces are the triangles that the reader cut them into.
+//! Each surface consists of triangles and parallelograms. A quadrilateral face that is a parallelogram stays one. All other
+//! faces consist of the triangles that the reader cut them into.
 
 use std::collections::{HashMap, HashSet};
 
@@ -12,7 +12,7 @@ use super::{Material, Part, Scene, Triangle, centre_and_extent};
 /// What one surface is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum By {
-    /// A face; its name is its number in the file, from 0.
+    /// A face. Its name is its number in the file, from 0.
     Face,
     /// All faces of a group.
     Group,
@@ -22,12 +22,12 @@ pub enum By {
     Material,
 }
 
-/// Which sides of faces are surfaces.
+/// The sides of faces that are surfaces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
-    /// Where vertices run counter-clockwise.
+    /// The side from which vertices run counter-clockwise.
     Front,
-    /// Where they run clockwise.
+    /// The side from which vertices run clockwise.
     Back,
     /// All fronts, then all backs, whose names end in ` back`.
     Both,
@@ -39,11 +39,11 @@ pub enum Side {
 pub struct Surface {
     /// Its name.
     pub name: String,
-    /// The line of its first face, in files of text.
+    /// The line of its first face in a text file.
     pub line: Option<usize>,
-    /// Faces.
+    /// Number of faces.
     pub faces: usize,
-    /// Triangles and parallelograms, counter-clockwise where they are seen.
+    /// Triangles and parallelograms, counter-clockwise as seen from the side of the surface.
     pub polygons: Vec<Vec<DVec3>>,
 }
 
@@ -59,31 +59,31 @@ impl AsRef<[Vec<DVec3>]> for Surface {
 pub struct Surfaces {
     /// In the order in which they begin in the file.
     pub list: Vec<Surface>,
-    /// Polygons left out because an earlier one is at the same place and faces the same way.
+    /// Number of polygons that were left out because an earlier one is at the same place and faces the same way.
     pub doubled: usize,
-    /// Triangles left out because they are below [`SMALLEST`].
+    /// Number of triangles that were left out because they are smaller than [`SMALLEST`].
     pub tiny: usize,
 }
 
-/// What belongs to no group, object or material.
+/// The name of faces without a group, object or material.
 pub const NONE: &str = "(none)";
 
-/// Triangles whose area is a smaller share of the square of the scene's extent are left out: their corners are as good as on
-/// one line.
+/// Triangles with a smaller area, relative to the square of the scene's extent, are left out. Their corners are practically
+/// in a line.
 pub const SMALLEST: f64 = 1e-24;
 
-/// What the fourth corner of a quadrilateral may be off that of a parallelogram by, as a share of its diagonal and of the
-/// scene's extent: files round to six digits. More would bring points that are thought to be on it behind it.
+/// How far the fourth corner of a quadrilateral may be from that of a parallelogram, as a share of its diagonal and of the
+/// scene's extent. Files round to six digits. With a larger tolerance, points of the parallelogram could lie behind the face.
 const SKEW: (f64, f64) = (5e-6, 2e-7);
 
 impl Surfaces {
-    /// The surfaces of `scene`, which was read with [`LoadOptions::faces`](super::LoadOptions::faces); else each triangle is a
+    /// The surfaces of `scene`. Read it with [`LoadOptions::faces`](super::LoadOptions::faces), otherwise each triangle is a
     /// face.
     pub fn of(scene: &Scene, by: By, side: Side) -> Surfaces {
         let mut surfaces = Surfaces { list: Vec::new(), doubled: 0, tiny: 0 };
         let (_, extent) = centre_and_extent(scene.vertices.iter().copied());
         let (mut known, mut seen): (HashMap<String, usize>, HashSet<Vec<u32>>) = Default::default();
-        // Backs of emitters are no faces of the file.
+        // Added backs of emitters are not faces of the file.
         let mut rest = &scene.triangles[..scene.triangles.len() - scene.backs_of_lamps];
         while let Some(triangle) = rest.first() {
             let after = scene.faces.partition_point(|face| face.first <= triangle.source);
@@ -141,7 +141,7 @@ impl Surfaces {
         self
     }
 
-    /// Each triangle and parallelogram as a surface with the name of the one that it is of, and the index of that.
+    /// Each triangle and parallelogram as a surface of its own, with the name and the index of the surface it belongs to.
     pub fn parts(&self) -> (Surfaces, Vec<usize>) {
         let of = |(k, surface): (usize, &Surface)| {
             let (name, line) = (surface.name.clone(), surface.line);
@@ -154,12 +154,12 @@ impl Surfaces {
         (Surfaces { list, doubled: self.doubled, tiny: self.tiny }, surface_of)
     }
 
-    /// How many triangles and parallelograms they are of.
+    /// Number of triangles and parallelograms of all surfaces.
     pub fn polygons(&self) -> usize {
         self.list.iter().map(|surface| surface.polygons.len()).sum()
     }
 
-    /// A scene of these fronts alone, for rays.
+    /// A scene of the sides that are surfaces, for rays.
     pub fn scene(&self) -> Scene {
         let polygons = self.list.iter().flat_map(|surface| &surface.polygons);
         let triangles: Vec<([DVec3; 3], u32)> =
@@ -173,7 +173,7 @@ fn is_large(scene: &Scene, triangle: &Triangle, extent: f64) -> bool {
     (b - a).cross(c - a).length() > SMALLEST
 }
 
-/// The corners of one parallelogram where the triangles of a face are one, else those of each.
+/// The corners of the parallelogram if the triangles of a face form one, else the corners of each triangle.
 fn polygons(scene: &Scene, triangles: &[&Triangle], extent: f64) -> Vec<Vec<u32>> {
     if let [first, second] = triangles {
         let ([p, q, r], [a, b, s]) = (first.vertices, second.vertices);
@@ -186,7 +186,7 @@ fn polygons(scene: &Scene, triangles: &[&Triangle], extent: f64) -> Vec<Vec<u32>
     triangles.iter().map(|triangle| triangle.vertices.to_vec()).collect()
 }
 
-/// The corners from the one of least index on: the same for polygons that are the same.
+/// The corners in order, beginning with the smallest index. Equal polygons give equal lists.
 fn cycle(polygon: &[u32]) -> Vec<u32> {
     let mut corners = polygon.to_vec();
     let least = (0..corners.len()).min_by_key(|&k| corners[k]).unwrap_or(0);

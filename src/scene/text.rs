@@ -52,7 +52,7 @@ pub(crate) fn lines(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
     })
 }
 
-/// Lines as they are in the file.
+/// The physical lines of the file.
 pub(super) fn physical_lines(text: &str) -> impl Iterator<Item = &str> {
     let mut rest = text;
     std::iter::from_fn(move || (!rest.is_empty()).then(|| physical_line(&mut rest)))
@@ -79,12 +79,12 @@ pub(crate) fn without_comment(rest: &str) -> &str {
 /// The file that a name refers to.
 pub(super) struct Found {
     pub(super) path: PathBuf,
-    /// Whether parts of the name were left out: the file is not where the name says.
+    /// Whether the file was found elsewhere, by the last parts of its name.
     pub(super) elsewhere: bool,
 }
 
-/// The file that `name` refers to in a file in `folder`: as [`find_as_named`] finds it, with or without a comment after it.
-/// The name may be a path of another machine: then its last parts count, as many as lead to a file.
+/// The file that `name` refers to, in a file in `folder`. Tries the name with and without a comment after it
+/// ([`find_as_named`]). If the name is a path of another machine, tries its last parts, the longest path first.
 pub(super) fn find_file(folder: &Path, name: &str) -> Option<Found> {
     let bare = name.trim().trim_matches('"');
     let without_comment = bare.split_once(" #").or_else(|| bare.split_once("\t#")).map(|(before, _)| before);
@@ -122,7 +122,7 @@ fn existing(folder: &Path, name: &str) -> Option<PathBuf> {
     place.is_file().then_some(place)
 }
 
-/// What a folder has under this name in another case.
+/// The entry of a folder whose name differs from this one in case only.
 fn in_any_case(folder: &Path, name: &OsStr) -> Option<PathBuf> {
     let wanted = name.to_str()?.to_lowercase();
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
@@ -142,7 +142,7 @@ mod tests {
         assert_eq!(got, [(1, "ab".into()), (3, "#c:\\".into()), (4, "d".into()), (5, "e".into())]);
     }
 
-    /// In quadratic time these take minutes.
+    /// With an algorithm of quadratic time this test takes minutes.
     #[test]
     fn lines_continued_very_often_are_read_in_linear_time() {
         for part in ["1 2 3 \\\n", "\\\n"] {
@@ -187,7 +187,7 @@ mod tests {
             let bytes = "\u{feff}v 1 ü𝄞\n".encode_utf16().flat_map(swap).collect();
             assert_eq!(decode(bytes), "v 1 ü𝄞\n");
         }
-        // Half of a pair at the end is dropped.
+        // Half of a surrogate pair at the end is dropped.
         assert_eq!(decode(b"\xff\xfev\0w".to_vec()), "v");
     }
 }

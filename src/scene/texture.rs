@@ -13,13 +13,13 @@ use self::mean::Pyramid;
 const LARGEST_SIDE: u32 = 16384;
 const LARGEST_DECODED: u64 = 1 << 30;
 
-/// Decodes a PNG, JPEG, TGA, BMP, WebP or TIFF image, of the format that `named` says where its bytes do not; the error says
-/// why it cannot.
+/// Decodes a PNG, JPEG, TGA, BMP, WebP or TIFF image. The format follows from its bytes, or else from the name `named`. The
+/// error is a sentence.
 pub(super) fn decode(bytes: &[u8], named: Option<image::ImageFormat>) -> Result<image::DynamicImage, String> {
     use image::ImageFormat::{Bmp, Jpeg, Png, Tga, Tiff, WebP};
     let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes));
     reader = reader.with_guessed_format().map_err(|e| e.to_string())?;
-    // A TGA file has no mark of its own.
+    // TGA files have no signature.
     if let (None, Some(named)) = (reader.format(), named) {
         reader.set_format(named);
     }
@@ -38,7 +38,7 @@ pub(super) fn decode(bytes: &[u8], named: Option<image::ImageFormat>) -> Result<
     Ok(image)
 }
 
-/// The least alpha of a texel that is surface, of 255.
+/// The smallest alpha, from 0 to 255, of a texel that is surface.
 const HALF: u8 = 128;
 
 /// An image, decoded from sRGB when looked up. Its texels are constant squares: the mean over a patch and the value
@@ -50,12 +50,12 @@ pub struct Texture {
     /// R G B, sRGB-encoded, rows from the top.
     texels: Vec<u8>,
     is_grey: bool,
-    /// Which texels are surface, rows from the top; none where all are.
+    /// Whether each texel is surface, rows from the top. `None` if all are.
     solid: Option<Vec<bool>>,
     pyramid: Pyramid,
 }
 
-/// How a material uses a texture.
+/// The use of a texture by a material.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TextureMap {
     /// Index into [`Scene::textures`](super::Scene::textures).
@@ -109,17 +109,17 @@ impl Texture {
         })
     }
 
-    /// The same image with holes where `solid` says no; rows from the top. Colours stay as they are.
+    /// The same image with holes where `solid` is false; rows from the top. Colours stay as they are.
     ///
     /// # Panics
-    /// When there is not a value for each texel.
+    /// When `solid` does not have one value per texel.
     pub fn with_solid(mut self, solid: Vec<bool>) -> Texture {
         assert_eq!(solid.len(), self.width * self.height, "one value a texel");
         self.solid = solid.contains(&false).then_some(solid);
         self
     }
 
-    /// The same image as a mask, in which white is surface and black a hole; unless its alpha says what is one.
+    /// The same image as a mask. If its alpha has no holes, white is surface and black is a hole.
     pub(super) fn into_mask(self) -> Texture {
         if self.has_holes() {
             return self;
@@ -134,7 +134,8 @@ impl Texture {
         self.solid.is_some()
     }
 
-    /// Whether a texel is surface, `x` to the right and `y` down from the top left one; beyond the image as the map says.
+    /// Whether a texel is surface. `x` counts to the right and `y` down from the top left texel. Outside the image the map
+    /// decides whether it repeats.
     pub(super) fn is_solid(&self, map: &TextureMap, x: i64, y: i64) -> bool {
         let Some(solid) = &self.solid else { return true };
         let within = |x: i64, n: usize| {
@@ -144,7 +145,7 @@ impl Texture {
         solid[within(y, self.height) * self.width + within(x, self.width)]
     }
 
-    /// Texels in a row and in a column.
+    /// Number of texels in a row and in a column.
     pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
@@ -180,11 +181,11 @@ impl Texture {
         self.texel(column(p.x, self.width), column(p.y, self.height))
     }
 
-    /// Linear value averaged over the triangle `uv`, by area; at the centroid when its area is zero.
+    /// Mean linear value over the triangle `uv`, or the value at the centroid if its area is zero.
     ///
-    /// Exact for triangles up to about a thousand texels large. On the rim of a larger triangle, squares smaller than 1/512
-    /// of its extent (width plus height in texels) count with their mean. So time is bounded however often the image
-    /// repeats.
+    /// The mean is exact for triangles with an extent (width plus height) of up to about a thousand texels. On the rim of a
+    /// larger triangle, squares smaller than 1/512 of its extent count with their mean. This bounds the time, even if the
+    /// image repeats very often.
     pub fn mean(&self, map: &TextureMap, uv: [DVec2; 3]) -> [f64; 3] {
         let corners = uv.map(|p| self.to_texels(map, p));
         mean::over(self, map.clamp, corners)

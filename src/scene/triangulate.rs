@@ -4,11 +4,11 @@ use earcut::Earcut;
 use earcut::utils3d::project3d_to_2d;
 use glam::{DVec2, DVec3};
 
-/// How far a corner may turn the wrong way and still count as straight, as the sine of an angle.
+/// Sine of the angle by which a corner may turn the wrong way and still count as straight.
 const STRAIGHT: f64 = 1e-9;
 
-/// The time of ear clipping grows with the square of the corners: a concave polygon of 100,000 corners took a minute and a
-/// half, one of 10,000 a tenth of a second. Larger ones are refused.
+/// Largest number of corners of a concave polygon. The time of ear clipping grows with its square: 10,000 corners took a
+/// tenth of a second, 100,000 corners a minute and a half.
 const MOST_CORNERS: usize = 10_000;
 
 /// Message for a polygon that [`polygon`] refuses.
@@ -53,8 +53,8 @@ fn doubled_triangle(ring: &[[f64; 2]], [a, b, c]: [usize; 3]) -> f64 {
     (b - a).perp_dot(c - a)
 }
 
-/// Whether no corner turns right, and no triangle of the fan does. The second condition excludes stars, which turn left at
-/// every corner but go round more than once.
+/// Whether neither a corner nor a triangle of the fan turns right. The second condition excludes stars: they turn left at
+/// every corner, but go round more than once.
 fn is_convex(ring: &[[f64; 2]]) -> bool {
     let n = ring.len();
     let turns_left = |t: [usize; 3]| {
@@ -114,7 +114,8 @@ mod tests {
         ring.iter().map(|p| (u * p[0] + v * p[1]) * scale + DVec3::splat(scale)).collect()
     }
 
-    /// The doubled area covered, when every triangle keeps the winding and every edge of the ring is an edge of one.
+    /// Twice the covered area. Checks that every triangle keeps the winding and that every edge of the ring is an edge of one
+    /// triangle.
     fn check(ring: &[[f64; 2]], triangles: &[[usize; 3]]) -> f64 {
         let n = ring.len();
         assert_eq!(triangles.len(), n - 2);
@@ -157,7 +158,7 @@ mod tests {
 
     #[test]
     fn time_does_not_grow_with_the_square_of_a_file() {
-        // A circle of any number of corners is a fan; with a dent it is too much.
+        // A circle with any number of corners is a fan. With a dent it has too many corners.
         let mut ring: Vec<[f64; 2]> = (0..20_000)
             .map(|i| std::f64::consts::TAU * f64::from(i) / 20_000.0)
             .map(|a| [a.cos(), a.sin()])

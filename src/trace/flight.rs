@@ -125,7 +125,7 @@ mod tests {
         rays.iter().map(ask).collect()
     }
 
-    /// Among ordinary rays those that break things; fewer rays than flights, and more.
+    /// Ordinary rays and degenerate ones; fewer rays than flights, and more.
     fn some_rays(count: usize, random: &mut Random) -> Vec<(Vec3A, Vec3A)> {
         let ray = |k: usize| match k % 4 {
             0 => (random.odd_vector(), random.odd_vector()),

@@ -315,7 +315,7 @@ pub(super) mod tests {
             dvec3(self.next(), self.next(), self.next())
         }
 
-        /// Among ordinary numbers the ones that break things.
+        /// Ordinary numbers and special values.
         fn odd(&mut self) -> f32 {
             const ODD: [f32; 12] = [
                 0.0,

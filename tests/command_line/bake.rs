@@ -1,4 +1,4 @@
-//! Lightmaps, as the shell sees them.
+//! The command `bake`.
 
 use std::{
     fs,
@@ -129,7 +129,7 @@ fn own_coordinates_that_do_not_suit_are_kept_beside() {
     assert_eq!(made.vertices, original.vertices);
     assert_eq!(original.texcoords, Scene::load(here.path("scene.obj")).unwrap().texcoords);
     assert_ne!(made.texcoords, original.texcoords);
-    // What has been baked can be used again, here with its own coordinates, which now suit.
+    // A baked scene can be baked again, now with its own texture coordinates.
     fs::write(here.path("out/scene.mtl"), MTL).unwrap();
     bake(&here, "out/scene.obj -o again --resolution 32 --final-gather 0 --keep-uv");
     assert!(here.json("again/report.json")["atlas"]["refused"].is_null());
@@ -182,12 +182,13 @@ fn files_of_a_scene_are_never_replaced() {
     let before = (here.read("scene.obj"), here.read("scene.mtl"));
     let errors = here.fails("bake scene.obj -o .", 2);
     assert!(errors.contains("no earlier bake wrote"), "{errors}");
-    // A material library of this name belongs to a scene of another.
+    // A material library of this name might belong to another scene.
     fs::rename(here.path("scene.obj"), here.path("room.obj")).unwrap();
     let errors = here.fails("bake room.obj -o .", 2);
     assert!(errors.contains("scene.mtl") && errors.contains("no earlier bake wrote"), "{errors}");
     assert_eq!((here.read("room.obj"), here.read("scene.mtl")), before);
-    // What was baked may be baked anew, also when another program has saved it meanwhile, but not onto itself.
+    // Baking again into the same directory works, also after another program has saved the scene. Baking onto the input does
+    // not.
     bake(&here, "room.obj -o out --resolution 32 --final-gather 0");
     fs::write(here.path("out/scene.obj"), "# saved elsewhere\n").unwrap();
     bake(&here, "room.obj -o out --resolution 40 --final-gather 0");
@@ -195,13 +196,13 @@ fn files_of_a_scene_are_never_replaced() {
     fs::write(here.path("out/scene.mtl"), MTL).unwrap();
     let errors = here.fails("bake out/scene.obj -o out", 2);
     assert!(errors.contains("would replace the input"), "{errors}");
-    // A file that came there otherwise stays.
+    // A file from elsewhere stays.
     fs::write(here.path("out/mask.png"), "mine").unwrap();
     let errors = here.fails("bake room.obj -o out --mask", 2);
     assert!(errors.contains("mask.png") && errors.contains("no earlier bake wrote"), "{errors}");
 }
 
-/// What a modelling program writes: objects, groups, smoothing, normals, quads, comments, names of materials.
+/// A file like those of modelling programs: objects, groups, smoothing, normals, quads, comments, names of materials.
 const LEVEL: &str = "# made by hand\nmtllib level.mtl\no Floor_01\nv 0 0 0\nv 0 0 4\nv 4 0 4\nv 4 0 0\nvn 0 1 0\n\
     vt 0 0\nvt 0 4\nvt 4 4\nvt 4 0\nusemtl tiles\ns off\nf 1/1/1 2/2/1 3/3/1 4/4/1\n\
     o Bent\ng cloth folds\nv 1 1 1\nv 2 1 1\nv 2 2 2\nv 1 1 2\nusemtl tiles\ns 1\nf -4/1 -3/2 -2/3 -1/4\n\
@@ -227,7 +228,7 @@ fn the_mesh_that_comes_back_is_the_file_with_other_texture_coordinates() {
     assert_eq!(but(&own, &["mtllib", "f"])[1..], but(LEVEL, &["mtllib", "f"]));
     assert!(own.contains("mtllib ../level/level.mtl\n"), "{own}");
 
-    // Quads stay quads, but for the one that lies on two charts. Vertices and normals stay, counted from the first.
+    // Quads stay quads, except for the one that lies on two charts. Vertices and normals stay.
     let faces = |text: &str| -> Vec<Vec<(String, String)>> {
         let corner = |corner: &str| {
             let mut parts = corner.split('/');
@@ -246,7 +247,7 @@ fn the_mesh_that_comes_back_is_the_file_with_other_texture_coordinates() {
         assert!(cut.iter().all(|corner| of_file[1].contains(corner)), "{cut:?}");
     }
 
-    // The first is a scene of its own that shines, the second the scene as it was.
+    // The first is a lit scene of its own, the second is the original scene.
     let [map, own, file] = ["out/scene.obj", "out/scene-original-uv.obj", "level/level.obj"]
         .map(|name| Scene::load(here.path(name)).unwrap());
     assert!(map.warnings.is_empty() && own.warnings.is_empty(), "{:?} {:?}", map.warnings, own.warnings);
@@ -260,7 +261,7 @@ fn the_mesh_that_comes_back_is_the_file_with_other_texture_coordinates() {
     assert!(map.texcoords.iter().flatten().all(|uv| uv.min_element() >= 0.0 && uv.max_element() <= 1.0));
 }
 
-/// Two signals at once, as timeout(1) sends them: the second does not wait for what stops at the first.
+/// Two signals at once, as timeout(1) sends them. The second one does not wait for work that stops after the first.
 #[cfg(unix)]
 #[test]
 fn a_directory_made_for_nothing_goes_with_the_second_signal() {
@@ -278,7 +279,7 @@ fn a_directory_made_for_nothing_goes_with_the_second_signal() {
             while !here.path("a/b").exists() {
                 assert!(child.try_wait().unwrap().is_none(), "{command} ended without its directory");
             }
-            // Whether it can be written to is tried with files that are there for a moment.
+            // The test whether the directory is writable makes files for a moment.
             std::thread::sleep(Duration::from_millis(20));
             let script = format!("kill -INT {0}; sleep 0.00{pause}; kill -INT {0} 2>/dev/null", child.id());
             Command::new("sh").args(["-c", &script]).status().unwrap();

@@ -1,4 +1,4 @@
-//! `solve --checkpoint`, killed and stopped: the result is the same bytes as that of a run that nothing disturbed.
+//! `solve --checkpoint`, killed and stopped: the result has the same bytes as that of an undisturbed run.
 
 use std::{
     fs,
@@ -56,7 +56,7 @@ fn grows_to(here: &Here, name: &str, bytes: u64, child: &mut Child) -> bool {
     }
 }
 
-/// The report without what no two runs have in common: times, and how much memory was touched.
+/// The report without times and peak memory, which differ between runs.
 fn report(here: &Here) -> Value {
     let mut report = here.json("r.json");
     for field in ["seconds", "peak_bytes"] {
@@ -68,8 +68,9 @@ fn report(here: &Here) -> Value {
     report
 }
 
-/// Runs with a checkpoint, is killed when that has grown to each of some shares of its size, on another number of threads
-/// every time, and ends with the bytes of a run that nothing disturbed. Returns how many kills met the program at work.
+/// Runs with a checkpoint. Kills the run each time the file has grown to one of some shares of its size, and continues with
+/// another number of threads. The last run must give the bytes of an undisturbed run. Returns how many kills hit a running
+/// program.
 fn survive(here: &Here, options: &str, shares: &[f64]) -> u32 {
     let command = format!("solve scene.obj -o out.ply --report r.json --quiet {options}");
     assert_eq!(here.run(&command).status.code(), Some(0), "{options}");
@@ -105,7 +106,7 @@ const RUNS: [&str; 4] = [
     "--error 4",
 ];
 
-/// Kills at the very first bytes and at four places drawn beforehand.
+/// Kills at the first bytes and at four random places.
 #[test]
 fn killed_again_and_again_it_ends_with_the_same_bytes() {
     let here = plate();
@@ -138,7 +139,7 @@ fn killed_hundreds_of_times_it_ends_with_the_same_bytes() {
     assert!(kills >= 144, "only {kills} kills of 288 met the program at work");
 }
 
-/// A signal to stop leaves the file, says how to go on, and nothing is lost or left besides.
+/// After a signal to stop, the file stays, a message says how to continue, no ray is lost, and no other file is left.
 #[test]
 fn stopped_it_says_how_to_go_on() {
     let here = plate();
@@ -162,7 +163,8 @@ fn stopped_it_says_how_to_go_on() {
     assert!(here.read("out.ply") == truth && size(&here, "rays") > kept);
 }
 
-/// When the file can grow no more, the run ends with one error. Its contents stay good and serve when there is room again.
+/// When the file cannot grow any more, the run ends with one error. Its contents stay valid and are used when there is room
+/// again.
 #[test]
 fn a_full_disk_costs_only_what_did_not_fit() {
     let here = plate();
@@ -170,7 +172,8 @@ fn a_full_disk_costs_only_what_did_not_fit() {
     assert_eq!(here.run(command).status.code(), Some(0));
     let truth = here.read("out.ply");
     fs::remove_file(here.path("out.ply")).unwrap();
-    // A limit on the size of files, in units of 512 bytes or of 1024 as the shell has it. The signal that it brings would kill.
+    // A limit on the size of files, in units of 512 or 1024 bytes depending on the shell. Its signal, which would kill the
+    // program, is ignored.
     let limited = "trap '' XFSZ; ulimit -f 100; exec \"$@\"";
     let output = Command::new("sh")
         .current_dir(here.directory())

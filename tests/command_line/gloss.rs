@@ -1,4 +1,4 @@
-//! Specular parts, as the shell sees them.
+//! Specular parts on the command line.
 
 use std::{f64::consts::PI, fs};
 
@@ -57,11 +57,11 @@ fn a_mirror_shows_a_second_lamp() {
     }
 }
 
-/// A sharp lobe of Ks is a mirror of Ks but for its width; Phong's lobes reflect less where light does not come from straight above.
+/// A sharp lobe of Ks acts like a mirror of Ks, except for its width. Phong lobes reflect less away from normal incidence.
 #[test]
 fn sharp_lobes_of_files_and_options_are_nearly_mirrors() {
     let [direct, image] = [LAMP, mirrored()].map(|lamp| PI * 3.0 * point_to_polygon(POINT, DVec3::Y, &lamp));
-    // What is seen of the mirrored lamp makes an angle with the normal of the wall of which this is the cosine.
+    // Cosine of the angle between the wall's normal and the direction to the mirrored lamp.
     let cos = 3.0 / 3f64.hypot(1.5);
     for (lines, options, least) in [
         ("Ks 0.8 0.8 0.8\nNs 100000\nillum 2\n", "", 0.95 * cos),
@@ -102,7 +102,7 @@ fn materials_that_would_make_light_are_scaled_with_a_warning() {
     assert!(
         stderr(&output).contains("material `wall`: diffuse and specular reflectance together reach 1.300")
     );
-    // Numbers out of range are no reason to refuse a file.
+    // A file with numbers out of range is not refused.
     fs::write(here.path("scene.mtl"), format!("{BLACK}Ks 3 0 0\nNs -4\n")).unwrap();
     let output = here.run("probe scene.obj --points points --spp 64");
     assert_eq!(output.status.code(), Some(0));
@@ -124,7 +124,7 @@ fn solve_tells_what_becomes_of_gloss() {
         here.json("r.json")["energy"]["absorbed"][0].as_f64().unwrap()
     };
     let (dropped, diffuse) = (mean("", "left out"), mean("--specular diffuse", "counted as diffuse"));
-    // The wall absorbs all, or two fifths of what it gets, and gives some of the rest to the floor.
+    // The wall absorbs all of its light, or two fifths, and reflects some of the rest to the floor.
     assert!(diffuse < 0.99 * dropped, "{diffuse} {dropped}");
 }
 
@@ -153,7 +153,7 @@ fn validation_tells_what_lambertian_surfaces_cost() {
     let figure = |key: &str| lambert[key].as_f64().unwrap();
     assert!(figure("standard_error") > 0.0);
     assert!(figure("largest_relative").abs() > figure("rms_relative"));
-    // Without the mirror its light goes nowhere, and the floor is darker for it.
+    // Without the mirror the floor is darker.
     let dropped = |key: &str| lambert["dropped"][key].as_f64().unwrap();
     assert!(dropped("rms_relative") > 4.0 * dropped("standard_error"), "{lambert}");
     assert!(dropped("mean_relative") > 4.0 * dropped("mean_standard_error"), "{lambert}");
@@ -166,7 +166,7 @@ fn validation_tells_what_lambertian_surfaces_cost() {
         assert!(header.contains(&format!("property float {property}\n")), "{header}");
     }
     assert_eq!(report["lambert"], again["lambert"]);
-    // Where there is none, nothing is lost: the runs are the same to the bit.
+    // Without gloss both runs give the same bits.
     fs::write(here.path("scene.mtl"), BLACK).unwrap();
     let (said, report) = validate("--lambert");
     assert_eq!(report["lambert"]["rms_relative"], 0.0);

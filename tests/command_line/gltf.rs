@@ -1,4 +1,4 @@
-//! Binary glTF out of `bake` and `solve`: the scene as it came, with its light.
+//! Binary glTF files of `bake` and `solve`: the unchanged scene with its light.
 
 use std::{collections::BTreeSet, fs, path::Path};
 
@@ -86,7 +86,7 @@ fn a_lit_scene_keeps_what_came_and_shows_the_radiosity() {
     assert_eq!((&said["irradiance"], &said["encoding"]), (&json!(["out.exr"]), &json!("emissive")));
     assert!(here.path("out.exr").exists());
 
-    // The lamp is brighter than the map holds and emits by itself: in whites, what it emits.
+    // The lamp is too bright for the map, so it has an emission of its own, in units of white.
     let primitives = out["meshes"][0]["primitives"].as_array().unwrap();
     let material = |p: &Value| &out["materials"][p["material"].as_u64().unwrap() as usize];
     let white = said["white"].as_f64().unwrap();
@@ -117,7 +117,7 @@ fn a_lit_scene_keeps_what_came_and_shows_the_radiosity() {
         let e = map.get_pixel(x, y).0;
         for (c, rho) in [0.5, 0.4, 0.3].into_iter().enumerate() {
             let wanted = f64::from(e[c]) * rho / std::f64::consts::PI / white / strength;
-            // Texels of the lamp, brighter than the map holds, are white.
+            // The lamp is too bright for the map, so its texels are white.
             if pixel.0[c] > 0 && pixel.0 != [255; 3] && e[c] > 0.0 {
                 let found = tone::linear(f64::from(pixel.0[c]) / 255.0);
                 let step = tone::linear((f64::from(pixel.0[c]) + 0.51) / 255.0) - found;
@@ -168,7 +168,7 @@ fn other_encodings_keep_the_materials() {
     assert_eq!(floor["pbrMetallicRoughness"]["baseColorFactor"], json!([0.5, 0.4, 0.3, 1.0]));
     let light = &floor["extensions"]["MOZ_lightmap"];
     assert_eq!((&light["texCoord"], &light["index"]), (&json!(1), &json!(0)));
-    // Linear irradiance, white the most there is.
+    // Linear irradiance. White is the maximum.
     let map = image::open(here.path("out.exr")).unwrap().into_rgb32f();
     let most = map.pixels().flat_map(|p| p.0).fold(0.0, f32::max);
     assert!((light["intensity"].as_f64().unwrap() as f32 - most).abs() < 1e-3 * most);

@@ -47,21 +47,21 @@ fn an_opening_lets_its_share_out() {
     assert_share(seen.escaped, seen.rays, 1.0 / 5.0);
 }
 
-/// Turned round, the wall sends all of its sixth outside and is met from behind by the fifth of five sixths that it let
-/// out as an opening.
+/// A wall that is turned round sends its sixth of the rays outside. The rays that left through the opening before, a fifth of
+/// five sixths, now hit its back.
 #[test]
 fn a_turned_wall_is_met_from_behind() {
     let seen = survey(&room_with(|[a, b, c]| Some([a, c, b])));
     assert_share(seen.all.escaped, seen.all.rays, 1.0 / 6.0);
     assert_share(seen.all.backs, seen.all.rays, 1.0 / 6.0);
     assert_eq!(seen.backs_of, [0, seen.all.backs]);
-    // Both of its triangles were met so often that none is missing.
+    // Many rays hit both of its triangles.
     assert!((seen.back_area - 1.0 / 6.0).abs() < 1e-12, "{}", seen.back_area);
     assert_eq!(seen.lamps.escaped, seen.lamps.rays);
 }
 
-/// Of many small triangles only some are met, but how many there are is estimated. The sphere's inside is seen from a
-/// small lamp alone, whose rays, N of all, spread evenly over its n triangles: about n (1 - exp(-N / n)) are met.
+/// Rays hit only some of many small triangles, but their number is estimated. The inside of the sphere is seen from a small
+/// lamp only. Its N rays spread evenly over n triangles, so they hit about n (1 - exp(-N / n)).
 #[test]
 fn backs_that_no_ray_happened_to_meet_are_estimated() {
     let shell = icosphere(1.0, 5);
@@ -76,7 +76,7 @@ fn backs_that_no_ray_happened_to_meet_are_estimated() {
     assert!((seen.back_area - 1.0).abs() < 0.3, "{}", seen.back_area);
 }
 
-/// In single precision a triangle 10¹¹ times as long as wide has no area, but its rays are cast; and so are those of
+/// A triangle 10¹¹ times as long as wide has no area in single precision. Its rays are cast all the same, and so are those of
 /// triangles of any size.
 #[test]
 fn slivers_and_giants_are_surveyed() {
@@ -122,7 +122,7 @@ fn a_room_is_told_in_figures_and_sentences() {
 
 #[test]
 fn what_will_go_wrong_is_told_and_is_no_failure() {
-    // No lamp, a wall turned round and a face twice, a face without area, a texture that is not there.
+    // No lamp, a wall turned round, a doubled face, a face without area, and a missing texture.
     let obj = ROOM.replace("f 2 6 8 4", "f 4 8 6 2\nf 1 2 4\nf 1 1 2");
     let here = Here::new(&obj, "newmtl wall\nmap_Kd no.png\n");
     let output = here.run("inspect scene.obj --report r.json");
@@ -219,7 +219,7 @@ fn no_output_takes_the_place_of_a_file_of_the_scene() {
     assert!(here.read("other.ply").starts_with(b"ply\n"));
 }
 
-/// A luminaire with its faces inside out shines into itself: it is named, and one beside it that is right is not.
+/// A luminaire with its faces inside out lights itself only. The warning names it, but not the correct one beside it.
 #[test]
 fn lamps_that_shine_into_their_own_housing_are_named() {
     let mut obj = "mtllib scene.mtl\n".to_string();

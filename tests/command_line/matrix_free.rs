@@ -1,4 +1,4 @@
-//! `solve` where memory holds no matrix.
+//! `solve` without a matrix, because memory is too small for one.
 
 use crate::common::program::{Here, stderr};
 use ply_rs::{
@@ -41,8 +41,9 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// A matrix of this work takes 40 MB and more (`tests/command_line/memory.rs`), 25 MB are given. Of 95 % intervals of the difference to the
-/// matrix's answer 95 % should hold zero; patches err together, so that single runs scatter by some per cent.
+/// The matrix would take 40 MB and more (`tests/command_line/memory.rs`), but 25 MB are allowed. 95 % of the 95 % intervals of
+/// the difference from the matrix's answer should contain zero. Errors of patches are correlated, so single runs scatter by
+/// some per cent.
 #[test]
 fn what_fits_no_matrix_is_solved_without_one_within_its_error_bars() {
     let here = Here::new("", "");
@@ -75,8 +76,8 @@ fn what_fits_no_matrix_is_solved_without_one_within_its_error_bars() {
         let share = inside as f64 / (3 * found.len()) as f64;
         println!("{name}: {:.1} % in 95 % intervals", 100.0 * share);
         assert!(share >= 0.9, "{name}: {share}");
-        // What is written of each is the larger of a patch's own variance and that of its siblings: of 16 batches the larger of
-        // the two is 15 % above their mean, the error 7 %; backs are not counted here.
+        // The file has the larger of a patch's own variance and that of its siblings. With 16 batches the larger of the two is
+        // 15 % above their mean, and the error 7 %. Backs are not counted here.
         let told = number(&report["error"]["rms_relative"]);
         let written = (squares / areas).sqrt() / (mean / areas);
         assert!((0.95..1.2).contains(&(written / told)), "{name}: {written} and {told}");
@@ -84,7 +85,7 @@ fn what_fits_no_matrix_is_solved_without_one_within_its_error_bars() {
     }
 }
 
-/// All that is emitted is absorbed or escapes, and what the rays missed is within their error.
+/// Emitted light is absorbed or escapes, and the imbalance of the rays is within its standard error.
 fn check_energy(report: &Value) {
     let energy = &report["energy"];
     for c in 0..3 {
@@ -110,8 +111,8 @@ fn sweeps_write_the_same_bytes_for_any_number_of_threads() {
     assert!(one == bytes(2) && one == bytes(3));
 }
 
-/// 1,080 patches with 64 rays need a matrix of 21.3 MB, which 19 MB do not hold. 23 MB hold it, but not the matrix of as many rays as
-/// this error takes.
+/// 1,080 patches with 64 rays need a matrix of 21.3 MB, which does not fit into 19 MB. It fits into 23 MB, but the matrix of the
+/// number of rays for this error does not.
 #[test]
 fn an_error_is_reached_without_a_matrix() {
     let here = Here::new("", "");
@@ -123,7 +124,7 @@ fn an_error_is_reached_without_a_matrix() {
         assert!(number(&report["peak_bytes"]) <= 1e6 * f64::from(memory));
         let rounds: Vec<_> = report["rounds"].as_array().unwrap().iter().collect();
         let rays: Vec<f64> = rounds.iter().map(|round| number(&round["rays_per_patch"])).collect();
-        // Stopped at the first batch that reached it, not at the next power of two.
+        // The run stopped at the first batch that reached the error, not at the next power of two.
         let [.., before, last] = rays[..] else { panic!("{rays:?}") };
         assert!(rays[0] == 64.0 && last > before && last <= 2.0 * before, "{rays:?}");
         let errors = rounds.iter().map(|round| number(&round["rms_relative"]));
@@ -132,7 +133,8 @@ fn an_error_is_reached_without_a_matrix() {
     }
 }
 
-/// No memory holds patches small enough for this error: the rays reach it, the answer does not.
+/// Patches that are small enough for this error do not fit into memory. The sampling error reaches it, the total error does
+/// not.
 #[test]
 fn an_error_that_patches_leave_is_not_reached() {
     let here = Here::new("", "");

@@ -1,4 +1,4 @@
-//! Memory: forecast before it is taken, and refused where it is too much.
+//! Forecasts of memory, and refusals of work that needs too much.
 
 use std::{fs, path::Path};
 
@@ -43,7 +43,7 @@ fn forecast_and_peak(
     (forecast, peak)
 }
 
-/// At most the forecast, and at least a third of it: several rays can share an entry of the matrix.
+/// The used memory is at most the forecast and at least a third of it, because several rays can share an entry of the matrix.
 fn check(cases: &[(u32, u32)], names: &[&str]) {
     let here = Here::new("", "");
     for name in names {
@@ -61,7 +61,7 @@ fn no_more_is_taken_than_was_forecast() {
     check(&[(8000, 64)], &["cornell-box", "furnace"]);
 }
 
-/// Solvers that want more than the matrix as it is kept; and white walls, where it has to be found out whether light is caught.
+/// Solvers that need more memory than the stored matrix, and white walls, which need a search for trapped light.
 #[test]
 fn solvers_take_no_more_than_was_forecast() {
     let here = Here::new("", "");
@@ -89,7 +89,7 @@ fn solvers_take_no_more_than_was_forecast() {
     }
 }
 
-/// Nor without a matrix, whatever the rays.
+/// The same without a matrix, for any number of rays.
 #[test]
 fn sweeps_take_no_more_than_was_forecast() {
     let here = Here::new("", "");
@@ -120,7 +120,7 @@ fn no_more_is_taken_than_was_forecast_on_many_scenes() {
     check(&cases, &["cornell-box", "door-ajar", "furnace", "textured"]);
 }
 
-/// Every command that solves refuses at once, and does its work when it is asked as the hint says.
+/// Every command that solves refuses too large work at once, and works when it is called as the hint says.
 #[test]
 fn what_memory_does_not_allow_is_refused_with_a_way_out() {
     let here = Here::new("", "");
@@ -169,7 +169,7 @@ fn what_memory_does_not_allow_is_refused_with_a_way_out() {
     assert!(here.fails(&format!("solve {file} --memory lots"), 2).contains("a size like 500MB or 4GiB"));
 }
 
-/// A limit is one on sampling too: where nothing but a matrix will do, it ends where memory does, and says so.
+/// The limit applies to sampling too. If an option needs a matrix, sampling ends when memory is full, with a message.
 #[test]
 fn sampling_in_rounds_ends_where_memory_does() {
     let here = Here::new("", "");

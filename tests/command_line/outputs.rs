@@ -1,4 +1,4 @@
-//! Outputs that cannot be written, and outputs that would replace an input: one clear error, nothing lost, nothing left.
+//! Outputs that cannot be written, and outputs that would replace an input: one clear error, no loss, and no files left behind.
 
 use std::{
     fs,
@@ -30,7 +30,7 @@ fn contents(here: &Here) -> Vec<(String, Vec<u8>)> {
     files.map(|name| (name.clone(), here.read(&name))).collect()
 }
 
-/// Runs what must fail: exit status 2, one line of error that names `place` and says `why`, and nothing changed.
+/// Runs a command that must fail: exit status 2, one line of error with `place` and `why`, and no changed file.
 fn refused(here: &Here, arguments: &str, place: &str, why: &[&str]) {
     let before = contents(here);
     let errors = here.fails(arguments, 2);
@@ -61,7 +61,7 @@ fn no_output_replaces_an_input() {
             refused(&here, &format!("{command} --report {input}"), input, &why);
         }
     }
-    // A texture that is not called like one, by another way round.
+    // A texture with an unusual name, by another path.
     let mtl = String::from_utf8(here.read("textured.mtl")).unwrap();
     fs::write(here.path("textured.mtl"), mtl.replace("checkerboard.png", "board.json")).unwrap();
     fs::rename(here.path("checkerboard.png"), here.path("board.json")).unwrap();
@@ -77,7 +77,7 @@ fn no_output_replaces_an_input() {
     assert!(here.read("board.json") == board);
 }
 
-/// The names of files may hold line ends; an error is one line even so.
+/// Names of files may contain line ends. The error is one line all the same.
 #[test]
 fn errors_of_odd_names_are_one_line() {
     let here = textured();
@@ -130,7 +130,7 @@ fn places_that_do_not_exist_or_are_directories() {
     assert_eq!(here.read("dir.ply/kept"), b"kept");
 }
 
-/// Directories that nobody can write to, root neither, and one that others cannot.
+/// Directories that nobody can write to, not even root, and one that only other users cannot write to.
 #[cfg(target_os = "linux")]
 #[test]
 fn directories_that_cannot_be_written_to() {

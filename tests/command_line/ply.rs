@@ -1,4 +1,4 @@
-//! What the PLY reader makes of files as they come: in all encodings, good, odd and broken.
+//! The PLY reader on good, odd and broken files in all encodings.
 
 use std::fmt::Write as _;
 
@@ -208,7 +208,7 @@ fn a_reflectance_from_outside_counts_before_colours() {
         property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\nproperty list uchar int vertex_indices\n\
         property float reflectance_r\nproperty float reflectance_g\nproperty float reflectance_b\nend_header\n\
         0 0 0 255 255 255\n1 0 0 255 255 255\n0 1 0 255 255 255\n3 0 1 2 0.25 0.25 0.25\n";
-    // A figure of the file's still counts before it.
+    // A reflectance in the file takes precedence.
     std::fs::write(&path, text).unwrap();
     let given = LoadOptions::default().with_reflectance(Some([0.6; 3]));
     assert_eq!(Scene::load_with(&path, &given).unwrap().materials[0].reflectance, [0.25; 3]);
@@ -355,7 +355,7 @@ fn every_command_takes_ply_and_light_by_option() {
     run(&format!("validate cube.Ply --patches 50 --rays 32 --paths 16 --particles 1024 {light}"));
     run("inspect cube.Ply --reflectance 0.5");
 
-    // What was written is a scene again: 192 triangles of the same cube, its colours no reflectances.
+    // The output is a scene again: 192 triangles of the same cube. Its colours are not reflectances.
     let again = Scene::load(here.path("out.ply")).unwrap();
     assert_eq!(again.triangles.len(), 192);
     let area: f64 = (0..192).map(|t| again.area(t)).sum();
@@ -368,7 +368,7 @@ fn every_command_takes_ply_and_light_by_option() {
     assert!(here.fails("solve cube.Ply --emit 1@#ffffff", 2).contains("its materials are (none)"));
 }
 
-/// A file of `solve` is read as the surface it was computed on: a face that shows a back is turned, unless its front is there.
+/// A file of `solve` is read as the original surface. A face that shows a back is turned, unless the file has its front.
 #[test]
 fn a_solution_is_read_as_one_surface() {
     let sides = "vertex_indices\nproperty int triangle\nproperty uchar side";
@@ -379,7 +379,7 @@ fn a_solution_is_read_as_one_surface() {
     // One face a patch, the second of which shows its back.
     let one = load(text.replace("4 0 1 2 3", "3 0 1 2 0 0\n3 3 2 0 1 1"));
     assert_eq!((one.triangles.len(), one.normal(0)), (2, one.normal(1)));
-    // Without the triangle's number it is some other program's property.
+    // Without the number of the triangle, `side` is a property of some other program.
     let other = text.replace("property int triangle\n", "");
     assert_eq!(load(other.replace("4 0 1 2 3", "4 0 1 2 3 0\n4 3 2 1 0 1")).triangles.len(), 4);
 }

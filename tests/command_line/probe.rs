@@ -1,4 +1,4 @@
-//! Irradiance at points, as the shell sees it.
+//! The command `probe`.
 
 use std::{f64::consts::PI, fs};
 
@@ -101,7 +101,7 @@ fn both_methods_agree_where_light_arrives_by_detours() {
     for (i, p) in paths.iter().enumerate() {
         for c in 0..3 {
             let (want, error) = (p[6 + c], p[9 + c]);
-            // What the solution is off by shows in its change from patches to smaller ones.
+            // The change from patches to smaller ones shows the error of the solution.
             let allowed = 4.0 * error.hypot(fine[i][9 + c]) + (coarse[i][6 + c] - fine[i][6 + c]).abs();
             assert!(allowed < 0.15 * want, "{i}: {p:?} {:?} {:?}", coarse[i], fine[i]);
             assert!((fine[i][6 + c] - want).abs() < allowed, "{i}: {p:?} {:?} {:?}", coarse[i], fine[i]);
@@ -153,7 +153,7 @@ fn bad_points_are_told_with_file_and_line() {
     }
 }
 
-/// Points below a surface are named; those on it, but for six digits, are not.
+/// A warning names points below a surface, but not points that lie on it up to the rounding of six digits.
 #[test]
 fn points_below_a_surface_are_named() {
     let here = Here::new(LAMP, BLACK);
@@ -172,7 +172,7 @@ fn points_below_a_surface_are_named() {
     assert!(table(&below.stdout)[1][6] == 0.0);
 }
 
-/// A pane before the lamp keeps its light out, unless its material is left out: then the light is that without a pane.
+/// A pane in front of the lamp blocks its light, unless its material is ignored. Then the light is that without a pane.
 #[test]
 fn materials_can_be_ignored() {
     let pane = "usemtl glass\nv -1 1 -1\nv 2 1 -1\nv 2 1 2\nv -1 1 2\nf 9 10 11 12\n";

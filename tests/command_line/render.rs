@@ -1,10 +1,10 @@
-//! Pictures, as the shell sees them.
+//! The command `render`.
 
 use std::f64::consts::PI;
 
 use crate::common::program::{Here, stderr};
 
-/// One block of a picture, a value a channel.
+/// One block of a picture, with one value per channel.
 type Block = [f64; 3];
 
 const SIZE: u32 = 48;
@@ -15,7 +15,7 @@ fn mesh(name: &str) -> String {
     format!("{}/meshes/{name}.obj", env!("CARGO_MANIFEST_DIR"))
 }
 
-/// A directory with nothing to see in it.
+/// A directory with a scene that has nothing to see.
 fn here() -> Here {
     Here::new("mtllib scene.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "newmtl m\nKe 1 1 1\n")
 }

@@ -1,4 +1,4 @@
-//! `solve` as the shell runs it.
+//! The command `solve`.
 
 use std::{collections::BTreeMap, f64::consts::PI, fs, path::Path, process::Command};
 
@@ -122,13 +122,13 @@ fn the_report_has_the_promised_fields_in_the_promised_order() {
     assert_eq!(here.json("r.json")["scene"]["patches"], 12);
 }
 
-/// Where nobody chooses patches, a wanted error makes them small where light varies: within triangles there are several sizes.
-/// Where someone does, all of a triangle are of one.
+/// If no option sets the patches, `--error` makes them small where light varies, so that triangles have patches of several
+/// sizes. If an option sets them, all patches of a triangle have one size.
 #[test]
 fn a_wanted_error_alone_cuts_patches_by_the_light() {
     let here = Here::new("", "");
     let scene = format!("{}/meshes/cornell-box.obj", env!("CARGO_MANIFEST_DIR"));
-    // By triangle, the areas of its patches. Patches that are drawn as two halves count once.
+    // The areas of the patches of each triangle. A patch that is drawn as several faces counts once.
     let sizes = |options: &str| {
         let output = here.run(&format!("solve {scene} --error 1 {options} -o out.ply --quiet"));
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
@@ -153,7 +153,7 @@ fn a_wanted_error_alone_cuts_patches_by_the_light() {
             .for_each(|((triangle, _), area)| of_triangle.entry(triangle).or_default().push(area));
         of_triangle
     };
-    // How many times as large the largest patch of a triangle is as the smallest: powers of four.
+    // The ratio of the largest to the smallest patch of a triangle is a power of four.
     let ratio = |areas: &Vec<f64>| {
         let extreme = |f: fn(f64, f64) -> f64| areas.iter().copied().reduce(f).unwrap();
         (extreme(f64::max) / extreme(f64::min)).round() as u32
@@ -204,7 +204,7 @@ fn every_solver_and_quality_gives_the_furnace_the_same_light() {
     let (_, name, report) = absorbed("--quality draft --estimator one-way");
     assert_eq!((name.as_str(), &report["options"]["estimator"]), ("gauss-seidel", &Value::from("one-way")));
     assert_eq!(report["scene"]["patches"], 768);
-    // Half of the rays find that all patches are equally bright; then no more are worth casting.
+    // After half of the rays all patches are known to be equally bright, and no more rays are worth casting.
     assert_eq!(absorbed("--quality draft").2["options"]["rays_per_patch"], 32.0);
 }
 

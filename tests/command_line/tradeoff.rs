@@ -1,4 +1,4 @@
-//! `radiosity tradeoff`: files that others can read, and errors that behave as physics wants.
+//! The command `tradeoff`: files that other programs can read, and errors that follow physics.
 
 use std::fs;
 
@@ -12,8 +12,8 @@ f 1 2 4 3\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\nusemtl lamp\nf 5 7 8 6\n"
 const MATERIALS: &str = "newmtl wall\nKd 0.5 0.5 0.5\nnewmtl lamp\nKd 0 0 0\nKe 1 1 1\n";
 const SMALL: &str = "--patches 800 --most-rays 400000";
 
-/// The errors of the patches of one triangle may all be one, so that there are 12 independent ones at least, and the mean
-/// of 12 squares of normal variables is uncertain by sqrt(2/12): four standard errors.
+/// The errors of the patches of one triangle may be fully correlated, so there are at least 12 independent ones. The mean of 12
+/// squares of normal variables has a relative standard deviation of sqrt(2/12). Four of these are allowed.
 const BAND: f64 = 1.0 + 4.0 * 0.408_248;
 
 fn here() -> Here {
@@ -56,7 +56,7 @@ fn elements(xml: &str) -> Vec<&str> {
 #[test]
 fn errors_fall_as_rays_grow_and_files_can_be_read() {
     let here = here();
-    // A name that XML would take for markup.
+    // A name with characters of XML markup.
     fs::rename(here.path("scene.obj"), here.path("r&d<1.obj")).unwrap();
     let output = here.run(&format!("tradeoff r&d<1.obj -o deep/out --report r.json {SMALL}"));
     assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()));
@@ -76,7 +76,7 @@ fn errors_fall_as_rays_grow_and_files_can_be_read() {
     check_errors(&report, points);
     check_variants(points);
 
-    // Another run replaces the files, and but for times says the same, with any number of threads.
+    // Another run, with any number of threads, replaces the files and gives the same figures except for times.
     let again = here.run(&format!("tradeoff r&d<1.obj -o out --threads 1 --quiet {SMALL}"));
     assert_eq!((again.status.code(), again.stdout.len()), (Some(0), 0));
     assert_eq!(fs::read_dir(here.path("out")).unwrap().count(), 4);
@@ -103,7 +103,7 @@ fn check_csv(csv: &str, points: &[Value]) {
                 Value::Null => assert_eq!(*cell, ""),
                 Value::Bool(truth) => assert_eq!(*cell, truth.to_string()),
                 number => {
-                    // Whoever reads the JSON may round the last place.
+                    // A reader of the JSON may round the last digit.
                     let (a, b) = (cell.parse::<f64>().unwrap(), number.as_f64().unwrap());
                     assert!((a - b).abs() <= 2.0 * f64::EPSILON * b.abs(), "{name}: {a} {b}");
                 }
@@ -125,7 +125,7 @@ fn check_svg(svg: &str, points: &[Value]) {
     assert!(all.iter().filter(|name| matches!(**name, "circle" | "polygon")).count() >= drawn);
 }
 
-/// More rays, less error, down to what patches of finite size leave; and as large as estimated.
+/// With more rays the error falls to the discretisation error, and it agrees with the estimate.
 fn check_errors(report: &Value, points: &[Value]) {
     let known = number(&report["reference"], "error");
     let rays = of(points, "rays");
@@ -172,7 +172,7 @@ fn check_variants(points: &[Value]) {
         assert!(line.len() >= 4, "{name}");
         assert!(line.windows(2).all(|p| number(p[0], "tolerance") > number(p[1], "tolerance")));
         assert!(line.windows(2).all(|p| number(p[0], "iterations") <= number(p[1], "iterations")));
-        // To 1e-10 of the emitted power all have the answer of the dense system, whose sampling error is the same.
+        // At 1e-10 of the emitted power all solvers have the answer of the dense system and so the same sampling error.
         let (last, same) = (number(line[line.len() - 1], "error"), number(direct, "error"));
         assert!((last / same - 1.0).abs() < 1e-6, "{name}: {last} {same}");
     }

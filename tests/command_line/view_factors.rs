@@ -1,4 +1,4 @@
-//! `radiosity view-factors`: tables that hold what closed forms say, whatever a file calls a surface.
+//! The command `view-factors`: tables that agree with closed forms, for all kinds of surfaces.
 
 use std::{collections::HashMap, fs};
 
@@ -7,7 +7,7 @@ use radiosity::form_factor::exact::{
     opposed_rectangles, opposed_squares_with_blocker, perpendicular_rectangles,
 };
 
-/// What is stored in single precision, and more than closed forms are off.
+/// Rounding of single precision, which is more than the error of closed forms.
 const STORED: f64 = 3e-7;
 
 /// A table: names, areas, escaped shares, and rows.
@@ -37,13 +37,13 @@ impl Table {
         table
     }
 
-    /// What holds of all tables.
+    /// Properties of all tables.
     fn check(&self) {
         let n = self.names.len();
         assert!(self.rows.len() == n && self.rows.iter().all(|row| row.len() == n));
         for i in 0..n {
             let sum = self.escaped[i] + self.rows[i].iter().sum::<f64>();
-            // Of the sky and the ground nothing leaves that is counted.
+            // Light from sky and ground does not count.
             if self.areas[i].is_infinite() {
                 assert_eq!(sum, 0.0);
                 continue;
@@ -64,7 +64,7 @@ impl Table {
     }
 }
 
-/// Runs it on an OBJ file; what it says on stderr.
+/// Runs the command on an OBJ file and returns stderr.
 fn run(obj: &str, options: &str) -> (Here, String) {
     let here = Here::new(obj, "");
     let output = here.run(&format!("view-factors scene.obj -o out.csv --quiet {options}"));
@@ -78,7 +78,7 @@ fn table(obj: &str, options: &str) -> Table {
     Table::read(&run(obj, options).0, "out.csv")
 }
 
-/// Faces of a file: each with what stands before it, and its corners.
+/// Faces of a file, each with the lines before it and its corners.
 fn obj<'a>(faces: impl IntoIterator<Item = (&'a str, Vec<[f64; 3]>)>) -> String {
     let mut text = String::new();
     for (before, corners) in faces {
@@ -190,7 +190,7 @@ fn a_blocker_hides_what_the_closed_form_says_within_the_told_error() {
     let (f, error) = known[&("0", "1")];
     let exact = opposed_squares_with_blocker(1.0, 1.0, 0.5);
     assert!((f - exact).abs() < 4.5 * error, "{f} ± {error}, not {exact}");
-    // Nearly all of the error is this pair's, both ways; RMS over the six that are not zero.
+    // This pair has nearly all of the error, in both directions. RMS over the six view factors that are not zero.
     let told = here.json("r.json")["error"]["rms"].as_f64().unwrap();
     assert!(told <= 2e-4 && error > 3f64.sqrt() * told * 0.9, "{told} {error}");
     assert_eq!(here.json("r.json")["enclosed"], false);
@@ -209,7 +209,7 @@ fn a_cube_is_closed_and_its_parts_sum_up() {
         assert!((groups.areas[i] - 1.0).abs() < 1e-12);
         for j in 0..6 {
             assert!((whole.rows[i][j] - of_cube(i, j)).abs() < STORED);
-            // Nothing is hidden, so there is no chance in it: what is unoccluded is known to a thousandth.
+            // Nothing is hidden, so there is no sampling: unoccluded view factors are known to a thousandth.
             assert!((groups.rows[i][j] - of_cube(i, j)).abs() < 1e-3 * of_cube(i, j) + STORED, "{i} {j}");
             let of_part = |k: usize| parts.rows[k][9 * j..9 * j + 9].iter().sum::<f64>();
             let sum = (9 * i..9 * i + 9).map(of_part).sum::<f64>() / 9.0;
@@ -277,7 +277,7 @@ fn what_a_room_is_is_told_by_rays_or_by_the_user() {
         let (here, said) = run(scene, &format!("--report r.json {options}"));
         (here.json("r.json"), Table::read(&here, "out.csv"), said)
     };
-    // Not a word on the reflectance that the file lacks.
+    // No warning about the missing reflectance.
     let (told, _, said) = report(&closed, "");
     assert_eq!(said, "");
     assert_eq!((&told["enclosed"], &told["look"]["escaped"]), (&true.into(), &0.into()));
@@ -286,7 +286,7 @@ fn what_a_room_is_is_told_by_rays_or_by_the_user() {
     for wall in 0..5 {
         assert!((found.escaped[wall] - of_cube(wall, 5)).abs() < 1e-6, "{:?}", found.escaped);
     }
-    // What sums to one is what was said to escape.
+    // Everything escapes.
     let (_, found, _) = report(&closed, "--open");
     assert!(found.escaped.iter().all(|&e| e < 1e-6));
     // A room shown its outside.
@@ -301,7 +301,7 @@ fn what_a_room_is_is_told_by_rays_or_by_the_user() {
     assert!(told["enclosed"] == false && !said.contains("backs"), "{said}");
     assert!((found.rows[0][1] - of_cube(0, 1)).abs() < 1e-6 && found.escaped[0] < 1e-6);
     assert!(found.escaped[6..].iter().all(|&e| e == 1.0));
-    // Nobody is believed who says that an open box encloses a room.
+    // The claim that an open box is closed is refused.
     let here = Here::new(&open, "");
     let errors = here.fails("view-factors scene.obj -o out.csv --enclosed", 2);
     assert!(errors.contains("error: scene.obj:") && errors.contains("no room is enclosed"), "{errors}");
@@ -331,7 +331,7 @@ fn a_turned_wall_and_faces_at_one_place_are_told() {
 
 #[test]
 fn boxes_one_in_the_other_close() {
-    // 0.01 apart: few rays find the way between them past the edges.
+    // 0.01 apart: few rays pass between them and escape past the edges.
     let mut faces = cube(1, |_| "");
     for (_, mut corners) in cube(1, |_| "") {
         corners.iter_mut().flatten().for_each(|x| *x = 0.01 + 0.98 * *x);
@@ -390,7 +390,7 @@ fn tables_in_other_formats() {
     assert!(here.fails("view-factors scene.obj -o out.txt", 2).contains("unknown kind of table"));
 }
 
-/// An open box of a unit cube: what leaves it upward goes to the sky, as to a lid.
+/// A unit cube without a lid: light that leaves it upward reaches the sky, as it would reach the lid.
 #[test]
 fn the_sky_and_the_ground_are_surfaces() {
     let (here, _) = run(&obj(cube(1, |_| "").into_iter().take(5)), "--up z --sky --report r.json");

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-/// A file while it is made: its JSON and the bytes of its one buffer.
+/// A file under construction: its JSON and the bytes of its one buffer.
 pub struct Gltf {
     pub json: Value,
     pub bytes: Vec<u8>,
@@ -23,7 +23,7 @@ impl Gltf {
         Gltf { json, bytes: Vec::new() }
     }
 
-    /// Adds to a list of the file; the index there.
+    /// Adds to a list of the file and returns the index.
     pub fn push(&mut self, list: &str, what: Value) -> usize {
         let list = &mut self.json[list];
         if list.is_null() {
@@ -69,7 +69,7 @@ impl Gltf {
         self.accessor(&bytes, 5123, "SCALAR", values.len())
     }
 
-    /// Adds a primitive to the first mesh; its index there.
+    /// Adds a primitive to the first mesh and returns its index.
     pub fn primitive(&mut self, primitive: Value) -> usize {
         let list = self.json["meshes"][0]["primitives"].as_array_mut().unwrap();
         list.push(primitive);

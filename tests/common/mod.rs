@@ -184,7 +184,7 @@ pub fn area(triangles: &[Corners]) -> f64 {
     triangles.iter().map(|[a, b, c]| 0.5 * (*b - *a).cross(*c - *a).length()).sum()
 }
 
-/// Whether every edge is run through once each way: then no ray finds a way out.
+/// Whether every edge has one triangle in each direction, so that no ray can escape.
 pub fn is_closed(scene: &Scene) -> bool {
     let mut halves: HashMap<(u32, u32), u32> = HashMap::new();
     for [a, b, c] in scene.triangles.iter().map(|t| t.vertices) {
@@ -221,8 +221,7 @@ pub fn cast_whole(parts: &[Part], rays: f64, estimator: Estimator, seed: u64) ->
     cast(scene(parts), Subdivision::Edge(f64::INFINITY), options)
 }
 
-/// Standard errors of the irradiance that one channel of known radiosity gives: nothing is inherited where nothing is
-/// reflected.
+/// Standard errors of the irradiance from one channel of known radiosity, without reflections.
 pub fn standard_errors(f: &FormFactors, radiosity: &[f64]) -> Vec<f64> {
     let zero = vec![0.0; radiosity.len()];
     let dark = Radiometry { channels: 1, emission: radiosity, reflectance: &zero };
@@ -259,8 +258,8 @@ impl Cast {
 
     /// The form factor between the fronts of two parts.
     ///
-    /// Its error takes the patches of the first for independent: they cast their own rays, and what a ray from the
-    /// second adds to one of them it takes from the others, so that variances add at most.
+    /// The error treats the patches of the first part as independent. They cast their own rays, and a ray from the second
+    /// part that hits one of them misses the others. So variances at most add up.
     pub fn form_factor(&self, from: u32, to: u32) -> Measured {
         let mut indicator = vec![0.0; self.patches.len()];
         for j in self.of_part(to) {

@@ -58,7 +58,7 @@ impl Here {
             .unwrap()
     }
 
-    /// Runs what must fail with `status` and leave no file; returns stderr.
+    /// Runs a command that must fail with `status` and leave no file. Returns stderr.
     pub fn fails(&self, arguments: &str, status: i32) -> String {
         let before = self.names();
         let output = self.run(arguments);
@@ -71,7 +71,7 @@ impl Here {
     }
 }
 
-/// What a run said on stderr.
+/// The stderr of a run.
 pub fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }

@@ -18,7 +18,7 @@ use radiosity::{
     trace::{Tracer, sampling::square_to_triangle},
 };
 
-/// Cuts some patches by chance, again and again.
+/// Cuts random patches several times.
 fn refined_by_chance(scene: &Scene, edge: f64, rounds: usize, seed: u64) -> Patches {
     let mut random = Random::new(seed);
     let mut patches = Patches::subdivide(scene, &Subdivision::Edge(edge));
@@ -55,7 +55,7 @@ proptest! {
         ..ProptestConfig::default()
     })]
 
-    /// No point is in none or two, windings stay, and lookups on both sides find what they should.
+    /// Every point is in exactly one patch, windings stay, and lookups on both sides find the right patch.
     #[test]
     fn patches_tile_every_triangle(seed in any::<u64>(), rounds in 1usize..6, x in 0f32..1.0, y in 0f32..1.0) {
         let scene = long_box();
@@ -82,7 +82,7 @@ proptest! {
         let point = square_to_triangle(x, y);
         let found = patches.at(3, point, true).unwrap() as usize;
         prop_assert!(found < fronts && patches.triangle(found) == 3);
-        // Within but for the rounding of coordinates that sum to 1 only so far, and are doubled at each level.
+        // Inside up to rounding: coordinates sum to 1 up to rounding, which each level doubles.
         let corners = patches.barycentric_corners(found);
         for (a, b) in [(0, 1), (1, 2), (2, 0)] {
             let from = |k: usize| [0, 1].map(|axis| corners[k][axis] - f64::from(point[axis]));
@@ -127,7 +127,7 @@ proptest! {
             next = family.end;
             let cells: Vec<_> = family.map(|i| patches.cell(i)).collect();
             let smallest = cells.iter().map(|c| c.level).max().unwrap();
-            // What is one family fills the ancestor of its first patch, which is nowhere cut more often than allowed.
+            // A family fills an ancestor of its first patch, and no patch of it is deeper than allowed.
             let share: f64 = cells.iter().map(|c| 0.25f64.powi(c.level.into())).sum();
             let up = -share.log2() / 2.0;
             prop_assert!(up == up.round() && smallest <= up as u8 + levels);
@@ -137,7 +137,8 @@ proptest! {
         prop_assert_eq!(next, patches.len());
     }
 
-    /// Every edge of a closed box belongs to two faces, by place, and by vertex where creases are welded; vertices inside an edge have the colour that a flat edge has there.
+    /// Every edge of a closed box belongs to two faces: by position, and by vertex where creases are welded. Vertices inside
+    /// an edge have interpolated colours.
     #[test]
     fn meshes_are_closed_and_colours_continuous(seed in any::<u64>(), rounds in 1usize..5) {
         let scene = long_box();
@@ -206,7 +207,7 @@ fn furnace_on_patches_of_all_sizes() {
     let options = SolveOptions::default().with_tolerance(1e-12);
     let solution = solve(&cast.form_factors, &cast.patches, &options, &Progress::new()).unwrap();
     let worst = solution.radiosity.iter().map(|b| (b - 1.0).abs()).fold(0.0, f64::max);
-    // The largest reflectance is 0.9, so that what the solver leaves is at most ten times its tolerance.
+    // The largest reflectance is 0.9, so the error of the solver is at most ten times its tolerance.
     assert!(worst < 1e-11, "{worst:e}");
     let (closure, reciprocity) = deviations(&cast.form_factors);
     assert!(closure < 1e-12 && reciprocity < 1e-12, "{closure:e} {reciprocity:e}");
@@ -260,8 +261,8 @@ fn discretisation_falls_with_the_square_of_the_edge() {
     assert!(fine < coarse * 0.5f64.powf(1.5) && fine > coarse / 8.0, "{coarse} {fine}");
 }
 
-/// In a Cornell box with blocks, patches that are small where light varies cost less than twice as many of one size; and
-/// the same seed gives them, and the light on them, to the bit for any number of threads.
+/// In a Cornell box with blocks, patches that are small where light varies beat twice as many patches of one size. The same
+/// seed gives the same patches and the same light for any number of threads.
 #[test]
 fn patches_where_light_varies_pay() {
     let run = |threads: usize| {
@@ -288,7 +289,7 @@ fn patches_where_light_varies_pay() {
     let count = adapted.patches.fronts();
     let uniform = Patches::subdivide(&scene, &Subdivision::Count(2 * count));
     assert!(uniform.len() > count * 3 / 2);
-    // As many of one size would leave more, since what is left goes as their edge.
+    // The error of the same number of patches of one size is larger, since it is proportional to their edge.
     let more = (uniform.len() as f64 / count as f64).sqrt();
     let uniform = more * told(&solved(&scene, &tracer, uniform, 64.0));
     println!("{count}: {change:.5}, uniform: {uniform:.5}");

@@ -1,5 +1,5 @@
-//! Checkpoints: what was cast is taken from the file, and the result is the same to the bit; what is damaged or of something
-//! else is refused and left as it is.
+//! Checkpoints: rays are taken from the file and the result is the same to the bit. Damaged files and files of other
+//! computations are refused and stay as they are.
 
 use std::{fs, path::Path, sync::Arc};
 
@@ -12,7 +12,7 @@ use radiosity::{
     trace::Tracer,
 };
 
-/// A lamp and a plate in a room, whose backs are seen: they become patches while rays are cast.
+/// A lamp and a plate in a room. Their backs become patches while rays are cast.
 fn furnished() -> Scene {
     let cell = part(room(DVec3::splat(-0.5), DVec3::splat(0.5)), 0.6, 0.0);
     let plate = part(level_square(0.6, 0.1, true), 0.3, 0.0);
@@ -24,7 +24,7 @@ fn options(rays: f64) -> CastOptions {
     CastOptions::default().with_rays(rays).with_seed(5)
 }
 
-/// All that rays told, bit by bit.
+/// The results of all rays, bit by bit.
 fn bits(f: &FormFactors) -> (Vec<u32>, Vec<(usize, u64)>, Vec<u64>) {
     let hits = f.ray_set().unwrap();
     let rows = (0..f.len()).flat_map(|i| f.row(i)).map(|(j, x)| (j, x.to_bits()));
@@ -32,7 +32,7 @@ fn bits(f: &FormFactors) -> (Vec<u32>, Vec<(usize, u64)>, Vec<u64>) {
     ((0..f.len()).flat_map(|i| hits.of(i)).copied().collect(), rows.collect(), escaped.collect())
 }
 
-/// Casts with a checkpoint or without, in as many threads as said.
+/// Casts with or without a checkpoint, with this number of threads.
 fn cast_with(
     scene: &Scene,
     patches: usize,
@@ -73,8 +73,8 @@ fn records(bytes: &[u8]) -> Vec<usize> {
     at
 }
 
-/// With a file and without, from an empty file, from one cut anywhere between records, and from a whole one; for any number
-/// of threads before and after.
+/// Without a file, from an empty file, from a file cut anywhere between records, and from a whole one, with any number of
+/// threads before and after.
 #[test]
 fn the_result_is_the_same_wherever_rays_come_from() {
     let scene = furnished();
@@ -104,8 +104,8 @@ fn the_result_is_the_same_wherever_rays_come_from() {
     }
 }
 
-/// Fewer rays than there are, more, and other patches: nothing is cast twice, nothing is refused. Numbers of backs depend
-/// on the rays that found them.
+/// With fewer rays than the file has, more rays, or other patches, no ray is cast twice and no file is refused. The number of
+/// backs depends on the rays that found them.
 #[test]
 fn other_runs_go_on_from_the_same_file() {
     let scene = furnished();
@@ -151,7 +151,7 @@ fn later_rounds_are_kept() {
     assert_eq!(file.rays(), kept);
 }
 
-/// A record cut short at any byte, which is what a kill leaves, is cut off; a header cut short is written anew.
+/// A kill leaves a record that is cut at any byte: it is removed. A header that is cut is written again.
 #[test]
 fn a_torn_tail_is_cut_off_at_whatever_byte() {
     let scene = furnished();
@@ -178,8 +178,7 @@ fn a_torn_tail_is_cut_off_at_whatever_byte() {
     }
 }
 
-/// A loss of power may leave a file that has grown, with zeros for what was not written yet: from any byte on, to the end of a
-/// record or beyond it.
+/// A loss of power may leave a longer file that ends with zeros: from any byte on, to the end of a record or beyond it.
 #[test]
 fn what_a_loss_of_power_leaves_is_cut_off() {
     let scene = furnished();
@@ -212,7 +211,7 @@ fn what_a_loss_of_power_leaves_is_cut_off() {
     assert!(fs::read(&path).unwrap().len() == bytes.len());
 }
 
-/// One bit turned over anywhere, and the file is refused and left as it is.
+/// A file with one flipped bit is refused and stays as it is.
 #[test]
 fn damage_is_recognised_wherever_it_is() {
     let scene = furnished();
@@ -231,7 +230,7 @@ fn damage_is_recognised_wherever_it_is() {
     }
 }
 
-/// Checksums may be right where what they guard is not: what cannot be is refused when it is used.
+/// Impossible records with right checksums are refused when they are used.
 #[test]
 fn what_cannot_be_is_refused_even_with_right_checksums() {
     let scene = furnished();
@@ -242,7 +241,7 @@ fn what_cannot_be_is_refused_even_with_right_checksums() {
     let body = |k: usize| (records[k] + 12, records[k + 1] - 4);
     let (first, last) = (body(0), body(records.len() - 2));
     let ray = |(start, _): (usize, usize)| start + 8 + 20;
-    // Patches that there are not; a piece of no lamp, and no weight.
+    // Patches that do not exist, a piece of no lamp, and no weight.
     for ((start, end), at, value) in [
         (first, ray(first), &[0xff, 0xff, 0xff, 0x7f]),
         (first, ray(first), &[0xf0, 0xff, 0xff, 0xff]),
@@ -265,7 +264,7 @@ fn what_cannot_be_is_refused_even_with_right_checksums() {
     }
 }
 
-/// What is of something else is named, and left as it is.
+/// Files of other computations cause an error with the reason and stay as they are.
 #[test]
 fn what_is_foreign_is_refused() {
     let scene = furnished();
@@ -303,7 +302,7 @@ fn what_is_foreign_is_refused() {
     newer[44..48].copy_from_slice(&check.to_le_bytes());
     fs::write(&path, &newer).unwrap();
     refused(&path, &scene, 5, "another version");
-    // Rays that follow none, and rays that are there twice.
+    // Rays that continue missing ones, and rays that are in the file twice.
     let second = records(&bytes)[1];
     for mixed in
         [[&bytes[..48], &bytes[second..], &bytes[48..second]].concat(), [&bytes, &bytes[48..]].concat()]
@@ -324,7 +323,7 @@ fn what_is_foreign_is_refused() {
     refused(&of_texture, &repainted, 5, "of another scene");
 }
 
-/// Two runs never write into one file; one in which nothing was kept goes again; a folder or a device is none.
+/// Two runs never write to one file. A run that kept no rays removes its file. A folder or a device is not a checkpoint.
 #[test]
 fn a_checkpoint_is_one_runs_own() {
     let scene = furnished();

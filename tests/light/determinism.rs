@@ -40,7 +40,7 @@ fn run_by(tracer: Tracer, scene: &Scene, estimator: Estimator, seed: u64, thread
         values.extend(f.escaped());
         let before_after = [f.row_sum_deviation(), f.reciprocity_deviation()];
         values.extend(before_after.iter().flat_map(|d| [d.before, d.after]));
-        // All that suit the estimator, and the one that would be chosen.
+        // All solvers that suit the estimator, and the automatic choice.
         let solvers = [Solver::Auto, Solver::Jacobi, Solver::Southwell];
         let solutions: Vec<_> = solvers
             .iter()
@@ -83,7 +83,7 @@ fn threads_change_nothing_and_seeds_everything() {
     }
 }
 
-/// Light from form factors, and light from paths: every query that rays are asked.
+/// Light from form factors and light from paths use every kind of ray query.
 #[test]
 fn the_portable_tracer_gives_the_same_bytes() {
     let scene = load("door-ajar");
@@ -102,7 +102,7 @@ fn the_portable_tracer_gives_the_same_bytes() {
     assert!(wide.1.iter().any(|&bits| bits != 0), "there is light");
 }
 
-/// As one patch is not cast like the next, nor one replicate like another.
+/// Patches and replicates use different random numbers.
 #[test]
 fn patches_and_replicates_have_rays_of_their_own() {
     let cell = cast_whole(&[black(room(glam::DVec3::ZERO, glam::DVec3::ONE))], 256.0, Estimator::OneWay, 1);

@@ -37,8 +37,8 @@ fn by_matrix(scene: &Scene, patches: usize) -> (Patches, Vec<f64>) {
     (patches, solution.irradiance)
 }
 
-/// Standard errors are of 16 batches: of 95 % intervals with t quantiles, 95 % should hold. Neighbouring patches err together,
-/// so that single runs scatter by some per cent; three seeds together must hold 90 %.
+/// Standard errors come from 16 batches. 95 % of the 95 % intervals with t quantiles should contain the truth. Errors of
+/// neighbouring patches are correlated, so single runs scatter by some per cent. Over three seeds 90 % are demanded.
 #[test]
 fn sweeps_agree_with_the_matrix_within_their_error_bars() {
     for name in ["cornell-box", "door-ajar", "corridor"] {
@@ -74,8 +74,8 @@ fn sweeps_agree_with_the_matrix_within_their_error_bars() {
     }
 }
 
-/// White walls between black ends, lit at one: light drifts along for tens of bounces, so that what the first sweeps do not bring
-/// to the dark end is missing in the mean of many, and more there than scatter tells.
+/// White walls between black ends, lit at one end. Light takes tens of bounces to the dark end. The first sweeps lack this light,
+/// and the mean over all sweeps would lack more than the standard error says.
 fn corridor() -> Scene {
     let [left, right, floor, ceiling, lit, dark] =
         crate::common::room_faces(DVec3::ZERO, DVec3::new(1.0, 1.0, 12.0));
@@ -87,8 +87,8 @@ fn corridor() -> Scene {
     ])
 }
 
-/// In a closed furnace every patch gets Be / (1 - ρ), here with ρ = 0.9: the rows of few rays sum to 1, so that they tell it to 10⁻⁸
-/// over 1 - ρ, and every sweep keeps it. Without them 0.95⁶⁴ = 4 % of it would still be missing after 64 sweeps.
+/// In a closed furnace every patch has Be / (1 - ρ), here with ρ = 0.9. Rows of few rays sum to 1, so the start is right to
+/// 10⁻⁸ over 1 - ρ, and every sweep keeps it. Without this start 0.95⁶⁴ = 4 % would still be missing after 64 sweeps.
 #[test]
 fn a_furnace_is_as_bright_as_it_must_be() {
     let room = crate::common::room(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
@@ -100,7 +100,7 @@ fn a_furnace_is_as_bright_as_it_must_be() {
     }
 }
 
-/// The Cornell box in so many patches, by sweeps of 64 rays a patch, and more for as long as `more` says.
+/// The Cornell box with this number of patches, by sweeps of 64 rays per patch. Sweeps continue while `more` says so.
 fn sweeps_while(count: usize, more: impl FnMut(&Reached) -> bool) -> (Patches, StochasticSolution) {
     let scene = Scene::load("meshes/cornell-box.obj").unwrap();
     let (tracer, progress) = (Tracer::new(&scene), Progress::new());
@@ -111,8 +111,8 @@ fn sweeps_while(count: usize, more: impl FnMut(&Reached) -> bool) -> (Patches, S
     (sweeper.patches().clone(), found.unwrap())
 }
 
-/// Going on until there are three times as many rays: 16 batches become 8 twice as long, and 8 more; of those 16 become 8, and 4
-/// more of four times the first length make 48.
+/// Continues to three times the number of rays. 16 batches become 8 of twice the length, and 8 more follow. These 16 become 8,
+/// and 4 more of four times the first length make 48.
 #[test]
 fn sweeps_go_on_batch_by_batch() {
     let mut told = Vec::new();
@@ -123,7 +123,7 @@ fn sweeps_go_on_batch_by_batch() {
     let rays: Vec<f64> = told.iter().map(|reached| reached.rays).collect();
     let halves = (16..32).step_by(2).chain((32..=48).step_by(4)).map(|batches| f64::from(4 * batches));
     assert_eq!(rays, halves.collect::<Vec<_>>());
-    // Told beforehand how much each will add.
+    // The forecast of each step.
     for pair in told.windows(2) {
         assert!((pair[0].rays * (1.0 + pair[0].next) / pair[1].rays - 1.0).abs() < 1e-12);
     }
@@ -131,13 +131,13 @@ fn sweeps_go_on_batch_by_batch() {
     assert_eq!(found.sweeps, 48);
     let n = patches.len() as u64;
     assert_eq!(found.tally.hemisphere, n * (32 + 48 * 3));
-    // The error falls at least as that of independent rays does, but for the scatter of its own estimate: of 16 values 18 %,
-    // of the ratio of two 26 %, twice that at most.
+    // The error falls at least like that of independent rays. The estimate from 16 values scatters by 18 % and the ratio of two
+    // by 26 %. Twice that is allowed.
     assert!(found.reached.error < told[0].error * 3f64.sqrt().recip() * 1.55, "{told:?}");
 }
 
-/// However many sweeps of three rays there are, none of their mistakes grows with them: what rays that follow on each other have
-/// in common must not show in the energy. In the mean over patches it is known to a thousandth then.
+/// Errors do not grow with the number of sweeps of three rays: correlations of successive rays must not show in the energy. The
+/// mean over patches is then known to a thousandth.
 #[test]
 fn many_short_sweeps_balance_their_energy() {
     let (_, found) = sweeps_while(1000, |reached| reached.rays < 8192.0);
@@ -148,8 +148,8 @@ fn many_short_sweeps_balance_their_energy() {
     assert!(found.balanced_to().abs() < 1e-12);
 }
 
-/// In a black room all light comes by shadow rays, and none of it is uncertain but for how well the light of unblocked lamps is known:
-/// batches are the same, and tell no error at all.
+/// In a black room all light comes from shadow rays to unblocked lamps. All batches are equal, so the only standard error is
+/// that of unblocked light.
 #[test]
 fn light_without_noise_balances_to_what_is_known_of_it() {
     let (_, found) = by_sweeps(&crate::common::low_lamp(), 1000, 64.0, 1);

@@ -1,4 +1,4 @@
-//! How much of the light a lobe reflects, by quadrature.
+//! The albedo of a lobe, by quadrature.
 
 use std::f64::consts::PI;
 
@@ -7,12 +7,12 @@ use glam::DVec3;
 use super::{Brdf, Lobe, spherical};
 use crate::trace::sampling::sobol_4d;
 
-/// Directions of which the mean is taken. A net of so many is within 10⁻³ of the albedo of all models, at roughnesses from 0.1 to 1;
-/// a square grid of as many was up to 8·10⁻³ off where a part of the lobe is below the surface.
+/// Number of directions. A (t, m, s)-net of this size gives the albedo of all models to 10⁻³ at roughnesses from 0.1 to 1. A
+/// square grid of the same size had errors of up to 8·10⁻³ where a part of the lobe is below the surface.
 const DIRECTIONS: u32 = 1 << 11;
 
-/// Share of the light that goes on of what comes from ωo, by the lobe's own directions: ∫ f cos θi dωi. The same as the share of what
-/// goes to ωo, since the models are reciprocal.
+/// The directional albedo ∫ f cos θi dωi for light from ωo, with directions sampled from the lobe. It is also that for light
+/// to ωo, because the models are reciprocal.
 pub fn directional_albedo(lobe: &Lobe, wo: DVec3) -> DVec3 {
     if lobe.is_mirror() {
         return lobe.weight(wo, DVec3::Z);
@@ -24,10 +24,10 @@ pub fn directional_albedo(lobe: &Lobe, wo: DVec3) -> DVec3 {
     (0..DIRECTIONS).map(weight).sum::<DVec3>() / f64::from(DIRECTIONS)
 }
 
-/// The cosines at which albedos are taken: middles of the strata of cos² θ, in which diffuse light is even.
+/// The cosines at which albedos are computed: the middles of strata of equal cos² θ, which get equal shares of diffuse light.
 const RINGS: u32 = 24;
 
-/// Azimuths at which a lobe that is not the same in all is looked at, over the quarter that is not symmetric to others.
+/// Number of azimuths for an anisotropic lobe. By symmetry a quarter turn is enough.
 const AZIMUTHS: u32 = 4;
 
 /// Share of diffuse light that the lobe reflects: the mean of the directional albedo, weighted by cos θ.
@@ -41,7 +41,7 @@ pub fn hemispherical_albedo(lobe: &Lobe) -> DVec3 {
     sum / (f64::from(RINGS) * azimuths.len() as f64)
 }
 
-/// Azimuths spread over a quarter turn; one where all are alike.
+/// Azimuths over a quarter turn; a single one for an isotropic lobe.
 pub(super) fn azimuths(lobe: &Lobe) -> Vec<f64> {
     let azimuths = if lobe.is_anisotropic() { AZIMUTHS } else { 1 };
     (0..azimuths).map(|k| 0.5 * PI * (f64::from(k) + 0.5) / f64::from(azimuths)).collect()

@@ -14,7 +14,7 @@ pub(super) fn density([ax, ay]: [f64; 2], h: DVec3) -> f64 {
 /// is 0.35 % off, and then densities of visible facets do not integrate to 1.
 pub(super) fn lambda(tan2: f64) -> f64 {
     let a = 1.0 / tan2.sqrt();
-    // Beyond, it is below 10⁻²⁰, and 1/0 is there too.
+    // Beyond this limit Λ is below 10⁻²⁰. The limit also covers a division by zero.
     if a > 6.5 {
         return 0.0;
     }

@@ -1,4 +1,4 @@
-//! What a smooth surface reflects, by the angle of incidence.
+//! Reflectance of a smooth surface as a function of the angle of incidence.
 
 use glam::DVec3;
 
@@ -20,7 +20,7 @@ impl Fresnel {
         }
     }
 
-    /// Whether it is the same at all angles.
+    /// Whether the reflectance is the same at all angles.
     pub(super) fn is_constant(&self) -> bool {
         matches!(self, Fresnel::Constant(_))
     }

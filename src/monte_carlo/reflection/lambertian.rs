@@ -1,11 +1,11 @@
-//! What becomes of specular parts where only Lambertian surfaces are known.
+//! Conversion of materials with specular parts to Lambertian ones.
 
 use glam::DVec3;
 
 use super::{Lobe, albedo::hemispherical_albedo, surface::Gloss};
 use crate::scene::{Material, Scene, Specular};
 
-/// What becomes of the specular part.
+/// What to do with the specular part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SpecularPart {
     /// It is left out: the diffuse reflectance stays as the file gives it, and so does the base colour of a metal.

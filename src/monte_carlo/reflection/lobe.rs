@@ -21,8 +21,8 @@ pub enum Lobe {
 }
 
 impl Lobe {
-    /// The lobe of the specular part of a material whose reflectance is given: it is the base colour of
-    /// [`Specular::MetallicRoughness`], and does not matter to the others.
+    /// The lobe of the specular part of a material. The reflectance of the material is the base colour of
+    /// [`Specular::MetallicRoughness`]; other models ignore it.
     pub fn of(specular: &Specular, reflectance: [f64; 3]) -> Lobe {
         match *specular {
             Specular::Mirror(fresnel) => Lobe::Mirror(Mirror { fresnel }),
@@ -52,7 +52,7 @@ impl Lobe {
         }
     }
 
-    /// The model behind it.
+    /// The model of the lobe.
     fn model(&self) -> &dyn Brdf {
         match self {
             Lobe::Mirror(m) => m,
@@ -63,12 +63,12 @@ impl Lobe {
         }
     }
 
-    /// Whether it reflects each direction into one other.
+    /// Whether it is a mirror.
     pub fn is_mirror(&self) -> bool {
         matches!(self, Lobe::Mirror(_))
     }
 
-    /// Whether it matters how the surface is turned about its normal.
+    /// Whether the lobe is anisotropic.
     pub fn is_anisotropic(&self) -> bool {
         match self {
             Lobe::Ward(m) => m.alpha[0] != m.alpha[1],
@@ -77,7 +77,7 @@ impl Lobe {
         }
     }
 
-    /// What of the light of a direction that [`Brdf::sample`] chose goes on: f cos θi over the density, or a mirror's reflectance.
+    /// The weight of a direction that [`Brdf::sample`] chose: f cos θi over the density, or the reflectance of a mirror.
     pub fn weight(&self, wo: DVec3, wi: DVec3) -> DVec3 {
         if let Lobe::Mirror(mirror) = self {
             return mirror.fresnel.reflectance(wo.z);
@@ -86,7 +86,7 @@ impl Lobe {
         if density > 0.0 { self.evaluate(wo, wi) * (wi.z / density) } else { DVec3::ZERO }
     }
 
-    /// About what share of the light that goes to ωo it reflects: for choosing between it and what is below.
+    /// Approximate share of light that it reflects to ωo, for the choice between the lobe and the diffuse part.
     pub(super) fn about(&self, wo: DVec3) -> f64 {
         let reflectance = match self {
             Lobe::Mirror(m) => m.fresnel.reflectance(wo.z),
@@ -98,8 +98,7 @@ impl Lobe {
         reflectance.element_sum() / 3.0
     }
 
-    /// The largest share of light, R G B, that it reflects at any angle; none if that depends on the angle as Fresnel's
-    /// reflectance does, which reaches 1.
+    /// The largest share of light, R G B, that it reflects at any angle. `None` for a Fresnel term, which reaches 1.
     pub(super) fn bound(&self) -> Option<DVec3> {
         match self {
             Lobe::Mirror(m) => m.fresnel.is_constant().then(|| m.fresnel.reflectance(1.0)),

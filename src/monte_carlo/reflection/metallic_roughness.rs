@@ -1,4 +1,4 @@
-//! glTF's metallic-roughness model, and what is left for the light below a surface that reflects by Fresnel's law.
+//! The metallic-roughness model of glTF, and the diffuse part below a surface that reflects by Fresnel's law.
 //!
 //! glTF 2.0, appendix B: a metal is GGX facets with the base colour as Schlick's r0. A dielectric is GGX facets with r0 = 0.04
 //! over a diffuse base. `metallic` mixes both. The specification's mix of a dielectric's parts by the Fresnel term of the
@@ -29,7 +29,7 @@ pub fn alpha_of(roughness: f64, anisotropy: f64) -> [f64; 2] {
 /// Cosines of the table, evenly spaced. Schlick's fifth power bends most at grazing angles: linear between these, it is 6·10⁻⁴ off.
 const NODES: usize = 65;
 
-/// What a lobe leaves for the light below it, by the angle.
+/// The share of light that a lobe leaves for the diffuse part, as a function of the angle.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Coupling {
     /// 1 - E at cosines from 0 to 1.
@@ -39,7 +39,7 @@ pub(super) struct Coupling {
 }
 
 impl Coupling {
-    /// Tabulates what the lobe leaves of the channel that it leaves least of, at the azimuth where that is least.
+    /// Tabulates the share for the channel and the azimuth at which it is smallest.
     pub(super) fn below(lobe: &Lobe) -> Coupling {
         let azimuths = azimuths(lobe);
         let left: Vec<f64> = (0..NODES)

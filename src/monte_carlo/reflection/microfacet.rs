@@ -5,8 +5,8 @@ use glam::DVec3;
 use super::{Brdf, above, beckmann, ggx, reflect};
 use crate::scene::{Distribution, Fresnel, Shadowing};
 
-/// Rougher than this every facet model is taken to be: the lobe is then a tenth of a degree wide, which single-precision
-/// directions resolve. glTF allows a roughness of 0, where the model would be a mirror's.
+/// The smallest roughness of microfacets. Its lobe is a tenth of a degree wide, which directions in single precision
+/// resolve. glTF allows a roughness of 0, at which the model would become a mirror.
 const LEAST_ALPHA: f64 = 1e-3;
 
 /// f = F D G2/(4 cos θi cos θo) (Cook and Torrance, "A Reflectance Model for Computer Graphics", ACM TOG 1(1), 1982, with
@@ -31,7 +31,7 @@ impl Microfacet {
         Microfacet { distribution, alpha: alpha.map(|a| a.max(LEAST_ALPHA)), fresnel, shadowing }
     }
 
-    /// The same facets, reflecting otherwise.
+    /// The same facets with another reflectance.
     pub(super) fn with_fresnel(self, fresnel: Fresnel) -> Microfacet {
         Microfacet { fresnel, ..self }
     }
@@ -60,7 +60,7 @@ impl Microfacet {
         }
     }
 
-    /// Share of the facets towards both directions that neither is hidden from.
+    /// Share of the facets that are visible from both directions.
     fn shadowing(&self, wo: DVec3, wi: DVec3) -> f64 {
         let (o, i) = (self.lambda(wo), self.lambda(wi));
         match self.shadowing {

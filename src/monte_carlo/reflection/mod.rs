@@ -1,9 +1,9 @@
-//! How surfaces reflect: the models that path and light tracing follow. The solver knows the first of them only.
+//! Models of reflection for path and light tracing. The solver knows the first of them only.
 //!
 //! A model is a BRDF f(ωo, ωi) in 1/sr: radiance sent to ωo per irradiance that comes from ωi. Directions are unit vectors
 //! in the frame of the surface, whose z axis is the normal, and point away from it. Every model here is reciprocal,
-//! f(ωo, ωi) = f(ωi, ωo), and none reflects more than it gets; what single-scattering models lose between facets stays
-//! lost.
+//! f(ωo, ωi) = f(ωi, ωo), and none reflects more light than it receives. Light that is reflected between several facets is
+//! not modelled and is lost.
 
 mod albedo;
 mod beckmann;
@@ -39,10 +39,10 @@ pub use ward::Ward;
 
 /// A model of reflection. Both directions have z > 0.
 pub trait Brdf {
-    /// The BRDF, 1/sr, R G B. A mirror's, which is infinite in one direction, is told as 0.
+    /// The BRDF, 1/sr, R G B. For a mirror, whose BRDF is infinite in one direction, this is 0.
     fn evaluate(&self, wo: DVec3, wi: DVec3) -> DVec3;
 
-    /// A direction ωi for light that goes to ωo, from a point of the unit square; none where the point leads below the surface:
+    /// A direction ωi for light that goes to ωo, from a point of the unit square. `None` if the direction is below the surface:
     /// that part of the lobe is lost.
     fn sample(&self, wo: DVec3, u: [f64; 2]) -> Option<DVec3>;
 

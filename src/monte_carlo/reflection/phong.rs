@@ -8,8 +8,8 @@ use super::{Brdf, above, spherical};
 
 /// f = ks (n + 2)/2π · max(0, cos α)ⁿ with α the angle between ωi and the mirror image of ωo (Lafortune and Willems,
 /// "Using the Modified Phong Reflectance Model for Physically Based Rendering", report CW 197, 1994, equation 1). Not
-/// divided by cos θ, so that it is reciprocal and reflects ks from straight above, less from elsewhere: what is left of the
-/// lobe below the surface is lost.
+/// divided by cos θ, so that it is reciprocal. It reflects ks at normal incidence and less at other angles, because the part
+/// of the lobe below the surface is lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Phong {
     /// ks, R G B.

@@ -1,4 +1,4 @@
-//! What a place of a scene does with light: its diffuse and its specular part together.
+//! Reflection at a place of a scene, with its diffuse and its specular part.
 
 use std::{f64::consts::PI, sync::Arc};
 
@@ -14,20 +14,20 @@ use crate::{
 /// The specular parts of a scene's materials, ready for use.
 #[derive(Debug, Clone, Default)]
 pub struct Surfaces {
-    /// A place for each material; empty where none has a specular part.
+    /// One entry per material. Empty if no material has a specular part.
     glosses: Vec<Option<Gloss>>,
     warnings: Vec<String>,
 }
 
-/// A material's specular part, and what it leaves of its diffuse one.
+/// The specular part of a material, and the share that it leaves for the diffuse part.
 #[derive(Debug, Clone)]
 pub(super) struct Gloss {
     pub(super) lobe: Lobe,
-    /// What the lobe leaves for the diffuse part; all where it does not depend on the angle.
+    /// The share that the lobe leaves for the diffuse part. `None` if it does not depend on the angle.
     pub(super) coupling: Option<Arc<Coupling>>,
     /// Factor of the diffuse part.
     pub(super) diffuse: f64,
-    /// Whether textures and colours of vertices colour the lobe: a metal's they do.
+    /// Whether textures and vertex colours apply to the lobe, as for metals.
     is_textured: bool,
 }
 
@@ -60,20 +60,20 @@ impl Surfaces {
         self.glosses.is_empty()
     }
 
-    /// Whether any surface is a mirror, which no particle can be seen in.
+    /// Whether any surface is a mirror. Light tracing cannot show reflections in mirrors.
     pub fn has_mirror(&self) -> bool {
         self.glosses.iter().flatten().any(|gloss| gloss.lobe.is_mirror())
     }
 
-    /// Materials that would reflect more light than they get, a sentence each.
+    /// A sentence for each material that would reflect more light than it receives.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 }
 
 impl Gloss {
-    /// The specular part of a material, and what its reflectances add up to where that is above 1. What lobes leave is tabulated once
-    /// for all materials that have the same.
+    /// The specular part of a material, and the sum of its reflectances if that is above 1. Materials with equal lobes share
+    /// one table.
     pub(super) fn of(
         scene: &Scene,
         material: &Material,
@@ -81,7 +81,7 @@ impl Gloss {
         known: &mut Vec<(Lobe, Arc<Coupling>)>,
     ) -> (Gloss, Option<f64>) {
         let (coupled, share) = match *specular {
-            // What the metal's part reflects is its own; below it there is nothing.
+            // A metal has no diffuse part.
             Specular::MetallicRoughness { roughness, anisotropy, metallic, .. } => {
                 let dielectric = Specular::MetallicRoughness { metallic: 0.0, roughness, anisotropy };
                 (Lobe::of(&dielectric, [0.0; 3]), 1.0 - metallic)
@@ -110,7 +110,7 @@ impl Gloss {
         };
         let diffuse = DVec3::from(material.reflectance) * DVec3::from(brightest);
         let sum = (diffuse + bound).max_element();
-        // A hair of slack for what was meant to be 1.
+        // Allows for the rounding of a sum that should be 1.
         if sum <= 1.0 + 1e-9 {
             return (gloss, None);
         }
@@ -120,7 +120,7 @@ impl Gloss {
     }
 }
 
-/// A direction in which a path goes on.
+/// A sampled direction.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bounce {
     /// Unit vector.
@@ -131,7 +131,7 @@ pub(crate) struct Bounce {
     pub(crate) density: f64,
 }
 
-/// A place of a surface with light that goes to, or comes from, one direction.
+/// A place of a surface and one direction, to which or from which light goes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Surface<'s> {
     /// Tangent, bitangent, normal.
@@ -139,18 +139,19 @@ pub(crate) struct Surface<'s> {
     wo: DVec3,
     diffuse: Lambert,
     specular: Option<(Lobe, Option<&'s Coupling>)>,
-    /// Probability of going on by the specular lobe.
+    /// Probability of sampling the specular lobe.
     share: f64,
 }
 
-/// Neither part is chosen more rarely than this where there are both: what is thought to reflect little may do more at some angles.
+/// Smallest probability of each part if there are two. A part that reflects little on average may reflect more at some
+/// angles.
 const LEAST_SHARE: f64 = 0.05;
 
 /// Smaller cosines are rounding of directions and normals in single precision.
 const LEAST_COS: f64 = 1e-6;
 
 impl<'s> Surface<'s> {
-    /// A place that takes in light by the cosine, as one of reflectance 1 gives it back.
+    /// A place that receives light with a cosine weight, like a Lambertian surface of reflectance 1.
     pub(crate) fn receiver(normal: Vec3A) -> Surface<'s> {
         let diffuse = Lambert { reflectance: DVec3::ONE };
         let frame = frame(normal, None);
@@ -189,21 +190,21 @@ impl<'s> Surface<'s> {
         Surface { frame, wo, diffuse: Lambert { reflectance: diffuse }, specular, share }
     }
 
-    /// The BRDF towards a unit vector, but for what a mirror reflects.
+    /// The BRDF towards a unit vector, without mirror reflection.
     pub(crate) fn brdf(&self, direction: Vec3A) -> DVec3 {
         let wi = local(&self.frame, direction.as_dvec3());
         if wi.z > 0.0 { self.evaluate(wi) } else { DVec3::ZERO }
     }
 
-    /// f cos θ towards a unit vector, and the probability per solid angle that a path goes on there; but for mirrors.
+    /// f cos θ towards a unit vector, and the density of sampling this direction. Mirror reflection is not included.
     pub(crate) fn towards(&self, direction: Vec3A) -> (DVec3, f64) {
         let wi = local(&self.frame, direction.as_dvec3());
         if wi.z > 0.0 { (self.evaluate(wi) * wi.z, self.density(wi)) } else { (DVec3::ZERO, 0.0) }
     }
 
-    /// How a path goes on; not at all where light is lost.
+    /// Samples the direction in which the path continues. `None` if the light is lost.
     pub(crate) fn sample(&self, samples: &mut Samples) -> Option<Bounce> {
-        // Always one number and one pair, whatever the material: runs with other materials stay in step.
+        // Takes one number and one pair for every material, so that runs with other materials stay correlated.
         let choice = f64::from(samples.number());
         let u = samples.square().map(f64::from);
         let lobe = self.specular.map(|(lobe, _)| lobe).filter(|_| choice < self.share);
@@ -248,7 +249,7 @@ fn local(frame: &[DVec3; 3], w: DVec3) -> DVec3 {
     DVec3::new(w.dot(frame[0]), w.dot(frame[1]), w.dot(frame[2]))
 }
 
-/// A frame round the normal, whose tangent is as near as can be to the one given.
+/// A frame around the normal whose tangent is as close as possible to the given one.
 fn frame(normal: Vec3A, tangent: Option<DVec3>) -> [DVec3; 3] {
     let normal = normal.as_dvec3().normalize();
     let (tangent, bitangent) = match tangent.and_then(|t| t.reject_from_normalized(normal).try_normalize()) {

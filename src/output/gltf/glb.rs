@@ -1,11 +1,11 @@
-//! A binary glTF file while it is made.
+//! A binary glTF file under construction.
 
 use serde_json::{Value, json};
 
-/// What the bytes of a buffer view are.
+/// The contents of a buffer view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Target {
-    /// Attributes of vertices, so many bytes apart.
+    /// Attributes of vertices, with the number of bytes from one vertex to the next.
     Vertices(usize),
     /// Indices of vertices.
     Indices,
@@ -22,12 +22,12 @@ pub struct Glb {
 }
 
 impl Glb {
-    /// A file with this JSON, whose buffer is empty.
+    /// A file with this JSON and an empty buffer.
     pub fn new(json: Value) -> Glb {
         Glb { json, bytes: Vec::new() }
     }
 
-    /// Adds to a list of the JSON; the index there.
+    /// Adds a value to a list of the JSON and returns its index.
     pub fn push(&mut self, list: &str, what: Value) -> usize {
         let list = &mut self.json[list];
         if !list.is_array() {
@@ -42,7 +42,7 @@ impl Glb {
         }
     }
 
-    /// Adds bytes to the buffer, at a multiple of four; where they begin.
+    /// Adds bytes to the buffer at a multiple of four, and returns where they begin.
     pub fn append(&mut self, bytes: &[u8]) -> usize {
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         let start = self.bytes.len();
@@ -50,7 +50,7 @@ impl Glb {
         start
     }
 
-    /// Adds bytes as a buffer view; its index.
+    /// Adds bytes as a buffer view and returns its index.
     pub fn view(&mut self, bytes: &[u8], target: Target) -> usize {
         let start = self.append(bytes);
         let mut view = json!({"buffer": 0, "byteOffset": start, "byteLength": bytes.len()});
@@ -65,7 +65,7 @@ impl Glb {
         self.push("bufferViews", view)
     }
 
-    /// Adds vectors of single precision, one a vertex; the index of the accessor. `bounds` are told where they are positions.
+    /// Adds vectors of single precision, one per vertex, and returns the index of the accessor. Positions need `bounds`.
     pub fn vectors<const N: usize>(&mut self, values: &[[f32; N]], bounds: bool) -> usize {
         let bytes: Vec<u8> = values.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
         let view = self.view(&bytes, Target::Vertices(4 * N));
@@ -80,7 +80,7 @@ impl Glb {
         self.push("accessors", accessor)
     }
 
-    /// Adds the corners of triangles; the index of the accessor.
+    /// Adds the corners of triangles and returns the index of the accessor.
     pub fn triangles(&mut self, corners: &[[u32; 3]]) -> usize {
         let bytes: Vec<u8> = corners.iter().flatten().flat_map(|i| i.to_le_bytes()).collect();
         let view = self.view(&bytes, Target::Indices);
@@ -91,21 +91,21 @@ impl Glb {
         )
     }
 
-    /// Adds an image file; the index of the image.
+    /// Adds an image file and returns the index of the image.
     pub fn image(&mut self, name: &str, bytes: &[u8], mime: &str) -> usize {
         let view = self.view(bytes, Target::Other);
         self.push("images", json!({"name": name, "bufferView": view, "mimeType": mime}))
     }
 
-    /// Adds an 8-bit R G B image as PNG; the index of the image.
+    /// Adds an 8-bit R G B image as PNG and returns the index of the image.
     pub fn png(&mut self, name: &str, pixels: &image::RgbImage) -> usize {
         let mut png = std::io::Cursor::new(Vec::new());
-        // Memory takes everything, and eight bits of R G B are a PNG.
+        // Writing to memory does not fail, and PNG holds eight bits of R G B.
         pixels.write_to(&mut png, image::ImageFormat::Png).expect("an image can be encoded into memory");
         self.image(name, png.get_ref(), "image/png")
     }
 
-    /// Says that an extension is used.
+    /// Lists an extension as used.
     pub fn uses(&mut self, extension: &str) {
         let known =
             self.json["extensionsUsed"].as_array().is_some_and(|list| list.iter().any(|e| e == extension));
@@ -118,7 +118,7 @@ impl Glb {
     pub fn finish(mut self) -> Vec<u8> {
         self.json["buffers"] = json!([{"byteLength": self.bytes.len()}]);
         if self.bytes.is_empty() {
-            // An empty buffer is against the specification.
+            // The specification forbids empty buffers.
             self.json.as_object_mut().map(|json| json.remove("buffers"));
         }
         let json = self.json.to_string().into_bytes();

@@ -1,8 +1,8 @@
-//! A glTF file with its light in it: every mesh gets a set of texture coordinates for a map, every material a way to show it.
+//! A glTF file with its lightmap: every mesh gets texture coordinates for the map, and every material shows it.
 //!
-//! All else is carried through as it came: nodes, names, animations, cameras, extensions that nobody here knows. The bytes of
-//! vertices are copied; only vertices on seams of the map are doubled, strips and fans become lists, and meshes that several
-//! nodes show become one for each, since each has its own part of the map.
+//! Everything else stays as it is in the file: nodes, names, animations, cameras, unknown extensions. The bytes of
+//! vertices are copied. There are three exceptions. Vertices on seams of the map are doubled. Strips and fans become
+//! lists. A mesh that several nodes show becomes one mesh for each, because each has its own part of the map.
 
 use std::collections::HashMap;
 
@@ -19,12 +19,12 @@ use crate::{
     },
 };
 
-/// Where in the map the triangles of a scene lie.
+/// The places of a scene's triangles in the map.
 #[derive(Debug, Clone, Copy)]
 pub struct Layout<'a> {
     /// Texture coordinates in \[0, 1\], v upwards.
     pub coordinates: &'a [DVec2],
-    /// Those of each triangle's corners.
+    /// Indices of the texture coordinates of each triangle's corners.
     pub corners: &'a [[u32; 3]],
     /// The page of each triangle; `None` where it has no place in the map.
     pub pages: &'a [Option<u32>],
@@ -33,35 +33,35 @@ pub struct Layout<'a> {
 /// How a map is shown.
 #[derive(Debug, Clone)]
 pub enum Show {
-    /// Materials are black and emit the map. Viewers need no plug-in, and their own lights add nothing.
+    /// Materials are black and emit the map. Every viewer can show this, and its own lights add nothing.
     Emissive {
-        /// What leaves the surface, a page each; white is `strength`.
+        /// Images of radiosity, one per page; white is `strength`.
         pages: Vec<RgbImage>,
-        /// How bright white is: 1 is white on a screen.
+        /// The brightness of white: 1 is white on a screen.
         strength: f64,
-        /// What the materials of the scene emit that are too bright for the map, and need none.
+        /// Emission of the materials that are too bright for the map and need none.
         plain: Vec<Option<[f64; 3]>>,
     },
     /// Materials keep their colours, and the extension MOZ_lightmap names the map of irradiance.
     Moz {
-        /// Irradiance, a page each, linear; white is `intensity`.
+        /// Linear images of irradiance, one per page; white is `intensity`.
         pages: Vec<RgbImage>,
-        /// The irradiance that white means, W/m².
+        /// The irradiance of white, W/m².
         intensity: f64,
     },
-    /// Texture coordinates alone: the map is elsewhere.
+    /// Texture coordinates alone. The map is in files of its own.
     Coordinates,
 }
 
-/// Black in all lights of a viewer, but for what it emits.
+/// With this extension a material reflects no light of the viewer.
 const BLACK: &str = "KHR_materials_specular";
 const STRENGTH: &str = "KHR_materials_emissive_strength";
 const INSTANCING: &str = "EXT_mesh_gpu_instancing";
 
-/// The file with the map, as bytes. `extras` are told at its top.
+/// The bytes of the file with the map. `extras` are put at its top level.
 ///
 /// # Errors
-/// Those of reading the source.
+/// Errors of reading the source.
 pub fn lit(
     scene: &Scene,
     source: &Source,
@@ -102,7 +102,7 @@ pub fn lit(
     Ok(writer.glb.finish())
 }
 
-/// The set of texture coordinates that the map takes: the second, unless a texture that is kept is looked up by it.
+/// The set of texture coordinates for the map: the second, unless a texture that is kept uses it.
 fn free_set(json: &Value, show: &Show) -> u32 {
     fn sets(value: &Value, found: &mut Vec<u64>) {
         match value {
@@ -129,20 +129,21 @@ struct Writer<'a> {
     source: &'a Source,
     layout: Layout<'a>,
     show: &'a Show,
-    /// The set of texture coordinates that the map takes.
+    /// The set of texture coordinates for the map.
     set: u32,
     glb: Glb,
-    /// Those of the map, a page each.
+    /// Textures of the map, one per page.
     textures: Vec<usize>,
-    /// What has been made of materials: by the file's index, the page, and the scene's material where that emits plainly.
+    /// New materials, by the index in the file, the page, and the material of the scene where it has an emission of its
+    /// own.
     materials: HashMap<(Option<usize>, u32, Option<u32>), usize>,
     /// Primitives of each instance.
     meshes: Vec<Vec<Value>>,
-    /// Number of the next triangle of the file.
+    /// Index of the next triangle of the file.
     next: usize,
 }
 
-/// A corner of a triangle that is written.
+/// A corner of a triangle in the output.
 #[derive(Clone, Copy)]
 enum Corner {
     /// A vertex of the file.
@@ -154,7 +155,7 @@ enum Corner {
 /// The corners of a triangle, and their texture coordinates in the map.
 type Corners = [(Corner, Option<u32>); 3];
 
-/// Triangles that become one primitive.
+/// The triangles of one primitive.
 #[derive(Default)]
 struct Group {
     vertices: Vec<(Corner, Option<u32>)>,
@@ -177,7 +178,7 @@ impl Group {
 }
 
 impl Writer<'_> {
-    /// All buffers become one.
+    /// Joins all buffers to one.
     fn take_in_buffers(&mut self) {
         let starts: Vec<usize> = self.source.document.buffers.iter().map(|b| self.glb.append(b)).collect();
         for view in self.glb.json["bufferViews"].as_array_mut().into_iter().flatten() {
@@ -189,7 +190,7 @@ impl Writer<'_> {
         }
     }
 
-    /// Images beside the file are taken into it; those that cannot be read stay names.
+    /// Embeds the images that are files of their own. Images that cannot be read stay as names.
     fn take_in_images(&mut self) {
         let count = self.glb.json["images"].as_array().map_or(0, Vec::len);
         for i in 0..count {
@@ -214,7 +215,7 @@ impl Writer<'_> {
             Show::Moz { pages, .. } => (pages, "irradiance"),
             Show::Coordinates => return,
         };
-        // Neither mipmaps nor repetition: both would mix what is far apart on the surface.
+        // Neither mipmaps nor repetition: both would mix points that are far apart on the surface.
         let sampler = self
             .glb
             .push("samplers", json!({"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}));
@@ -230,7 +231,7 @@ impl Writer<'_> {
         self.glb.json["meshes"][place.instance.mesh]["primitives"][place.primitive].clone()
     }
 
-    /// What becomes of a primitive: one for each page that it lies on, and one for what has no place in the map.
+    /// The primitives that replace one: one for each page that it lies on, and one for triangles without a place in the map.
     fn primitives(&mut self, place: &Place<'_>, geometry: &Geometry) -> Result<Vec<Value>> {
         let original = self.original(place);
         let mut groups: Vec<(Option<(u32, u32)>, Group)> = Vec::new();
@@ -317,7 +318,7 @@ impl Writer<'_> {
             })
             .collect();
         let accessor = self.glb.vectors(&uv, false);
-        // Sets are numbered without gaps: where the file has none before it, this one stands in.
+        // Sets are numbered without gaps. If the file lacks earlier sets, they get the coordinates of this one.
         for set in 0..=self.set {
             let name = format!("TEXCOORD_{set}");
             if set == self.set || primitive["attributes"].get(&name).is_none() {
@@ -331,14 +332,14 @@ impl Writer<'_> {
         primitive
     }
 
-    /// Copies an attribute for the vertices of a group; the index of its accessor.
+    /// Copies an attribute for the vertices of a group and returns the index of its accessor.
     fn copy(&mut self, name: &str, raw: &Raw, group: &Group) -> usize {
         let stride = raw.size.next_multiple_of(4);
         let mut bytes = vec![0; stride * group.vertices.len()];
         for ((corner, _), out) in group.vertices.iter().zip(bytes.chunks_exact_mut(stride)) {
             match corner {
                 Corner::Vertex(v) => out[..raw.size].copy_from_slice(raw.element(*v as usize)),
-                // Joints are names, not quantities.
+                // Joints are indices and cannot be interpolated.
                 Corner::Between(of, weights) if name.starts_with("JOINTS") => {
                     let nearest = (0..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best });
                     out[..raw.size].copy_from_slice(raw.element(of[nearest] as usize));
@@ -357,7 +358,7 @@ impl Writer<'_> {
             let bound = |of: fn(f64, f64) -> f64| {
                 elements.clone().reduce(|a, b| std::array::from_fn(|c| of(a[c], b[c])))
             };
-            // Sums of single precision are told as such, or a checker finds them off.
+            // Bounds of single precision are written as such, because validators compare them with the values.
             let told = |bound: Option<[f64; 3]>| match raw.component_type {
                 5126 => json!(bound.unwrap_or_default().map(|x| x as f32)),
                 _ => json!(bound.unwrap_or_default().map(|x| x as i64)),
@@ -368,7 +369,7 @@ impl Writer<'_> {
         self.glb.push("accessors", accessor)
     }
 
-    /// The material of the file's that shows a page; `None` where the one that is there stays.
+    /// The material that shows a page in place of one of the file; `None` where the material of the file stays.
     fn material(&mut self, original: Option<usize>, page: u32, material: u32) -> Option<usize> {
         let plain = match self.show {
             Show::Emissive { plain, .. } => plain[material as usize],
@@ -408,7 +409,7 @@ impl Writer<'_> {
                 made[key] = value.clone();
             }
         }
-        // Holes are in the alpha of the base colour's texture, whose colours count for nothing beside a black factor.
+        // Holes are in the alpha of the texture of the base colour. Its colours have no effect, as their factor is black.
         if of["alphaMode"].as_str().is_some_and(|mode| mode != "OPAQUE")
             && let Some(texture) = of["pbrMetallicRoughness"].get("baseColorTexture")
         {
@@ -504,14 +505,14 @@ impl Writer<'_> {
         for list in ["extensionsUsed", "extensionsRequired"] {
             let Some(names) = json.get_mut(list).and_then(Value::as_array_mut) else { continue };
             names.retain(|name| name != INSTANCING);
-            // An empty list is against the specification.
+            // The specification forbids empty lists.
             if names.is_empty() {
                 json.remove(list);
             }
         }
     }
 
-    /// Adds to the extras at the top, where those are not something else than a list of names.
+    /// Adds to the extras at the top level. Extras that are not an object are replaced.
     fn say(&mut self, extras: Value) {
         let mut extras = extras;
         extras["texCoord"] = self.set.into();
@@ -554,14 +555,14 @@ impl Document {
     }
 }
 
-/// The point of a triangle: one of its vertices, or between them.
+/// A point of a triangle: one of its vertices, or a point between them.
 fn between(of: [u32; 3], [a, b, c]: [DVec3; 3], p: DVec3) -> Corner {
     let (e, f) = (b - a, c - a);
     let normal = e.cross(f);
     let square = normal.length_squared();
     let [v, w] = [(p - a).cross(f), e.cross(p - a)].map(|x| (x.dot(normal) / square).clamp(0.0, 1.0));
     let weights = [(1.0 - v - w).max(0.0), v, w];
-    // Positions are of single precision at best: what is nearer to a vertex than that is the vertex.
+    // Positions have single precision at best. A point that is nearer to a vertex than that is the vertex.
     match (0..3).find(|&k| weights[k] > 1.0 - 1e-6) {
         Some(k) => Corner::Vertex(of[k]),
         None if square > 0.0 => Corner::Between(of, weights),

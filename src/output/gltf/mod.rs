@@ -1,8 +1,8 @@
 //! Scenes as binary glTF 2.0.
 //!
-//! [`Glb`] puts bytes and JSON together. [`Source`] is what a lit file is made of: the glTF file that the scene came from, with
-//! all that is in it, or one made of the scene where it came from elsewhere. [`lit`] gives every mesh a second set of texture
-//! coordinates and every material a way to show a map; [`vertex_colours`] writes a solution's patches.
+//! [`Glb`] joins bytes and JSON. [`Source`] is the file that a lightmap is added to: the glTF file of the scene with
+//! everything in it, or a new file if the scene has another format. [`lit`] adds the lightmap. [`vertex_colours`] writes
+//! the patches of a solution.
 
 mod glb;
 pub mod lit;

@@ -1,4 +1,4 @@
-//! What a lit file is made of: a glTF file, and which triangle of the scene each of its triangles is.
+//! The glTF file that a lightmap is added to, with the triangles of the scene that its triangles became.
 
 use std::{collections::HashMap, io::Cursor, path::Path};
 
@@ -14,15 +14,16 @@ use crate::{
 /// A glTF file and the triangles of the scene that each of its triangles became, in the order of the file.
 pub struct Source {
     pub(super) document: Document,
-    /// Triangles of the scene: none where it was left out, several where it was cut.
+    /// For each triangle of the file its triangles in the scene: none where it was left out, several where it was cut.
     pub(super) triangles: Vec<Vec<u32>>,
 }
 
 impl Source {
-    /// The file that the scene came from, read again; or a file made of the scene where it came from elsewhere.
+    /// Reads the file of the scene again, or makes a new file if the scene has another format.
     ///
     /// # Errors
-    /// Those of [`Scene::load`], and [`Error::Input`](crate::Error::Input) when the file is no longer the one that the scene came from.
+    /// Errors of [`Scene::load`], and [`Error::Input`](crate::Error::Input) when the file has changed since the scene was
+    /// read.
     pub fn of(scene: &Scene, path: &Path) -> Result<Source> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
         if !matches!(extension.as_deref(), Some("gltf" | "glb")) {
@@ -45,7 +46,7 @@ impl Source {
         Ok(Source { document, triangles })
     }
 
-    /// A file of one mesh, with a primitive for each material.
+    /// A file with one mesh that has a primitive for each material.
     fn made_of(scene: &Scene) -> Result<Source> {
         let mut glb = Glb::new(json!({
             "asset": {"version": "2.0", "generator": GENERATOR}, "scene": 0, "scenes": [{"nodes": [0]}],
@@ -72,7 +73,7 @@ impl Source {
     }
 }
 
-/// The vertices of some triangles: those at one place with the same texture coordinates and colour are one.
+/// The vertices of some triangles. Corners with the same position, texture coordinates and colour share one.
 fn primitive(glb: &mut Glb, scene: &Scene, triangles: &[usize]) -> Value {
     let mut known = HashMap::new();
     let (mut positions, mut texcoords, mut colours, mut corners) =
@@ -102,7 +103,7 @@ fn primitive(glb: &mut Glb, scene: &Scene, triangles: &[usize]) -> Value {
     json!({"attributes": attributes, "indices": glb.triangles(&corners)})
 }
 
-/// A texture of the scene; its index.
+/// Adds a texture of the scene and returns its index.
 fn image(glb: &mut Glb, i: usize, texture: &Texture) -> usize {
     let (width, height) = texture.size();
     let pixels = image::RgbImage::from_raw(width as u32, height as u32, texture.texels().to_vec());
@@ -110,7 +111,7 @@ fn image(glb: &mut Glb, i: usize, texture: &Texture) -> usize {
     glb.push("textures", json!({"source": image}))
 }
 
-/// A material of the scene in glTF's words.
+/// A material of the scene as a glTF material.
 fn describe(glb: &mut Glb, material: &Material, textures: &[usize]) -> Value {
     let [r, g, b] = material.reflectance;
     // Both sides reflect, but only fronts emit: a double-sided lamp would shine both ways.
@@ -134,7 +135,7 @@ fn describe(glb: &mut Glb, material: &Material, textures: &[usize]) -> Value {
     described
 }
 
-/// A reference to a texture as a map uses it. Of u, v upwards, scaled and moved, glTF wants v downwards.
+/// A reference to a texture with the transform of a map. In glTF v points downwards, here it points upwards.
 fn look_up(glb: &mut Glb, map: &TextureMap, textures: &[usize]) -> Value {
     let mut index = textures[map.texture];
     if map.clamp {
@@ -153,7 +154,7 @@ fn look_up(glb: &mut Glb, map: &TextureMap, textures: &[usize]) -> Value {
     info
 }
 
-/// The kind of an image file by its first bytes, where glTF may hold it.
+/// The kind of an image file by its first bytes, if glTF allows this kind.
 pub(super) fn mime(bytes: &[u8]) -> Option<&'static str> {
     match image::ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?.format()? {
         image::ImageFormat::Png => Some("image/png"),

@@ -1,7 +1,8 @@
-//! A solution's patches as glTF: radiosity at their vertices as colours that no light changes.
+//! The patches of a solution as glTF, with radiosity as vertex colours.
 //!
-//! Materials are unlit (KHR_materials_unlit) and white, so that a viewer shows COLOR_0 as it is. The specification ends colours
-//! at 1: what is brighter than white is white. A face shows the side of its patch that has more light.
+//! Materials are unlit (KHR_materials_unlit) and white, so that a viewer shows COLOR_0 without any shading. The
+//! specification limits colours to 1, so everything brighter than white is white. A face shows the side of its patch that
+//! has more light.
 
 use std::{
     collections::HashMap,
@@ -27,7 +28,7 @@ use crate::{
 /// Writes the patches, a primitive for each material.
 ///
 /// # Errors
-/// What `out` says.
+/// Errors of writing to `out`.
 ///
 /// # Panics
 /// When the sizes disagree.

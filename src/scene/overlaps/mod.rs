@@ -1,17 +1,17 @@
 //! Faces that overlap in one plane and face the same way: a lamp flush with the ceiling, a rug on the floor, a decal.
 //!
-//! Of such faces one is in front, and what lies behind it is hidden surface. The hidden part is cut away before anything else
-//! looks at the scene. Every method then works on surfaces that do not overlap, so all of them agree, and areas, means
-//! and emitted power count what can be seen. A depth priority at ray hits would leave patches that are partly hidden: their
-//! areas, means and shares of rays would need a rule each.
+//! One of such faces is in front and hides the others. The reader cuts the hidden parts away. Every method then works on
+//! surfaces that do not overlap, so all methods agree, and areas, means and emitted power count visible surface only. A
+//! depth priority at ray hits would leave partly hidden patches, and their areas, means and shares of rays would each need
+//! a special rule.
 //!
 //! The rule, in this order:
 //! 1. a face that emits is in front of one that does not;
 //! 2. the smaller surface is in front, where a surface is all triangles of one material that share edges and lie in one plane;
 //! 3. the surface that comes first in the file is in front.
 //!
-//! `pairs` finds the faces, `overlay` cuts them. Cuts end in new vertices on edges, and every triangle with such an edge
-//! gets them too, so that no crack opens between neighbours.
+//! `pairs` finds the faces and `overlay` cuts them. Cuts end at new vertices on edges. Every triangle with such an edge gets
+//! these vertices too, so that there are no cracks between neighbours.
 
 mod overlay;
 mod pairs;
@@ -44,9 +44,9 @@ impl std::fmt::Display for Hidden {
     }
 }
 
-/// Cuts away what is hidden. The triangles keep their order; what is left of one stands in its place.
+/// Cuts away hidden surface. The triangles keep their order: the rest of a triangle takes its place.
 pub(super) fn resolve(scene: &mut Scene) -> Vec<Hidden> {
-    let pairs = pairs::find(scene);
+    let pairs = pairs::find(scene, pairs::Facing::Same);
     if pairs.is_empty() {
         return Vec::new();
     }
@@ -75,10 +75,17 @@ pub(super) fn resolve(scene: &mut Scene) -> Vec<Hidden> {
     told
 }
 
-/// Triangles of which each overlaps another one.
+/// Pairs of triangles that overlap in one plane, whichever way they face.
+pub(crate) fn in_one_plane(scene: &Scene) -> Vec<[u32; 2]> {
+    pairs::find(scene, pairs::Facing::Any).into_iter().map(|pair| pair.triangles).collect()
+}
+
+pub(crate) use pairs::covered;
+
+/// Triangles that are connected by overlaps.
 struct Component {
     members: Vec<u32>,
-    /// How far apart points may be and still count as one place.
+    /// Points closer than this count as one.
     tolerance: f64,
 }
 
@@ -100,7 +107,7 @@ fn components(pairs: &[pairs::Pair]) -> Vec<Component> {
     found.into_values().collect()
 }
 
-/// Disjoint sets of numbers, each known by its least.
+/// Disjoint sets of numbers, each identified by its smallest member.
 #[derive(Default)]
 struct Sets(HashMap<u32, u32>);
 
@@ -110,7 +117,7 @@ impl Sets {
         while let Some(&up) = self.0.get(&root) {
             root = up;
         }
-        // Shortens the way for the next one.
+        // Path compression.
         let mut at = x;
         while at != root {
             at = self.0.insert(at, root).unwrap_or(root);
@@ -126,7 +133,7 @@ impl Sets {
     }
 }
 
-/// Order of a triangle among those at one place; the least is in front.
+/// The order of triangles at one place. The smallest rank is in front.
 type Rank = (bool, u32, u32, u64, u32);
 
 fn ranks(scene: &Scene) -> Vec<Rank> {
@@ -136,15 +143,15 @@ fn ranks(scene: &Scene) -> Vec<Rank> {
     let sizes = sizes(&areas);
     let rank = |t: usize| {
         let surface = surfaces[t];
-        // The bits of positive numbers order as the numbers do.
+        // Positive numbers and their bits have the same order.
         (!scene.emits(t), sizes[surface as usize], surface, scene.area(t).to_bits(), t as u32)
     };
     (0..surfaces.len()).map(rank).collect()
 }
 
-/// The places of areas in their order. Areas that differ by rounding only share a place.
+/// The ranks of areas. Areas that differ by rounding only share a rank.
 fn sizes(areas: &[f64]) -> Vec<u32> {
-    // Six digits of a coordinate give areas to about five.
+    // Coordinates of six digits give areas of about five digits.
     const SAME: f64 = 1.0 + 1e-4;
     let mut order: Vec<usize> = (0..areas.len()).collect();
     order.sort_by(|&i, &j| areas[i].total_cmp(&areas[j]));
@@ -158,9 +165,9 @@ fn sizes(areas: &[f64]) -> Vec<u32> {
     sizes
 }
 
-/// The surface that each of some triangles is part of, by its first triangle; of all others themselves.
+/// For each triangle the first triangle of its surface. A triangle that `of` excludes is a surface of its own.
 pub(super) fn surfaces(scene: &Scene, of: impl Fn(usize) -> bool) -> Vec<u32> {
-    /// Cosine of the angle by which neighbours in one plane may differ, as coordinates are rounded.
+    /// Cosine of the largest angle between neighbours in one plane. Coordinates are rounded.
     const FLAT: f64 = 1.0 - 1e-6;
     let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * scene.triangles.len());
     for (t, triangle) in scene.triangles.iter().enumerate().filter(|(t, _)| of(*t)) {
@@ -181,7 +188,7 @@ pub(super) fn surfaces(scene: &Scene, of: impl Fn(usize) -> bool) -> Vec<u32> {
     (0..scene.triangles.len() as u32).map(|t| sets.first(t)).collect()
 }
 
-/// Makes vertices of a component that lie at one place one vertex, in the whole scene, so that neighbours stay joined.
+/// Joins vertices of a component that lie at one place, in the whole scene, so that neighbours stay connected.
 fn weld(scene: &mut Scene, components: &[Component]) {
     let mut same = Sets::default();
     for component in components {
@@ -206,14 +213,14 @@ fn weld(scene: &mut Scene, components: &[Component]) {
     }
 }
 
-/// What was hidden, by material, in the scene's order.
+/// The hidden surfaces, by material, in the order of the scene.
 fn tell(scene: &Scene, pairs: &[pairs::Pair], ranks: &[Rank], hidden: &HashMap<u32, f64>) -> Vec<Hidden> {
     let material = |t: u32| scene.triangles[t as usize].material;
     let mut areas: BTreeMap<u32, f64> = BTreeMap::new();
     let mut triangles: Vec<u32> = hidden.keys().copied().collect();
     triangles.sort_unstable();
     for t in triangles {
-        // Triangles that only got new vertices on their edges lose nothing but roundings.
+        // Triangles that only got new vertices on their edges change by rounding.
         if hidden[&t] > 1e-9 * scene.area(t as usize) {
             *areas.entry(material(t)).or_default() += hidden[&t];
         }

@@ -1,8 +1,8 @@
-//! Triangles that overlap in one plane, laid over each other: which part of each is left.
+//! Cuts triangles that overlap in one plane, so that each keeps its visible part.
 //!
-//! The edges of all of them cut the plane into cells, none of which an edge crosses: a constrained Delaunay triangulation.
-//! Each cell belongs to the frontmost triangle that holds it. The cells of a triangle are then triangulated anew by their
-//! outline alone, so that edges of hidden triangles leave no trace in those in front.
+//! A constrained Delaunay triangulation with the edges of all triangles gives cells that no edge crosses. Each cell belongs
+//! to the frontmost triangle that contains it. The cells of a triangle are then triangulated again from their outline alone,
+//! so that triangles in front are not cut along the edges of hidden ones.
 
 use std::collections::HashMap;
 
@@ -17,18 +17,18 @@ use crate::scene::{
     cutting::{Chain, Corner, Plane, UNNAMED, triangulate, within},
 };
 
-/// What is left of some triangles.
+/// The visible parts of some triangles.
 pub(super) struct Overlay {
-    /// By member: the triangles that are left, none where all is hidden; `None` where nothing has changed.
+    /// For each member its visible triangles, which may be none; `None` if the member has not changed.
     pub(super) left: Vec<Option<Vec<[u32; 3]>>>,
     /// The vertices on edges of members.
     pub(super) chains: Vec<Chain>,
-    /// The vertices on what are edges of pieces only.
+    /// The vertices on edges that only pieces have.
     pub(super) inner: Vec<Chain>,
 }
 
 impl Overlay {
-    /// Lays `members` of `scene`, the frontmost first, over each other. Adds vertices to the scene.
+    /// Overlays `members` of `scene`, the frontmost first. Adds vertices to the scene.
     pub(super) fn new(scene: &mut Scene, members: &[u32], tolerance: f64) -> Overlay {
         let mut sheet = Sheet::new(scene, members, tolerance);
         sheet.cut_edges(scene);
@@ -59,14 +59,14 @@ impl Overlay {
     }
 }
 
-/// An edge of members, and the vertices on it by their distance from its first end, in order.
+/// An edge of members, and the vertices on it with their distances from its first end, in order.
 struct Edge {
     ends: [usize; 2],
     on: Vec<(usize, f64)>,
 }
 
-/// Which vertices lie in a line because they are on one edge. Rounding makes triangles of them, which have no area but keep their
-/// neighbours apart: they are left out, and what lies across their longest side gets their vertices.
+/// Vertices that lie in a line because they are on one edge. Rounding can form triangles of them, which have no area but
+/// separate their neighbours. They are left out, and the neighbour at their longest side gets their vertices.
 struct Straight {
     /// All vertices of each edge, in order.
     lines: Vec<Vec<usize>>,
@@ -88,7 +88,7 @@ impl Straight {
         Straight { lines, of }
     }
 
-    /// For three corners in a line: all vertices from the first of them on it to the last.
+    /// If three corners lie in a line: all vertices on that line from the first corner to the last.
     fn across(&self, corners: &[usize; 3]) -> Option<Vec<usize>> {
         let places = |&k: &usize| {
             let place = |v: &usize| self.lines[k].iter().position(|w| w == v);
@@ -104,7 +104,7 @@ impl Straight {
 struct Sheet {
     plane: Plane,
     tolerance: f64,
-    /// The scene's vertices, and where they are in the plane.
+    /// Indices of vertices in the scene, and their positions in the plane.
     vertices: Vec<u32>,
     points: Vec<DVec2>,
     /// By index into `vertices`, counter-clockwise.
@@ -112,7 +112,7 @@ struct Sheet {
     edges: Vec<Edge>,
 }
 
-/// Cells with their corners, counter-clockwise, and their neighbours across the edge from each corner to the next.
+/// Cells with their corners, counter-clockwise, and the neighbours across the edge from each corner to the next.
 struct Cells {
     corners: Vec<[usize; 3]>,
     neighbours: Vec<[Option<usize>; 3]>,
@@ -149,7 +149,7 @@ impl Sheet {
         sheet
     }
 
-    /// Finds the vertices on edges, and makes those where edges cross.
+    /// Finds the vertices on edges, and makes vertices where edges cross.
     fn cut_edges(&mut self, scene: &mut Scene) {
         self.find_on_edges(0);
         let given = self.points.len();
@@ -209,7 +209,7 @@ impl Sheet {
         found
     }
 
-    /// Gives two edges that cross a vertex in common, unless they have one: one of theirs close by, else a new one.
+    /// Gives two crossing edges a common vertex if they have none: a vertex of theirs that is close, or else a new one.
     fn cross(&mut self, scene: &mut Scene, e: usize, f: usize) {
         let on = |edge: &Edge, v: usize| edge.ends.contains(&v) || edge.on.iter().any(|&(w, _)| w == v);
         let (first, second) = (&self.edges[e], &self.edges[f]);
@@ -218,7 +218,7 @@ impl Sheet {
         let ([p, q], [r, s]) = (first.ends.map(|v| self.points[v]), second.ends.map(|v| self.points[v]));
         let share = (s - r).perp_dot(p - r) / (s - r).perp_dot(p - q);
         let at = p + (q - p) * share;
-        // Straight edges meet once. Those that are almost parallel would seem to cross somewhere else as well.
+        // Straight edges meet once. Almost parallel edges would seem to cross elsewhere too.
         if all(first).into_iter().any(|v| on(second, v)) {
             return;
         }
@@ -284,7 +284,7 @@ impl Sheet {
         cells
     }
 
-    /// The point of the frontmost plane over a point.
+    /// The point in the frontmost plane above a point.
     fn lift(&self, scene: &Scene, at: DVec2) -> DVec3 {
         let corners = self.triangles[0].map(|v| scene.vertices[self.vertices[v] as usize]);
         let [normal, along] = [self.plane.normal, DVec3::AXES[self.plane.along]];
@@ -303,7 +303,7 @@ impl Sheet {
         let mut order: Vec<usize> = (0..centres.len()).collect();
         order.sort_by(|&i, &j| centres[i].x.total_cmp(&centres[j].x));
         let mut owners = vec![None; centres.len()];
-        // Edges bend by the tolerance where they run through vertices beside them: what no triangle holds by then is
+        // Edges bend by the tolerance where they run through vertices beside them. A cell that no triangle contains is then
         // a strip beside one.
         for slack in [0.0, self.tolerance] {
             for (m, corners) in self.triangles.iter().enumerate() {
@@ -328,7 +328,7 @@ impl Sheet {
         owners
     }
 
-    /// What is left of a member.
+    /// The visible part of a member.
     fn left(&self, member: u32, cells: &Cells, owners: &[Option<u32>]) -> Option<Vec<[usize; 3]>> {
         let own = |k: usize| owners[k] == Some(member);
         let mut outline = Vec::new();

@@ -1,4 +1,4 @@
-//! Which triangles overlap in one plane and face the same way.
+//! Which triangles overlap in one plane.
 
 use glam::{DVec2, DVec3, Vec3, Vec3A};
 use obvhs::{
@@ -12,25 +12,34 @@ use crate::scene::{Scene, centre_and_extent, cutting::Plane};
 /// Two triangles that overlap.
 pub(super) struct Pair {
     pub(super) triangles: [u32; 2],
-    /// How far apart points may be and still count as one place.
+    /// Points closer than this count as one.
     pub(super) tolerance: f64,
 }
 
-/// Planes that agree to this share of the longest side of the scene are one: single precision somewhere on the way of a file.
+/// Planes closer than this share of the longest side of the scene are one. Files often pass through single precision.
 const SAME_PLANE: f64 = 1e-6;
-/// Planes farther apart than this share of the smaller face are two, however large the scene: the light that a gap lets in or out
-/// is that share of what the face gets.
+/// Planes farther apart than this share of the smaller face are two, even in a large scene. The light that passes through
+/// such a gap is about that share of the light of the face.
 const OF_FACE: f64 = 1e-3;
-/// Coordinates of six digits are off by at most half a unit of the sixth. Two faces whose plane is parallel to the axes have
-/// the same digits, so a whole unit there is a gap: slightly less than the worst case counts as one plane.
+/// The share of the largest rounding error that counts as one plane. Coordinates of six digits are wrong by at most half a
+/// unit of the sixth digit. Two faces in one plane parallel to the axes have equal digits, so a difference of a whole unit
+/// is a gap.
 const OF_ROUNDING: f64 = 0.9;
-/// Cosine above which two normals may be those of one plane. The heights decide.
+/// Two normals with a larger cosine may belong to one plane. The heights decide.
 const PARALLEL: f32 = 0.99;
 
-/// All pairs, in no order that matters. Triangles with the same three corners are compared with the first of them alone.
-pub(super) fn find(scene: &Scene) -> Vec<Pair> {
+/// Which way two triangles face.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Facing {
+    Same,
+    Any,
+}
+
+/// All pairs, in no order that matters. Of triangles with the same three corners in the same winding, only the first is
+/// compared with others.
+pub(super) fn find(scene: &Scene, facing: Facing) -> Vec<Pair> {
     let (centre, half) = centre_and_extent(scene.vertices.iter().copied());
-    let search = Search { scene, extent: 2.0 * half, normals: normals(scene) };
+    let search = Search { scene, facing, extent: 2.0 * half, normals: normals(scene) };
     let (kept, mut pairs) = search.distinct();
     let boxes: Vec<Aabb> = kept.par_iter().map(|&t| search.padded(t, centre, half)).collect();
     let tree = build_bvh2(&boxes, BUILD, &mut Default::default());
@@ -54,7 +63,7 @@ pub(super) fn find(scene: &Scene) -> Vec<Pair> {
     pairs
 }
 
-/// As for rays (see `trace::bvh`), but for reinsertion, which does not pay for one look at each box.
+/// As for rays (see `trace::bvh`), but without reinsertion, which does not pay for one query per box.
 const BUILD: BvhBuildParams = BvhBuildParams {
     pre_split: false,
     ploc_search_distance: PlocSearchDistance::Low,
@@ -72,14 +81,15 @@ fn normals(scene: &Scene) -> Vec<Vec3> {
 
 struct Search<'a> {
     scene: &'a Scene,
-    /// Longest side of the box round everything.
+    facing: Facing,
+    /// Longest side of the bounding box of the scene.
     extent: f64,
     normals: Vec<Vec3>,
 }
 
 impl Search<'_> {
-    /// The triangles without those at the place of an earlier one that faces the same way, and these as pairs with it. The
-    /// hierarchy would be built in quadratic time where many boxes are the same.
+    /// Separates triangles that equal an earlier one. Returns the other triangles, and the equal ones as pairs. Building the
+    /// hierarchy takes quadratic time if many boxes are equal.
     fn distinct(&self) -> (Vec<u32>, Vec<Pair>) {
         let cycle = |t: u32| {
             let [a, b, c] = self.scene.triangles[t as usize].vertices;
@@ -112,7 +122,7 @@ impl Search<'_> {
         (SAME_PLANE * self.extent).min(OF_FACE * self.longest(t))
     }
 
-    /// The box of a triangle in unit space, with room for the tolerance of any pair it is the smaller one of.
+    /// The box of a triangle in unit space, padded by the tolerance of any pair in which it is the smaller one.
     fn padded(&self, t: u32, centre: DVec3, half: f64) -> Aabb {
         let corners = self.scene.corners(t as usize);
         let largest = corners.iter().map(|p| p.abs().max_element()).fold(0.0, f64::max);
@@ -125,14 +135,15 @@ impl Search<'_> {
 
     fn pair(&self, s: u32, t: u32) -> Option<Pair> {
         let (i, j) = (s as usize, t as usize);
-        if self.normals[i].dot(self.normals[j]) < PARALLEL {
+        let cosine = self.normals[i].dot(self.normals[j]);
+        if cosine.abs() < PARALLEL || (cosine < 0.0 && self.facing == Facing::Same) {
             return None;
         }
         let (a, b) = (self.scene.corners(i), self.scene.corners(j));
         let larger = if self.scene.area(i) >= self.scene.area(j) { a } else { b };
         let plane = Plane::of(larger);
-        let (flat_a, flat_b) = (a.map(|p| plane.flat(p)), b.map(|p| plane.flat(p)));
-        // Most neighbours share an edge and lie on its two sides.
+        let [flat_a, flat_b] = [a, b].map(|corners| plane.counter_clockwise(corners));
+        // A quick test for the common case: neighbours that share an edge and lie on different sides of it.
         let least = self.own_tolerance(s).min(self.own_tolerance(t));
         if separated(&flat_a, &flat_b, least) {
             return None;
@@ -149,7 +160,7 @@ impl Search<'_> {
         one.then_some(Pair { triangles: [s, t], tolerance })
     }
 
-    /// How far the planes of two triangles may be apart and still be one.
+    /// The largest distance of the planes of two triangles that count as one plane.
     fn tolerance(&self, s: u32, t: u32, normal: DVec3) -> f64 {
         let corners = || [s, t].into_iter().flat_map(|t| self.scene.corners(t as usize));
         let mut widest = SAME_PLANE * self.extent;
@@ -167,7 +178,7 @@ fn half_unit(x: f64) -> f64 {
     if x > 0.0 { 0.5 * 10f64.powf(x.log10().floor() - 5.0) } else { 0.0 }
 }
 
-/// Whether a number is one of six decimal digits, but for its own rounding.
+/// Whether a number has six decimal digits at most, up to the rounding of double precision.
 fn has_six_digits(x: f64) -> bool {
     if x == 0.0 {
         return true;
@@ -176,7 +187,7 @@ fn has_six_digits(x: f64) -> bool {
     (digits - digits.round()).abs() <= 1e-8
 }
 
-/// Whether a line through an edge has the two triangles on its two sides, but for a strip of this width.
+/// Whether a line through an edge separates the two triangles, up to an overlap of this width.
 fn separated(a: &[DVec2; 3], b: &[DVec2; 3], width: f64) -> bool {
     let divides = |edges: &[DVec2; 3], other: &[DVec2; 3]| {
         (0..3).any(|k| {
@@ -186,6 +197,19 @@ fn separated(a: &[DVec2; 3], b: &[DVec2; 3], width: f64) -> bool {
         })
     };
     divides(a, b) || divides(b, a)
+}
+
+/// The share of triangle `a` that triangle `b` covers, where both lie in one plane.
+pub(crate) fn covered(a: [DVec3; 3], b: [DVec3; 3]) -> f64 {
+    let plane = Plane::of(a);
+    let [a, b] = [a, b].map(|corners| plane.counter_clockwise(corners));
+    area(&common(&a, &b)) / area(&a)
+}
+
+/// The area of a convex counter-clockwise polygon.
+fn area(polygon: &[DVec2]) -> f64 {
+    let Some(&first) = polygon.first() else { return 0.0 };
+    polygon.windows(2).map(|pair| 0.5 * (pair[0] - first).perp_dot(pair[1] - first)).sum()
 }
 
 /// The part that two counter-clockwise triangles have in common.

@@ -26,7 +26,7 @@ impl Channels {
         }
     }
 
-    /// Decoded from sRGB.
+    /// The linear values of sRGB colours.
     pub(super) fn linear(&self) -> std::result::Result<Option<[f64; 3]>, String> {
         match self.given() {
             Some(rgb) => match rgb.iter().find(|c| !(0.0..=1.0).contains(*c)) {
@@ -71,7 +71,7 @@ pub(super) struct Face {
     pub(super) colour: Channels,
     pub(super) reflectance: Channels,
     pub(super) emission: Channels,
-    /// Not 0 for a back, in files of this program.
+    /// In files of this program: not 0 for a back.
     pub(super) side: f64,
 }
 

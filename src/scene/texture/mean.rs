@@ -9,14 +9,15 @@ use super::Texture;
 /// at most about four times as many cells.
 const CELLS_ACROSS: f64 = 512.0;
 
-/// Level of the pyramid's first stored means: 4 by 4 texels, so that it takes a third of the texels' own memory.
+/// The lowest level that the pyramid stores. Its cells are 4 by 4 texels, so the pyramid takes a third of the memory of the
+/// texels.
 const FIRST_STORED: u32 = 2;
 
-/// Means of squares of 2^level texels, cut off at the image's right and lower rim.
+/// Means of squares with edges of 2^level texels, cut off at the right and lower rim of the image.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Pyramid {
     levels: Vec<Level>,
-    /// The level whose one cell is the image.
+    /// The level at which the image is one cell.
     top: u32,
     mean: [f64; 3],
 }
@@ -47,7 +48,7 @@ impl Pyramid {
         pyramid
     }
 
-    /// The mean of cell `(i, j)`, where the level stores one.
+    /// The mean of cell `(i, j)` of a level that is stored.
     fn cell(&self, texture: &Texture, level: u32, i: usize, j: usize) -> [f64; 3] {
         match level {
             0 => texture.texel(i, j),
@@ -76,7 +77,7 @@ impl Pyramid {
     }
 }
 
-/// Corners of a cell in texels; empty when it lies outside the image.
+/// Corners of a cell in texels. Empty if the cell lies outside the image.
 fn cell_bounds(texture: &Texture, level: u32, i: usize, j: usize) -> (DVec2, DVec2) {
     let (w, h) = texture.size();
     let bound = |i: usize, n: usize| (i << level).min(n) as f64;
@@ -102,7 +103,7 @@ impl Sum {
     }
 }
 
-/// A convex polygon: a triangle cut by the four sides of a cell has at most seven corners.
+/// A convex polygon. A triangle that is cut by the four sides of a cell has at most seven corners.
 #[derive(Clone, Copy)]
 struct Polygon {
     corners: [DVec2; 12],
@@ -153,7 +154,7 @@ impl Polygon {
     }
 }
 
-/// The mean over the triangle `corners`, in texels; `None` when it has no area.
+/// The mean over the triangle `corners`, in texels. `None` if it has no area.
 pub(super) fn over(texture: &Texture, clamp: bool, corners: [DVec2; 3]) -> Option<[f64; 3]> {
     let size = DVec2::new(texture.width as f64, texture.height as f64);
     let low = corners[0].min(corners[1]).min(corners[2]);
@@ -161,7 +162,7 @@ pub(super) fn over(texture: &Texture, clamp: bool, corners: [DVec2; 3]) -> Optio
     if !(low.is_finite() && high.is_finite()) {
         return None;
     }
-    // Whole repeats are subtracted: they change nothing but rounding.
+    // Subtracts whole repeats, which would only add rounding errors.
     let home = if clamp { DVec2::ZERO } else { (low / size).floor() * size };
     let mut triangle = Polygon { corners: [DVec2::ZERO; 12], len: 0 };
     corners.iter().for_each(|&c| triangle.push(c - home));
@@ -364,7 +365,7 @@ mod tests {
         assert!(texture.mean(&map, nowhere)[0].is_finite());
     }
 
-    /// Followed texel by texel this would take years.
+    /// Texel by texel this would take years.
     #[test]
     fn huge_footprints_are_quick_and_right() {
         let texture = noise(300, 200);

@@ -1,0 +1,103 @@
+//! Patches that have vertices of neighbours on their edges, cut to triangles that have these vertices as corners.
+//!
+//! One face with more corners would do as well, but trimesh reads no binary PLY whose faces differ in their number of
+//! corners, and CloudCompare and three.js leave out faces of more than four corners.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// The vertices of neighbours on the edges of one patch.
+pub(super) struct OnEdges {
+    pub(super) patch: u32,
+    /// For the edge from each corner to the next: vertices, and their fractions of the way along it, in order.
+    pub(super) edges: [Vec<(u32, f64)>; 3],
+}
+
+/// A part of a patch.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Piece {
+    pub(super) patch: u32,
+    /// In the order of the patch's corners.
+    pub(super) corners: [u32; 3],
+    /// Its share of the patch's area.
+    pub(super) share: f64,
+}
+
+/// All patches that are cut.
+#[derive(Debug, Clone)]
+pub(super) struct Pieces {
+    /// The first piece of each, in the order of patches.
+    first: Vec<Piece>,
+    /// The other pieces, in the order of patches.
+    others: Vec<Piece>,
+}
+
+impl Pieces {
+    /// Cuts patches, given in order, with their corners.
+    pub(super) fn new(positions: &[DVec3], corners: &[[u32; 3]], met: &[OnEdges]) -> Pieces {
+        let of_patch = |met: &OnEdges| {
+            let mut pieces = Vec::new();
+            let whole = Piece { patch: met.patch, corners: corners[met.patch as usize], share: 1.0 };
+            let edges = [0, 1, 2].map(|k| Chain { on: &met.edges[k], span: [0.0, 1.0] });
+            bisect(positions, whole, edges, &mut pieces);
+            pieces
+        };
+        let pieces: Vec<Vec<Piece>> = met.par_iter().map(of_patch).collect();
+        Pieces {
+            first: pieces.iter().map(|pieces| pieces[0]).collect(),
+            others: pieces.iter().flat_map(|pieces| &pieces[1..]).copied().collect(),
+        }
+    }
+
+    /// Number of pieces that are not the first of their patch.
+    pub(super) fn others(&self) -> usize {
+        self.others.len()
+    }
+
+    /// The piece that a face is; none where it is a whole patch. The first pieces have the numbers of their patches, the
+    /// others follow after all `patches`.
+    pub(super) fn get(&self, face: usize, patches: usize) -> Option<&Piece> {
+        match face.checked_sub(patches) {
+            Some(other) => Some(&self.others[other]),
+            None => {
+                let at = self.first.binary_search_by_key(&(face as u32), |piece| piece.patch);
+                Some(&self.first[at.ok()?])
+            }
+        }
+    }
+}
+
+/// The vertices on an edge of a piece, which is a part of an edge of the patch.
+#[derive(Clone, Copy)]
+struct Chain<'a> {
+    on: &'a [(u32, f64)],
+    /// The fractions at the ends of the part.
+    span: [f64; 2],
+}
+
+const NONE: Chain<'static> = Chain { on: &[], span: [0.0, 1.0] };
+
+/// Cuts a triangle from the opposite corner to a vertex on its longest edge with vertices, the one nearest the middle. Then
+/// cuts both parts likewise. Every piece has an area, because no cut runs along an edge.
+fn bisect(positions: &[DVec3], whole: Piece, edges: [Chain; 3], pieces: &mut Vec<Piece>) {
+    let at = |k: usize| positions[whole.corners[k % 3] as usize];
+    let length = |k: usize| (at(k + 1) - at(k)).length();
+    let longest =
+        (0..3).filter(|&k| !edges[k].on.is_empty()).reduce(|j, k| if length(k) > length(j) { k } else { j });
+    let Some(k) = longest else { return pieces.push(whole) };
+    let (next, last) = ((k + 1) % 3, (k + 2) % 3);
+    let Chain { on, span: [start, end] } = edges[k];
+    let off = |n: usize| (on[n].1 - 0.5 * (start + end)).abs();
+    let nearest = (0..on.len()).reduce(|m, n| if off(n) < off(m) { n } else { m }).expect("it has vertices");
+    let (vertex, fraction) = on[nearest];
+    let share = (fraction - start) / (end - start);
+    // The first part loses the end of edge `k`, and with it the edge that starts there. The second part loses the start.
+    let (mut first, mut second) = (whole, whole);
+    (first.corners[next], first.share) = (vertex, whole.share * share);
+    (second.corners[k], second.share) = (vertex, whole.share * (1.0 - share));
+    let (mut of_first, mut of_second) = (edges, edges);
+    (of_first[k], of_first[next]) = (Chain { on: &on[..nearest], span: [start, fraction] }, NONE);
+    (of_second[k], of_second[last]) = (Chain { on: &on[nearest + 1..], span: [fraction, end] }, NONE);
+    bisect(positions, first, of_first, pieces);
+    bisect(positions, second, of_second, pieces);
+}
