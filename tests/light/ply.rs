@@ -500,7 +500,8 @@ fn furnished() -> Scene {
         triangles.extend(quad(side, u32::from(k == 1)));
     }
     for (low, high) in [
-        (point(0.5, 0.7, 0.0), point(1.2, 1.6, 0.9)),
+        // No vertex of the floor lies on the rim of a box by chance.
+        (point(0.53, 0.7, 0.0), point(1.2, 1.6, 0.9)),
         (point(0.6, 0.8, 0.9), point(1.1, 1.4, 1.3)),
         (point(2.2, 1.0, 0.0), point(3.1, 2.9, 0.4)),
     ] {
