@@ -3,7 +3,11 @@
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3};
 
 use glam::{DMat4, DQuat, DVec3, dvec3};
-use radiosity::{Scene, scene::LoadOptions, tone};
+use radiosity::{
+    Scene,
+    scene::{Distribution, Fresnel, LoadOptions, Specular},
+    tone,
+};
 use serde_json::{Value, json};
 
 use crate::common::gltf::Gltf;
@@ -418,4 +422,90 @@ fn rotations_are_quaternions_x_y_z_w_and_need_not_have_unit_length() {
     file.json["nodes"][0]["rotation"] = json!((turn * 3.0).to_array());
     // A third of a turn about the diagonal takes x to y, y to z.
     assert_corners(&load(&file), 0, [DVec3::ZERO, dvec3(0., 2., 0.), dvec3(0., 0., 1.)]);
+}
+
+/// A square of four texels, alpha 255 and 128 above, 0 and 64 below; how much of it is left.
+fn left_of_square(mask: Value, colour: [f64; 4]) -> Result<f64, radiosity::Error> {
+    let mut file = Gltf::new();
+    let alphas = [[255, 128], [0, 64]];
+    let texels = image::RgbaImage::from_fn(2, 2, |x, y| {
+        image::Rgba([200, 200, 200, alphas[y as usize][x as usize]])
+    });
+    let texture = file.texture(&texels);
+    let material = file.material("leaf", [1.0; 3], [0.0; 3]);
+    for (key, value) in mask.as_object().unwrap() {
+        file.json["materials"][material][key] = value.clone();
+    }
+    let pbr = &mut file.json["materials"][material]["pbrMetallicRoughness"];
+    (pbr["baseColorTexture"], pbr["baseColorFactor"]) = (json!({"index": texture}), json!(colour));
+    file.rectangle([0.; 3], [2., 0., 0.], [0., 2., 0.], material);
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Scene::load(file.save(folder.path(), "scene.glb"))?;
+    // What is left keeps the colour of its texels.
+    let texel = tone::linear(200.0 / 255.0);
+    assert!((0..scene.triangles.len()).all(|t| near(scene.mean_reflectance(t, &WHOLE), [texel; 3], 1e-9)));
+    Ok((0..scene.triangles.len()).map(|t| scene.area(t)).sum())
+}
+
+#[test]
+fn masked_materials_have_holes_where_alpha_is_below_the_cutoff() {
+    let left = |mask: Value, alpha: f64| left_of_square(mask, [1.0, 1.0, 1.0, alpha]).unwrap();
+    let near = |found: f64, wanted: f64| assert!((found - wanted).abs() < 1e-9, "{found} for {wanted}");
+    near(left(json!({}), 1.0), 4.0);
+    near(left(json!({"alphaMode": "BLEND"}), 1.0), 4.0);
+    // 128 of 255 is above a half, 64 is above 0.25.
+    near(left(json!({"alphaMode": "MASK"}), 1.0), 2.0);
+    near(left(json!({"alphaMode": "MASK", "alphaCutoff": 0.25}), 1.0), 3.0);
+    near(left(json!({"alphaMode": "MASK", "alphaCutoff": 0.0}), 1.0), 4.0);
+    // The factor multiplies the texture.
+    near(left(json!({"alphaMode": "MASK"}), 0.9), 1.0);
+    let none = left_of_square(json!({"alphaMode": "MASK"}), [1.0, 1.0, 1.0, 0.4]).unwrap_err();
+    assert!(none.to_string().contains("no face is left"), "{none}");
+}
+
+#[test]
+fn what_is_not_diffuse_is_kept_for_the_referee() {
+    let microfacets = |pbr: Value, extensions: Value| {
+        let (mut file, _) = triangle();
+        file.json["materials"][0] = json!({"pbrMetallicRoughness": pbr, "extensions": extensions});
+        let image = image::RgbaImage::from_pixel(1, 1, image::Rgba([0, 51, 102, 255]));
+        file.texture(&image);
+        let uv = file.floats::<2>(&[[0., 0.], [1., 0.], [0., 1.]]);
+        file.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = uv.into();
+        let scene = load(&file);
+        scene.materials[0].specular.as_deref().map(|specular| match specular {
+            Specular::Microfacet {
+                distribution: Distribution::Ggx,
+                alpha: [alpha, across],
+                fresnel: Fresnel::Schlick(r0),
+                ..
+            } if alpha == across => (*alpha, *r0),
+            other => panic!("{other:?}"),
+        })
+    };
+    let assert_near = |found: Option<(f64, [f64; 3])>, alpha: f64, r0: [f64; 3]| {
+        let (found_alpha, found_r0) = found.unwrap();
+        assert!((found_alpha - alpha).abs() < 1e-9 && near(found_r0, r0, 1e-9), "{found:?}");
+    };
+    // Alpha is the square of roughness; a dielectric of index 1.5 reflects 4 %, a metal its base colour.
+    let none = json!({});
+    let plastic = json!({"metallicFactor": 0, "roughnessFactor": 0.5});
+    assert_near(microfacets(plastic.clone(), none.clone()), 0.25, [0.04; 3]);
+    let gold = json!({"metallicFactor": 1, "roughnessFactor": 0.2, "baseColorFactor": [1, 0.8, 0.3, 1]});
+    assert_near(microfacets(gold, none.clone()), 0.04, [1.0, 0.8, 0.3]);
+    let half = json!({"metallicFactor": 0.5, "roughnessFactor": 1, "baseColorFactor": [0.5, 0.5, 0.5, 1]});
+    assert_near(microfacets(half, none.clone()), 1.0, [0.27; 3]);
+    // Green is roughness, blue is metal: 0.2 and 0.4.
+    let textured = json!({"metallicRoughnessTexture": {"index": 0}, "baseColorFactor": [0.5, 0.5, 0.5, 1]});
+    assert_near(microfacets(textured, none.clone()), 0.04, [0.6 * 0.04 + 0.4 * 0.5; 3]);
+    // Diamond: ((2.4 - 1) / (2.4 + 1))²; tinted and weakened.
+    let diamond = json!({"KHR_materials_ior": {"ior": 2.4},
+        "KHR_materials_specular": {"specularFactor": 0.5, "specularColorFactor": [1, 0.5, 0]}});
+    let r0 = (1.4f64 / 3.4).powi(2);
+    assert_near(microfacets(plastic.clone(), diamond), 0.25, [0.5 * r0, 0.25 * r0, 0.0]);
+
+    // Without a word about it, unlit, or switched off, a surface has none.
+    assert_eq!(microfacets(json!({"baseColorFactor": [0.5, 0.5, 0.5, 1]}), none), None);
+    assert_eq!(microfacets(plastic.clone(), json!({"KHR_materials_unlit": {}})), None);
+    assert_eq!(microfacets(plastic, json!({"KHR_materials_specular": {"specularFactor": 0}})), None);
 }

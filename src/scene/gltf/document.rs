@@ -213,6 +213,23 @@ pub struct MaterialExtensions {
     pub specular_glossiness: Option<SpecularGlossiness>,
     #[serde(rename = "KHR_materials_transmission")]
     pub transmission: Option<Transmission>,
+    #[serde(rename = "KHR_materials_ior")]
+    pub ior: Option<Ior>,
+    #[serde(rename = "KHR_materials_specular")]
+    pub specular: Option<Specular>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub struct Ior {
+    pub ior: Option<f64>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, rename_all = "camelCase")]
+pub struct Specular {
+    pub specular_factor: Option<f64>,
+    pub specular_color_factor: Option<[f64; 3]>,
 }
 
 #[derive(Debug, Default, Deserialize)]

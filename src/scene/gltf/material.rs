@@ -5,16 +5,17 @@ use std::path::PathBuf;
 use std::rc::Rc;
 
 use glam::DVec2;
-use image::RgbImage;
 
 use super::container::Document;
 use super::document::{self, TextureInfo, TextureTransform};
+use super::images::{Image, mirrored, without_metal};
+use super::surface::{Surface, textures_of};
 use crate::Result;
 use crate::scene::texture;
 use crate::scene::{
-    LoadOptions, MOST_RADIANCE, Material, Texture, TextureMap, is_radiance, warnings::Warnings,
+    Distribution, Fresnel, LoadOptions, MOST_RADIANCE, Material, Shadowing, Specular, Texture, TextureMap,
+    is_radiance, warnings::Warnings,
 };
-use crate::tone;
 
 /// Texture coordinates that a map is looked up with.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,6 +51,12 @@ impl Lookup {
     }
 }
 
+/// Channels of a metallic-roughness texture.
+const ROUGHNESS: usize = 1;
+const METAL: usize = 2;
+/// Roughness of what the file says is perfectly smooth: a lobe of a tenth of a degree.
+const LEAST_ALPHA: f64 = 1e-3;
+
 /// A material as a primitive needs it.
 #[derive(Debug, Clone)]
 pub struct Made {
@@ -70,13 +77,27 @@ enum Wrap {
     Mirror,
 }
 
-/// What an image becomes before it is a texture: its mirrored self beside it or below, and of a metal only the share that is none.
+/// What an image becomes before it is a texture: its mirrored self beside it or below; of a metal only the share that is none; or a
+/// mask of its holes.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Prepared {
     image: Option<usize>,
     wrap: [Wrap; 2],
     /// The image of the metallic channel, and the bits of its factor.
     metal: Option<(usize, u64)>,
+    /// The bits of the least alpha of what is no hole, where only that counts.
+    mask: Option<u64>,
+}
+
+/// What is taken from an image besides its colours.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Taken {
+    /// Its colours alone.
+    Colour,
+    /// Its colours, or white, times what an image of metal and its factor leave.
+    WithoutMetal(usize, f64),
+    /// Where its alpha, of 255, is at least this.
+    Mask(f64),
 }
 
 /// Makes the materials that primitives use, each once.
@@ -92,7 +113,7 @@ pub struct Materials<'a> {
     pub missing: Vec<String>,
     /// By the file's index and the sets of texture coordinates that are not there.
     made: HashMap<(Option<usize>, Vec<u32>), Made>,
-    images: HashMap<usize, Option<Rc<RgbImage>>>,
+    images: HashMap<usize, Option<Rc<Image>>>,
     prepared: HashMap<Prepared, Option<usize>>,
 }
 
@@ -185,6 +206,9 @@ impl<'a> Materials<'a> {
         if !(0.0..=1.0).contains(&surface.metallic) {
             return Err(failed(format!("metallicFactor {} is outside 0..1", surface.metallic)));
         }
+        if let Some(gloss) = surface.gloss.as_ref().filter(|gloss| !(0.0..=1.0).contains(&gloss.roughness)) {
+            return Err(failed(format!("roughnessFactor {} is outside 0..1", gloss.roughness)));
+        }
         let strength = definition.extensions.emissive_strength.as_ref().and_then(|e| e.emissive_strength);
         let factor = definition.emissive_factor.unwrap_or_default();
         let mut emission = factor.map(|e| e * strength.unwrap_or(1.0));
@@ -207,7 +231,7 @@ impl<'a> Materials<'a> {
             Some(info) => {
                 let map = Some(info)
                     .filter(|info| usable(info))
-                    .map(|info| (info, self.map(info, None, &name, "it does not emit")));
+                    .map(|info| (info, self.map(info, Taken::Colour, &name, "it does not emit")));
                 match map {
                     Some((info, Some(map))) => Some((Lookup::of(info), map)),
                     // What shines in parts is dark rather than bright all over.
@@ -227,8 +251,10 @@ impl<'a> Materials<'a> {
         let both = definition.double_sided && emission != [0.0; 3];
         let (reflectance_lookup, reflectance_map) = reflectance_map.unzip();
         let (emission_lookup, emission_map) = emission_map.unzip();
-        let material =
-            Material { reflectance_map, emission_map, ..Material::new(&name, reflectance, emission) };
+        let (cutout, absent) = self.holes(&name, definition, &surface, usable);
+        let specular = self.specular(&name, &surface, usable).map(Box::new);
+        let plain = Material::new(&name, reflectance, emission);
+        let material = Material { reflectance_map, emission_map, cutout, absent, specular, ..plain };
         Ok(self.push(material, [reflectance_lookup, emission_lookup], both))
     }
 
@@ -253,7 +279,7 @@ impl<'a> Materials<'a> {
             } else {
                 // Rare: two layouts on one surface. The mean keeps the energy.
                 let image = self.image_of(metal, name, "the metallic factor alone counts");
-                dielectric = 1.0 - surface.metallic * image.map_or(1.0, |image| mean_metal(&image));
+                dielectric = 1.0 - surface.metallic * image.map_or(1.0, |image| image.mean_of(METAL));
                 self.warn(
                     name,
                     " has its metallic texture laid out otherwise than its base colour; its mean counts",
@@ -267,14 +293,13 @@ impl<'a> Materials<'a> {
                 Some(_) => "its plain base colour is used".to_owned(),
                 None => format!("{} is used", self.options.default_in_words()),
             };
-            let of_metal = composed.map(|info| (info, surface.metallic));
-            map = match (base, of_metal) {
-                (None, Some((metal, factor))) => self.metal_map(None, metal, factor, name, &fallback),
-                (Some(base), Some((metal, factor))) => {
-                    self.metal_map(Some(base), metal, factor, name, &fallback)
-                }
-                (Some(base), None) => self.map(base, None, name, &fallback),
-                (None, None) => None,
+            let taken = match composed.and_then(|metal| self.source(metal)) {
+                Some(metal) => Taken::WithoutMetal(metal, surface.metallic),
+                None => Taken::Colour,
+            };
+            map = match base {
+                Some(base) => self.map(base, taken, name, &fallback),
+                None => self.prepare(None, info, taken, name, &fallback),
             }
             .map(|map| (Lookup::of(info), map));
             if map.is_none() {
@@ -285,30 +310,64 @@ impl<'a> Materials<'a> {
         (colour.unwrap_or([1.0; 3]).map(|c| c * dielectric), map)
     }
 
-    fn metal_map(
+    /// Where a material with alphaMode MASK has holes, and whether there is nothing else.
+    fn holes(
         &mut self,
-        base: Option<&TextureInfo>,
-        metal: &TextureInfo,
-        factor: f64,
         name: &str,
-        fallback: &str,
-    ) -> Option<TextureMap> {
-        let image = self.source(metal)?;
-        match base {
-            Some(base) => self.map(base, Some((image, factor)), name, fallback),
-            None => self.prepare(None, metal, Some((image, factor)), name, fallback),
+        definition: &document::Material,
+        surface: &Surface,
+        usable: impl Fn(&TextureInfo) -> bool,
+    ) -> (Option<TextureMap>, bool) {
+        if definition.alpha_mode.as_deref() != Some("MASK") {
+            return (None, false);
         }
+        let cutoff = definition.alpha_cutoff.unwrap_or(0.5);
+        if surface.alpha < cutoff {
+            return (None, true);
+        }
+        let textured = surface.texture.filter(|info| usable(info) && surface.alpha > 0.0);
+        let least = Taken::Mask(255.0 * cutoff / surface.alpha);
+        (textured.and_then(|info| self.map(info, least, name, "it has no holes")), false)
+    }
+
+    /// What a material reflects specularly: GGX's microfacets (appendix B). Textures of it count with their means.
+    fn specular(
+        &mut self,
+        name: &str,
+        surface: &Surface,
+        usable: impl Fn(&TextureInfo) -> bool,
+    ) -> Option<Specular> {
+        let gloss = surface.gloss.as_ref()?;
+        let mut mean = |info: Option<&TextureInfo>| {
+            let info = info.filter(|info| usable(info))?;
+            self.image_of(info, name, "its factors alone count")
+        };
+        let (base, metal) = (mean(surface.texture), mean(surface.metal_texture));
+        let mean_of = |channel| metal.as_ref().map_or(1.0, |image| image.mean_of(channel));
+        let metallic = surface.metallic * mean_of(METAL);
+        let roughness = gloss.roughness * mean_of(ROUGHNESS);
+        let base = base.map_or([1.0; 3], |image| image.mean());
+        let colour = surface.colour.unwrap_or([1.0; 3]);
+        let r0: [f64; 3] = std::array::from_fn(|c| {
+            (1.0 - metallic) * gloss.dielectric[c] + metallic * colour[c] * base[c]
+        });
+        (r0 != [0.0; 3]).then_some(Specular::Microfacet {
+            distribution: Distribution::Ggx,
+            alpha: [(roughness * roughness).max(LEAST_ALPHA); 2],
+            fresnel: Fresnel::Schlick(r0),
+            shadowing: Shadowing::HeightCorrelated,
+        })
     }
 
     fn map(
         &mut self,
         info: &TextureInfo,
-        metal: Option<(usize, f64)>,
+        taken: Taken,
         name: &str,
         fallback: &str,
     ) -> Option<TextureMap> {
         match self.source(info) {
-            Some(image) => self.prepare(Some(image), info, metal, name, fallback),
+            Some(image) => self.prepare(Some(image), info, taken, name, fallback),
             None => {
                 self.warn(name, &format!(" has a texture without an image that can be read; {fallback}"));
                 None
@@ -321,12 +380,17 @@ impl<'a> Materials<'a> {
         &mut self,
         image: Option<usize>,
         info: &TextureInfo,
-        metal: Option<(usize, f64)>,
+        taken: Taken,
         name: &str,
         fallback: &str,
     ) -> Option<TextureMap> {
         let wrap = self.wraps(info);
-        let key = Prepared { image, wrap, metal: metal.map(|(image, factor)| (image, factor.to_bits())) };
+        let mut key = Prepared { image, wrap, metal: None, mask: None };
+        match taken {
+            Taken::Colour => {}
+            Taken::WithoutMetal(image, factor) => key.metal = Some((image, factor.to_bits())),
+            Taken::Mask(least) => key.mask = Some(least.to_bits()),
+        }
         let index = match self.prepared.get(&key) {
             Some(&known) => known,
             None => {
@@ -364,13 +428,18 @@ impl<'a> Materials<'a> {
                 .map(|image| (image, f64::from_bits(factor))),
             None => None,
         };
-        let composed = match (base, metal) {
-            (base, Some((metal, factor))) => without_metal(base.as_deref(), &metal, factor),
-            (Some(base), None) => (*base).clone(),
-            (None, None) => return None,
+        let composed = match (base, metal, key.mask) {
+            (base, Some((metal, factor)), _) => {
+                without_metal(base.as_ref().map(|base| &base.colour), &metal.colour, factor)
+            }
+            (Some(base), None, Some(least)) => base.mask(f64::from_bits(least))?,
+            (Some(base), None, None) => base.colour.clone(),
+            (None, None, _) => return None,
         };
         let composed = mirrored(composed, key.wrap.map(|wrap| wrap == Wrap::Mirror));
-        Some(Texture::new(composed.width() as usize, composed.height() as usize, composed.into_raw()))
+        let (width, height) = (composed.width() as usize, composed.height() as usize);
+        let texture = Texture::new(width, height, composed.into_raw());
+        Some(if key.mask.is_some() { texture.into_mask() } else { texture })
     }
 
     fn wraps(&self, info: &TextureInfo) -> [Wrap; 2] {
@@ -391,19 +460,19 @@ impl<'a> Materials<'a> {
         webp.or(texture.source)
     }
 
-    fn image_of(&mut self, info: &TextureInfo, name: &str, fallback: &str) -> Option<Rc<RgbImage>> {
+    fn image_of(&mut self, info: &TextureInfo, name: &str, fallback: &str) -> Option<Rc<Image>> {
         self.source(info).and_then(|image| self.image(image, name, fallback))
     }
 
     /// An image, which may have been read before; absent or broken ones are told once.
-    fn image(&mut self, i: usize, name: &str, fallback: &str) -> Option<Rc<RgbImage>> {
+    fn image(&mut self, i: usize, name: &str, fallback: &str) -> Option<Rc<Image>> {
         if let Some(known) = self.images.get(&i) {
             return known.clone();
         }
         let document = self.document;
         let read = document.image(i).and_then(|(bytes, file)| {
             self.files.extend(file);
-            texture::decode(&bytes, None).map(image::DynamicImage::into_rgb8)
+            texture::decode(&bytes, None).map(Image::new)
         });
         let image = match read {
             Ok(image) => Some(Rc::new(image)),
@@ -438,7 +507,6 @@ impl<'a> Materials<'a> {
             self.warn(name, " says neither how metallic nor how rough it is; it is taken as diffuse");
         }
         match definition.alpha_mode.as_deref() {
-            Some("MASK") => self.warn(name, " has holes (alphaMode MASK); it is taken as opaque"),
             Some("BLEND") => self.warn(name, " is transparent (alphaMode BLEND); it is taken as opaque"),
             _ => {}
         }
@@ -464,100 +532,4 @@ impl<'a> Materials<'a> {
             );
         }
     }
-}
-
-/// The diffuse part of a material, whichever way the file describes it.
-struct Surface<'a> {
-    /// Base colour, `None` where the file gives none.
-    colour: Option<[f64; 3]>,
-    texture: Option<&'a TextureInfo>,
-    metallic: f64,
-    metal_texture: Option<&'a TextureInfo>,
-    says_nothing_of_metal: bool,
-}
-
-impl<'a> Surface<'a> {
-    fn of(definition: &'a document::Material) -> Surface<'a> {
-        let rgb = |[r, g, b, _]: [f64; 4]| [r, g, b];
-        if let Some(old) = &definition.extensions.specular_glossiness {
-            return Surface {
-                colour: Some(old.diffuse_factor.map_or([1.0; 3], rgb)),
-                texture: old.diffuse_texture.as_ref(),
-                metallic: 0.0,
-                metal_texture: None,
-                says_nothing_of_metal: false,
-            };
-        }
-        let Some(pbr) = &definition.pbr_metallic_roughness else {
-            return Surface {
-                colour: Some([1.0; 3]),
-                texture: None,
-                metallic: 0.0,
-                metal_texture: None,
-                says_nothing_of_metal: true,
-            };
-        };
-        // By default everything is a metal of full roughness (section 5.22), which is nearer to a diffuse surface than to a
-        // black one; who writes a metal on purpose says how rough it is.
-        let silent = pbr.metallic_factor.is_none()
-            && pbr.roughness_factor.is_none()
-            && pbr.metallic_roughness_texture.is_none();
-        Surface {
-            colour: pbr.base_color_factor.map(rgb).or(Some([1.0; 3])),
-            texture: pbr.base_color_texture.as_ref(),
-            metallic: if silent || definition.extensions.unlit.is_some() {
-                0.0
-            } else {
-                pbr.metallic_factor.unwrap_or(1.0)
-            },
-            metal_texture: pbr.metallic_roughness_texture.as_ref(),
-            says_nothing_of_metal: silent && definition.extensions.unlit.is_none(),
-        }
-    }
-}
-
-/// The textures that decide about reflectance and emission.
-fn textures_of(definition: &document::Material) -> Vec<&TextureInfo> {
-    let surface = Surface::of(definition);
-    let all = [surface.texture, surface.metal_texture, definition.emissive_texture.as_ref()];
-    all.into_iter().flatten().collect()
-}
-
-/// A base colour times what is no metal; blue is how metallic a texel is. As large as the larger image.
-fn without_metal(base: Option<&RgbImage>, metal: &RgbImage, factor: f64) -> RgbImage {
-    let size = |image: &RgbImage| image.dimensions();
-    let (w, h) = base.map_or(size(metal), |base| {
-        let (a, b) = (size(base), size(metal));
-        (a.0.max(b.0), a.1.max(b.1))
-    });
-    let at = |image: &RgbImage, x: u32, y: u32| {
-        let scaled = |k: u32, from: u32, to: u32| (u64::from(k) * u64::from(to) / u64::from(from)) as u32;
-        *image.get_pixel(scaled(x, w, image.width()), scaled(y, h, image.height()))
-    };
-    RgbImage::from_fn(w, h, |x, y| {
-        let left = 1.0 - factor * f64::from(at(metal, x, y).0[2]) / 255.0;
-        let colour = base.map_or([255; 3], |base| at(base, x, y).0);
-        image::Rgb(colour.map(|c| {
-            let linear = left * tone::linear(f64::from(c) / 255.0);
-            (tone::srgb(linear) * 255.0).round() as u8
-        }))
-    })
-}
-
-fn mean_metal(image: &RgbImage) -> f64 {
-    let sum: f64 = image.pixels().map(|p| f64::from(p.0[2])).sum();
-    sum / (255.0 * f64::from(image.width()) * f64::from(image.height()))
-}
-
-/// The image with its mirrored self to the right of it, below it, or both: repeated, that is what mirroring means.
-fn mirrored(image: RgbImage, [right, below]: [bool; 2]) -> RgbImage {
-    if !right && !below {
-        return image;
-    }
-    let (w, h) = image.dimensions();
-    let (width, height) = (w << u32::from(right), h << u32::from(below));
-    RgbImage::from_fn(width, height, |x, y| {
-        let inside = |k: u32, n: u32| if k < n { k } else { 2 * n - 1 - k };
-        *image.get_pixel(inside(x, w), inside(y, h))
-    })
 }

@@ -14,10 +14,12 @@
 pub(crate) mod accessor;
 pub(crate) mod container;
 pub(crate) mod document;
+mod images;
 mod lamps;
 mod material;
 pub(crate) mod nodes;
 pub(crate) mod primitive;
+mod surface;
 
 use std::collections::HashMap;
 use std::path::Path;

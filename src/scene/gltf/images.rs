@@ -1,0 +1,81 @@
+//! Images of a glTF file, and what becomes of them before they are textures.
+
+use image::{DynamicImage, Rgb, RgbImage};
+
+use crate::tone;
+
+/// A decoded image.
+#[derive(Debug)]
+pub struct Image {
+    pub colour: RgbImage,
+    /// Alpha of all texels, rows from the top; none for an image without.
+    pub alpha: Option<Vec<u8>>,
+}
+
+impl Image {
+    pub fn new(image: DynamicImage) -> Image {
+        let alpha = image.color().has_alpha().then(|| image.to_rgba8().pixels().map(|p| p.0[3]).collect());
+        Image { colour: image.into_rgb8(), alpha }
+    }
+
+    /// White where alpha is at least `least`, and black elsewhere; none where all is white.
+    pub fn mask(&self, least: f64) -> Option<RgbImage> {
+        let alpha = self.alpha.as_ref()?;
+        let is_solid = |alpha: u8| f64::from(alpha) >= least;
+        if alpha.iter().all(|&alpha| is_solid(alpha)) {
+            return None;
+        }
+        let (width, height) = self.colour.dimensions();
+        let at = |x: u32, y: u32| alpha[y as usize * width as usize + x as usize];
+        Some(RgbImage::from_fn(width, height, |x, y| Rgb([if is_solid(at(x, y)) { 255 } else { 0 }; 3])))
+    }
+
+    /// The mean of a channel that is linear, 0 to 1.
+    pub fn mean_of(&self, channel: usize) -> f64 {
+        let sum: f64 = self.colour.pixels().map(|p| f64::from(p.0[channel])).sum();
+        sum / (255.0 * f64::from(self.colour.width()) * f64::from(self.colour.height()))
+    }
+
+    /// The mean colour, linear.
+    pub fn mean(&self) -> [f64; 3] {
+        let mut sum = [0.0; 3];
+        for pixel in self.colour.pixels() {
+            (0..3).for_each(|c| sum[c] += tone::linear(f64::from(pixel.0[c]) / 255.0));
+        }
+        sum.map(|s| s / (f64::from(self.colour.width()) * f64::from(self.colour.height())))
+    }
+}
+
+/// A base colour times what is no metal; blue is how metallic a texel is. As large as the larger image.
+pub fn without_metal(base: Option<&RgbImage>, metal: &RgbImage, factor: f64) -> RgbImage {
+    let size = |image: &RgbImage| image.dimensions();
+    let (w, h) = base.map_or(size(metal), |base| {
+        let (a, b) = (size(base), size(metal));
+        (a.0.max(b.0), a.1.max(b.1))
+    });
+    let at = |image: &RgbImage, x: u32, y: u32| {
+        let scaled = |k: u32, from: u32, to: u32| (u64::from(k) * u64::from(to) / u64::from(from)) as u32;
+        *image.get_pixel(scaled(x, w, image.width()), scaled(y, h, image.height()))
+    };
+    RgbImage::from_fn(w, h, |x, y| {
+        let left = 1.0 - factor * f64::from(at(metal, x, y).0[2]) / 255.0;
+        let colour = base.map_or([255; 3], |base| at(base, x, y).0);
+        Rgb(colour.map(|c| {
+            let linear = left * tone::linear(f64::from(c) / 255.0);
+            (tone::srgb(linear) * 255.0).round() as u8
+        }))
+    })
+}
+
+/// The image with its mirrored self to the right of it, below it, or both: repeated, that is what mirroring means.
+pub fn mirrored(image: RgbImage, [right, below]: [bool; 2]) -> RgbImage {
+    if !right && !below {
+        return image;
+    }
+    let (w, h) = image.dimensions();
+    let (width, height) = (w << u32::from(right), h << u32::from(below));
+    RgbImage::from_fn(width, height, |x, y| {
+        let inside = |k: u32, n: u32| if k < n { k } else { 2 * n - 1 - k };
+        *image.get_pixel(inside(x, w), inside(y, h))
+    })
+}
