@@ -159,6 +159,28 @@ fn instances_become_meshes_of_their_own_with_places_of_their_own_in_the_map() {
 }
 
 #[test]
+fn what_lies_behind_other_faces_is_not_written() {
+    let mut file = boards();
+    // A panel of its own node that lies wholly behind the lamp, and a rug on the floor.
+    let panel = file.material("panel", [0.5; 3], [0.0; 3]);
+    let rug = file.material("rug", [0.2; 3], [0.0; 3]);
+    file.rectangle([-1., 0., -1.], [0., 0., 1.], [1., 0., 0.], rug);
+    file.rectangle([-0.25, 1., -0.25], [0.5, 0., 0.], [0., 0., 0.5], panel);
+    let last = file.json["meshes"][0]["primitives"].as_array_mut().unwrap().pop().unwrap();
+    let mesh = file.push("meshes", json!({"primitives": [last]}));
+    let node = file.push("nodes", json!({"mesh": mesh}));
+    file.json["scenes"][0]["nodes"].as_array_mut().unwrap().push(node.into());
+    let here = here(&file);
+    let (out, _) = baked(&here, "");
+    assert!(out["nodes"][node].get("mesh").is_none(), "{}", out["nodes"][node]);
+    let scene = Scene::load(here.path("out.glb")).unwrap();
+    // Lamp 1, floor 16 with the rug in it: every place once.
+    let area: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
+    assert!((area - 17.0).abs() < 1e-5, "{area}");
+    assert!(scene.hidden.is_empty(), "{:?}", scene.hidden);
+}
+
+#[test]
 fn other_encodings_keep_the_materials() {
     let here = here(&boards());
     let (out, bytes) = baked(&here, "--gltf-lightmap moz");

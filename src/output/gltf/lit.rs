@@ -234,6 +234,8 @@ impl Writer<'_> {
     /// The primitives that replace one: one for each page that it lies on, and one for triangles without a place in the map.
     fn primitives(&mut self, place: &Place<'_>, geometry: &Geometry) -> Result<Vec<Value>> {
         let original = self.original(place);
+        // What is left out and lies behind other faces would flicker through them.
+        let hidden = self.source.is_hidden(original["material"].as_u64().map(|m| m as usize));
         let mut groups: Vec<(Option<(u32, u32)>, Group)> = Vec::new();
         let mut group = |key: Option<(u32, u32)>| {
             groups.iter().position(|(known, _)| *known == key).unwrap_or_else(|| {
@@ -245,7 +247,7 @@ impl Writer<'_> {
         for triangle in &geometry.triangles {
             let list = &self.source.triangles[self.next];
             self.next += 1;
-            if list.is_empty() {
+            if list.is_empty() && !hidden {
                 written.push((group(None), triangle.map(|v| (Corner::Vertex(v), None))));
             }
             for &t in list {
@@ -455,6 +457,12 @@ impl Writer<'_> {
             .filter(|i| !self.source.document.root.meshes[i.mesh].primitives.is_empty());
         let mut shown = vec![false; self.source.document.root.meshes.len()];
         for (instance, primitives) in filled.zip(meshes) {
+            if primitives.is_empty() {
+                if let Some(node) = self.glb.json["nodes"][instance.node].as_object_mut() {
+                    node.remove("mesh");
+                }
+                continue;
+            }
             let mut mesh = self.glb.json["meshes"][instance.mesh].clone();
             mesh["primitives"] = primitives.into();
             // The first that shows a mesh takes its place, so that meshes keep their numbers.

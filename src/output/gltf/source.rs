@@ -16,6 +16,8 @@ pub struct Source {
     pub(super) document: Document,
     /// For each triangle of the file its triangles in the scene: none where it was left out, several where it was cut.
     pub(super) triangles: Vec<Vec<u32>>,
+    /// Materials with surface that lies behind other faces in one plane.
+    hidden: Vec<String>,
 }
 
 impl Source {
@@ -43,7 +45,18 @@ impl Source {
                 None => return Err(document.error("the file has changed since it was read")),
             }
         }
-        Ok(Source { document, triangles })
+        let hidden = scene.hidden.iter().map(|hidden| hidden.material.clone()).collect();
+        Ok(Source { document, triangles, hidden })
+    }
+
+    /// Whether triangles of the file's material that are not in the scene lie behind others.
+    pub(super) fn is_hidden(&self, material: Option<usize>) -> bool {
+        let name = material.map(|m| (m, self.document.root.materials.get(m).and_then(|m| m.name.clone())));
+        let name = match name {
+            None => "(none)".into(),
+            Some((m, name)) => name.unwrap_or(format!("material {m}")),
+        };
+        self.hidden.contains(&name)
     }
 
     /// A file with one mesh that has a primitive for each material.
@@ -69,7 +82,7 @@ impl Source {
         }
         glb.push("meshes", json!({"name": "scene", "primitives": primitives}));
         let document = Document::of_bytes(Path::new("scene.glb"), glb.finish())?;
-        Ok(Source { document, triangles })
+        Ok(Source { document, triangles, hidden: Vec::new() })
     }
 }
 
@@ -116,7 +129,12 @@ fn describe(glb: &mut Glb, material: &Material, textures: &[usize]) -> Value {
     let [r, g, b] = material.reflectance;
     // Both sides reflect, but only fronts emit: a double-sided lamp would shine both ways.
     let mut described = json!({"name": material.name, "doubleSided": !material.emits(), "pbrMetallicRoughness":
-        {"baseColorFactor": [r, g, b, 1.0], "metallicFactor": 0.0, "roughnessFactor": 1.0}});
+        {"baseColorFactor": [r, g, b, 1.0], "metallicFactor": 0.0, "roughnessFactor": 1.0}, "extensions": {}});
+    if material.specular.is_none() {
+        // By default a dielectric reflects 4 % at its surface.
+        glb.uses("KHR_materials_specular");
+        described["extensions"]["KHR_materials_specular"] = json!({"specularFactor": 0.0});
+    }
     if let Some(map) = &material.reflectance_map {
         described["pbrMetallicRoughness"]["baseColorTexture"] = look_up(glb, map, textures);
     }
@@ -125,8 +143,8 @@ fn describe(glb: &mut Glb, material: &Material, textures: &[usize]) -> Value {
         described["emissiveFactor"] = json!(material.emission.map(|e| e / strength));
         if strength > 1.0 {
             glb.uses("KHR_materials_emissive_strength");
-            described["extensions"] =
-                json!({"KHR_materials_emissive_strength": {"emissiveStrength": strength}});
+            described["extensions"]["KHR_materials_emissive_strength"] =
+                json!({"emissiveStrength": strength});
         }
         if let Some(map) = &material.emission_map {
             described["emissiveTexture"] = look_up(glb, map, textures);
