@@ -428,9 +428,8 @@ fn rotations_are_quaternions_x_y_z_w_and_need_not_have_unit_length() {
 fn left_of_square(mask: Value, colour: [f64; 4]) -> Result<f64, radiosity::Error> {
     let mut file = Gltf::new();
     let alphas = [[255, 128], [0, 64]];
-    let texels = image::RgbaImage::from_fn(2, 2, |x, y| {
-        image::Rgba([200, 200, 200, alphas[y as usize][x as usize]])
-    });
+    let texels =
+        image::RgbaImage::from_fn(2, 2, |x, y| image::Rgba([200, 200, 200, alphas[y as usize][x as usize]]));
     let texture = file.texture(&texels);
     let material = file.material("leaf", [1.0; 3], [0.0; 3]);
     for (key, value) in mask.as_object().unwrap() {

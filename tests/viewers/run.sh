@@ -30,7 +30,7 @@ if ! command -v "${CHROMIUM:-chromium}" > /dev/null; then
     exit 0
 fi
 compare() { # SCENE EYE LOOK-AT UP FOV
-    "$program" bake "$meshes/$1.obj" -o "$1.glb" --resolution 1024 --final-gather 32 --quiet
+    "$program" bake "$meshes/$1.obj" -o "$1.glb" --resolution 2048 --final-gather 8 --quiet
     white="$(node -e "
         const bytes = require('node:fs').readFileSync('$1.glb');
         console.log(JSON.parse(bytes.subarray(20, 20 + bytes.readUInt32LE(12))).extras.radiosity.white)")"

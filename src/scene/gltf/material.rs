@@ -348,9 +348,8 @@ impl<'a> Materials<'a> {
         let roughness = gloss.roughness * mean_of(ROUGHNESS);
         let base = base.map_or([1.0; 3], |image| image.mean());
         let colour = surface.colour.unwrap_or([1.0; 3]);
-        let r0: [f64; 3] = std::array::from_fn(|c| {
-            (1.0 - metallic) * gloss.dielectric[c] + metallic * colour[c] * base[c]
-        });
+        let r0: [f64; 3] =
+            std::array::from_fn(|c| (1.0 - metallic) * gloss.dielectric[c] + metallic * colour[c] * base[c]);
         (r0 != [0.0; 3]).then_some(Specular::Microfacet {
             distribution: Distribution::Ggx,
             alpha: [(roughness * roughness).max(LEAST_ALPHA); 2],
@@ -359,13 +358,7 @@ impl<'a> Materials<'a> {
         })
     }
 
-    fn map(
-        &mut self,
-        info: &TextureInfo,
-        taken: Taken,
-        name: &str,
-        fallback: &str,
-    ) -> Option<TextureMap> {
+    fn map(&mut self, info: &TextureInfo, taken: Taken, name: &str, fallback: &str) -> Option<TextureMap> {
         match self.source(info) {
             Some(image) => self.prepare(Some(image), info, taken, name, fallback),
             None => {
