@@ -499,9 +499,8 @@ impl<'a> Materials<'a> {
         if surface.says_nothing_of_metal && self.options.reflectance.is_none() {
             self.warn(name, " says neither how metallic nor how rough it is; it is taken as diffuse");
         }
-        match definition.alpha_mode.as_deref() {
-            Some("BLEND") => self.warn(name, " is transparent (alphaMode BLEND); it is taken as opaque"),
-            _ => {}
+        if definition.alpha_mode.as_deref() == Some("BLEND") {
+            self.warn(name, " is transparent (alphaMode BLEND); it is taken as opaque");
         }
         if definition.extensions.transmission.as_ref().is_some_and(|t| t.transmission_factor > 0.0) {
             self.warn(name, " lets light through (KHR_materials_transmission); it is taken as opaque");
