@@ -1,9 +1,9 @@
-//! The energy ledger: all emitted power is absorbed or escapes.
+//! The energy ledger: all power that is emitted, or enters from sky, sun and other lights that are no surfaces, is absorbed or escapes.
 //!
-//! What lamps emit, Bd, arrives straight as D or escapes. With U = B - Bd what form factors carry, irradiance E = D + F U and
-//! residual r = Be + ρ E - B, exactly
+//! What enters is what of such light first meets a surface, Σ A Do. What lamps emit, Bd, arrives straight as Dl or escapes. With
+//! U = B - Bd what form factors carry, irradiance E = Dl + Do + F U and residual r = Be + ρ E - B, exactly
 //!
-//!   emitted - absorbed - escaped = Σ_i A_i r_i + Σ_j U_j Σ_i (A_j F_ji - A_i F_ij)
+//!   emitted + entered - absorbed - escaped = Σ_i A_i r_i + Σ_j U_j Σ_i (A_j F_ji - A_i F_ij)
 //!
 //! The first part is the solver's error, the second the defect of reciprocity. A balanced ledger proves only that both are
 //! small: a wrong but symmetric matrix balances perfectly. Error bars and an independent estimator judge whether the
@@ -20,9 +20,11 @@ use crate::{
 pub struct EnergyLedger {
     /// Σ A Be.
     pub emitted: Vec<f64>,
+    /// Σ A Do: what arrives straight from lights that are no surfaces.
+    pub entered: Vec<f64>,
     /// Σ A (1 - ρ) E.
     pub absorbed: Vec<f64>,
-    /// Σ A U times the share of form factor that leaves the scene, and what of lamps' light arrives nowhere, Σ A (Bd - D).
+    /// Σ A U times the share of form factor that leaves the scene, and what of lamps' light arrives nowhere, Σ A (Bd - Dl).
     pub escaped: Vec<f64>,
     /// Σ A r.
     pub solver_part: Vec<f64>,
@@ -51,13 +53,14 @@ impl EnergyLedger {
         // A_j Σ_i F_ji, the exchange area that patch j sends by; and Σ_i A_i F_ij, the one that others receive by.
         let sent: Vec<f64> = form_factors.row_sums().iter().zip(areas).map(|(sum, a)| a * sum).collect();
         let taken = form_factors.column_sums();
-        let (direct, leaks) = form_factors.direct_escape(radiometry.emission, channels);
+        let direct = form_factors.direct_powers(radiometry.emission, channels);
         let zero = vec![0.0; channels];
         let mut ledger = EnergyLedger {
             emitted: zero.clone(),
+            entered: direct.entered,
             absorbed: zero.clone(),
-            leaking: if leaks { direct.clone() } else { zero.clone() },
-            escaped: direct,
+            leaking: if direct.leaks { direct.escaped.clone() } else { zero.clone() },
+            escaped: direct.escaped,
             solver_part: zero.clone(),
             reciprocity_part: zero.clone(),
             leaving: zero,
@@ -79,22 +82,22 @@ impl EnergyLedger {
         ledger
     }
 
-    /// (emitted - absorbed - escaped) / emitted, in the worst channel.
+    /// (emitted + entered - absorbed - escaped) / (emitted + entered), in the worst channel.
     pub fn imbalance(&self) -> f64 {
-        self.worst(|c| self.emitted[c] - self.absorbed[c] - self.escaped[c])
+        self.worst(|c| self.emitted[c] + self.entered[c] - self.absorbed[c] - self.escaped[c])
     }
 
-    /// The solver's part of the imbalance, relative to the emitted power, in the worst channel.
+    /// The solver's part of the imbalance, relative to the power that is emitted and enters, in the worst channel.
     pub fn relative_solver_part(&self) -> f64 {
         self.worst(|c| self.solver_part[c])
     }
 
-    /// The reciprocity defect's part of the imbalance, relative to the emitted power, in the worst channel.
+    /// The reciprocity defect's part of the imbalance, relative to the power that is emitted and enters, in the worst channel.
     pub fn relative_reciprocity_part(&self) -> f64 {
         self.worst(|c| self.reciprocity_part[c])
     }
 
-    /// One rounding of the power that leaves the patches, relative to the emitted power, in the worst channel. No balance
+    /// One rounding of the power that leaves the patches, relative to the power that is emitted and enters, in the worst channel. No balance
     /// can be closer. It matters where surfaces reflect nearly all light.
     pub fn rounding(&self) -> f64 {
         self.worst(|c| f64::EPSILON * self.leaving[c])
@@ -107,8 +110,9 @@ impl EnergyLedger {
 
     fn worst(&self, power: impl Fn(usize) -> f64) -> f64 {
         (0..self.emitted.len())
-            .filter(|&c| self.emitted[c] > 0.0)
-            .map(|c| power(c) / self.emitted[c])
+            .map(|c| (c, self.emitted[c] + self.entered[c]))
+            .filter(|&(_, all)| all > 0.0)
+            .map(|(c, all)| power(c) / all)
             .fold(0.0, |worst: f64, x| if x.abs() > worst.abs() { x } else { worst })
     }
 }

@@ -96,7 +96,7 @@ fn coarse_irradiance<const C: usize>(
     let areas = form_factors.areas();
     let mean = |values: &[f64]| means(families, areas, values, C);
     let (mut source, reflectance) = (patches.emission().to_vec(), mean(patches.reflectance()));
-    let direct = form_factors.direct::<C>(patches.emission().as_chunks().0);
+    let direct = form_factors.direct::<C>(patches.emission().as_chunks().0, 1.0);
     let direct =
         direct.map_or_else(|| vec![0.0; C * areas.len()], |direct| direct.irradiance.into_flattened());
     let is_lamp = |q: &usize| form_factors.is_lamp(*q / C);

@@ -113,7 +113,7 @@ impl ErrorBars {
             *b = std::array::from_fn(|c| b[c] - emission[i][c]);
         }
         let mut local = form_factors.deviations(&carried)?;
-        let direct = form_factors.direct(&emission);
+        let direct = form_factors.direct(&emission, unit);
         for (local, direct) in local.iter_mut().zip(direct.iter().flat_map(|direct| &direct.deviations)) {
             let values = local.as_flattened_mut().iter_mut().zip(direct.as_flattened());
             values.for_each(|(local, direct)| *local += direct);

@@ -25,22 +25,20 @@ pub struct CameraArgs {
     /// Point in the middle of the picture [default: frames the scene]
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     look_at: Option<DVec3>,
-    /// Direction that points upwards in the picture [default: 0,1,0, or 0,0,1 if the scene is open along y]
-    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
-    up: Option<DVec3>,
     /// Vertical angle of view in degrees [default: frames the scene]
     #[arg(long, value_name = "DEG")]
     fov: Option<f64>,
 }
 
 impl CameraArgs {
-    /// The camera as given. Missing values are taken from the camera that frames the scene.
-    pub fn camera(&self, scene: &Scene, tracer: &Tracer) -> Result<Camera> {
+    /// The camera as given, with the direction that is upwards in the picture. Missing values are taken from the camera that frames the
+    /// scene.
+    pub fn camera(&self, up: Option<DVec3>, scene: &Scene, tracer: &Tracer) -> Result<Camera> {
         let framed = Camera::frame(scene, tracer, self.width, self.height)?;
         Camera::new(
             self.eye.unwrap_or(framed.eye()),
             self.look_at.unwrap_or(framed.look_at()),
-            self.up.unwrap_or(framed.up()),
+            up.unwrap_or(framed.up()),
             self.fov.unwrap_or(framed.fov()),
             self.width,
             self.height,

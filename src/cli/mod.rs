@@ -8,6 +8,7 @@ mod camera;
 mod exchange;
 mod forecast;
 mod inspect;
+mod lights;
 mod models;
 mod options;
 mod outputs;

@@ -8,10 +8,10 @@ use radiosity::{
     Error, Quality, Result as RadiosityResult, Scene,
     monte_carlo::reflection::SpecularPart,
     patch::Subdivision,
-    scene::{LoadOptions, MOST_RADIANCE, Material, is_radiance},
+    scene::{LoadOptions, MOST_RADIANCE, is_radiance},
 };
 
-use super::models;
+use super::{lights::LightArgs, models};
 
 /// The scene, and light and colour that its file lacks: arguments of every command.
 #[derive(Args)]
@@ -41,9 +41,12 @@ pub struct SceneArgs {
     /// What to do with specular parts where surfaces count as Lambertian, which is everywhere except in path and light tracing
     #[arg(long, value_enum, default_value_t = SpecularName::Drop)]
     specular: SpecularName,
-    /// Let only these materials emit, to compute the light of some lamps alone. The results of all lamps sum to the whole
-    #[arg(long, value_name = "MATERIAL,...", value_delimiter = ',')]
+    /// Let only these materials and lights emit, to compute the light of some lamps alone. The results of all lamps sum to the whole.
+    /// The lights of --sun and --sky are named sun and sky
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     emitters: Vec<String>,
+    #[command(flatten)]
+    pub lights: LightArgs,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -106,6 +109,7 @@ impl SceneArgs {
                 return Err(self.no_material(&scene, "--model", &model.material));
             }
         }
+        self.lights.add(&mut scene)?;
         self.keep_emitters(&mut scene)?;
         scene.cut_overlaps();
         Ok(scene)
@@ -120,20 +124,21 @@ impl SceneArgs {
         if self.emitters.is_empty() {
             return Ok(());
         }
-        let emits: Vec<bool> = scene.materials.iter().map(Material::emits).collect();
-        for name in &self.emitters {
-            let named = |(m, emits): (&Material, &bool)| *emits && m.name == *name;
-            if !scene.materials.iter().zip(&emits).any(named) {
-                let all = scene.materials.iter().zip(&emits).filter(|(_, emits)| **emits);
-                let mut names: Vec<&str> = all.map(|(m, _)| m.name.as_str()).collect();
-                names.dedup();
-                return Err(Error::Usage {
-                    message: format!("--emitters: no material `{name}` of {} emits", self.path.display()),
-                    hint: Some(format!("the emitters are {}", names[..names.len().min(10)].join(", "))),
-                });
-            }
+        let shining = scene.materials.iter().filter(|m| m.emits()).map(|m| m.name.clone());
+        let mut names: Vec<String> = shining.chain(scene.lights.names().map(String::from)).collect();
+        if let Some(name) = self.emitters.iter().find(|name| !names.contains(name)) {
+            names.dedup();
+            return Err(Error::Usage {
+                message: format!(
+                    "--emitters: no material or light `{name}` of {} emits",
+                    self.path.display()
+                ),
+                hint: Some(format!("the emitters are {}", names[..names.len().min(10)].join(", "))),
+            });
         }
-        for material in scene.materials.iter_mut().filter(|m| !self.emitters.contains(&m.name)) {
+        let kept = |name: &str| self.emitters.iter().any(|kept| kept == name);
+        scene.lights.retain(kept);
+        for material in scene.materials.iter_mut().filter(|m| !kept(&m.name)) {
             material.emission = [0.0; 3];
             material.emission_map = None;
         }

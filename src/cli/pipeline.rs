@@ -45,9 +45,9 @@ pub fn load_as_given(
     if scene.degenerate > 0 {
         watch.warn(&format!("{}: left out {} triangles without area", path.display(), scene.degenerate));
     }
-    if !scene.has_emitter() {
+    if !scene.is_lit() {
         return Err(Error::input(path, None, "nothing emits light, so there is nothing to compute").with_hint(
-            "give a material an emitted radiance with --emit, or with a line like `Ke 10 10 10` in the .mtl file",
+            "give a material an emitted radiance with --emit, or with a line like `Ke 10 10 10` in the .mtl file, or add --sun or --sky",
         ));
     }
     (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;

@@ -180,7 +180,7 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
         }
         (scene, tracer)
     };
-    let camera = args.camera.camera(&scene, &tracer)?;
+    let camera = args.camera.camera(args.scene.lights.upwards(), &scene, &tracer)?;
     args.check_size(&camera)?;
     camera::check(&args.camera, &camera, &scene, &tracer, &watch)?;
     let (film, patches) = picture(args, &scene, &tracer, &camera, &watch, &mut times)?;

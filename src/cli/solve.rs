@@ -290,6 +290,15 @@ fn compute(
     times: &mut Seconds,
 ) -> Result<Computed> {
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
+    if args.without_matrix() && !scene.lights.is_empty() {
+        return Err(Error::Usage {
+            message: format!(
+                "--solver {} knows no sun, sky or other light that is no surface",
+                stochastic_jacobi::NAME
+            ),
+            hint: Some("use another solver".into()),
+        });
+    }
     let camera = args.picture.as_ref().map(|_| camera(&scene, &tracer, watch)).transpose()?;
     let checkpoint = args.checkpoint.as_ref().map(|path| open(path, &scene, args, watch)).transpose()?;
     // With a wanted error or a time the number of patches is the program's to choose.

@@ -71,11 +71,16 @@ pub fn table(
         if scene.channels == 1 { vec![("", 0)] } else { vec![(" red", 0), (" green", 1), (" blue", 2)] };
     for (name, c) in channels {
         let (emitted, absorbed, escaped) = (energy.emitted[c], energy.absorbed[c], energy.escaped[c]);
+        let entered = match energy.entered[c] {
+            0.0 => String::new(),
+            entered => format!(" entered {} W,", figure(entered, 6)),
+        };
         row(
             &format!("power{name}"),
             format!(
-                "emitted {} W, absorbed {} W, escaped {} W",
+                "emitted {} W,{} absorbed {} W, escaped {} W",
                 figure(emitted, 6),
+                entered,
                 figure(absorbed, 6),
                 figure(escaped, 6)
             ),

@@ -34,7 +34,8 @@ impl Sampling<'_> {
                 warning.iter().for_each(|warning| self.watch.warn(warning));
                 return Ok(!is_swept);
             }
-            Err(refusal) if is_swept => return Err(refusal),
+            // Sweeps know no lights that are no surfaces.
+            Err(refusal) if is_swept || !self.scene.lights.is_empty() => return Err(refusal),
             Err(refusal) => refusal,
         };
         let bytes = without(work.patches, work.rays);
@@ -62,6 +63,7 @@ impl Sampling<'_> {
     pub fn goes_on_without_matrix(&self, plan: &Plan, rounds: &[Round], fronts: f64) -> bool {
         let goes_on = plan.starts_anew(rounds)
             && self.args.needs_matrix().is_none()
+            && self.scene.lights.is_empty()
             && self.args.common.limit().allows(self.bytes_without_matrix()(fronts, 0.0));
         if goes_on {
             self.watch.warn("memory holds no matrix of more rays; starting again without one");

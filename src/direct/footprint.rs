@@ -42,6 +42,12 @@ impl Footprint {
         }
     }
 
+    /// The point with these barycentric coordinates.
+    #[inline]
+    pub(super) fn at(&self, b: [f32; 3]) -> Vec3A {
+        self.corners[0] * b[0] + self.corners[1] * b[1] + self.corners[2] * b[2]
+    }
+
     /// Hemisphere rays of a sequence.
     pub(crate) fn hemisphere_rays(
         &self,

@@ -15,20 +15,22 @@ use rayon::prelude::*;
 
 use super::{
     Constants, REPLICATES, part,
-    shadow::{HALVES, ShadowRays, mean},
+    shadow::{HALVES, ShadowRays},
 };
 use crate::parallel::{SHORT, ordered_sum};
 
 /// By how much each replicate's irradiance of a patch deviates from the mean of all, channel by channel.
 pub(crate) type Deviation<const C: usize> = [[f32; REPLICATES]; C];
 
-/// The light that comes straight from lamps.
+/// The light that comes straight from lamps, and from outside the patches.
 #[derive(Debug, Clone)]
 pub(crate) struct DirectLight<const C: usize> {
     /// Irradiance of each patch.
     pub(crate) irradiance: Vec<[f64; C]>,
     /// Its replicates.
     pub(crate) deviations: Vec<Deviation<C>>,
+    /// The power that arrives from lights that are no surfaces.
+    pub(crate) entered: [f64; C],
     /// What of the lamps' power arrives nowhere.
     pub(crate) escaped: [f64; C],
     /// By how much each replicate's deviates.
@@ -61,32 +63,51 @@ impl Seen {
 }
 
 impl ShadowRays {
-    /// The direct light of lamps that emit what `emission` says of each patch, where `escaping` is the share of all hemisphere rays that
-    /// leave the scene.
+    /// The direct light of lamps that emit what `emission` says of each patch, over `unit`, and of other lights, over it too, where
+    /// `escaping` is the share of all hemisphere rays that leave the scene.
     pub(crate) fn irradiance<const C: usize>(
         &self,
+        emission: &[[f64; C]],
+        unit: f64,
+        areas: &[f64],
+        escaping: f64,
+    ) -> DirectLight<C> {
+        let sent: Vec<[f64; C]> = self.lamps.pieces.iter().map(|piece| piece.sent(emission, unit)).collect();
+        let of_kind = |remote: bool| self.arriving(&sent, areas.len(), remote);
+        let (irradiance, deviations) = of_kind(false);
+        let mut light = self.settled(irradiance, deviations, emission, areas, escaping);
+        if self.lamps.has_remote() {
+            let (irradiance, deviations) = of_kind(true);
+            light.add(&irradiance, &deviations, areas);
+        }
+        light
+    }
+
+    /// What arrives at all patches, and its replicates: from surfaces, or from other lights.
+    fn arriving<const C: usize>(
+        &self,
+        sent: &[[f64; C]],
+        patches: usize,
+        remote: bool,
+    ) -> (Vec<[f64; C]>, Vec<Deviation<C>>) {
+        let scratch = || Scratch::new(self.lamps.count);
+        (0..patches)
+            .into_par_iter()
+            .with_min_len(64)
+            .map_init(scratch, |scratch, i| self.of_patch(i, sent, remote, scratch))
+            .unzip()
+    }
+
+    /// The light of surfaces, with its power settled between what arrives and what escapes.
+    fn settled<const C: usize>(
+        &self,
+        mut irradiance: Vec<[f64; C]>,
+        mut deviations: Vec<Deviation<C>>,
         emission: &[[f64; C]],
         areas: &[f64],
         escaping: f64,
     ) -> DirectLight<C> {
         let n = areas.len();
-        let sent: Vec<[f64; C]> =
-            self.lamps.pieces.iter().map(|piece| mean(&emission[piece.patches.clone()])).collect();
-        let scratch = || Scratch::new(self.lamps.count);
-        let (mut irradiance, mut deviations): (Vec<[f64; C]>, Vec<Deviation<C>>) = (0..n)
-            .into_par_iter()
-            .with_min_len(64)
-            .map_init(scratch, |scratch, i| self.of_patch(i, &sent, scratch))
-            .unzip();
-        if self.lamps.is_empty() {
-            return DirectLight {
-                irradiance,
-                deviations,
-                escaped: [0.0; C],
-                escaped_deviations: [[0.0; REPLICATES]; C],
-                leaks: false,
-            };
-        }
         let of_lamps = |i: usize| if self.lamps.contains(i) { emission[i] } else { [0.0; C] };
         let mut leaks = false;
         let mut escaped = [0.0; C];
@@ -128,14 +149,15 @@ impl ShadowRays {
             // Rounding is not light.
             escaped[c] = if rest.abs() > n as f64 * f64::EPSILON * power { rest } else { 0.0 };
         }
-        DirectLight { irradiance, deviations, escaped, escaped_deviations, leaks }
+        DirectLight { irradiance, deviations, entered: [0.0; C], escaped, escaped_deviations, leaks }
     }
 
-    /// The irradiance of patch `i`, and its replicates.
+    /// The irradiance of patch `i` from surfaces or from other lights, and its replicates.
     fn of_patch<const C: usize>(
         &self,
         i: usize,
         sent: &[[f64; C]],
+        remote: bool,
         scratch: &mut Scratch,
     ) -> ([f64; C], Deviation<C>) {
         let rays = self.of(i);
@@ -146,7 +168,8 @@ impl ShadowRays {
         let mut controlled = [[0.0; C]; HALVES];
         if self.lamps.are_known() {
             scratch.look(self, i);
-            for ((piece, sent), f) in self.lamps.pieces.iter().zip(sent).zip(self.unoccluded(i)) {
+            let pieces = self.lamps.pieces.iter().zip(sent).zip(self.unoccluded(i));
+            for ((piece, sent), f) in pieces.filter(|((piece, _), _)| piece.is_remote() == remote) {
                 for half in 0..HALVES {
                     for c in 0..C {
                         controlled[half][c] += scratch.free[half][piece.lamp] * f * sent[c];
@@ -161,9 +184,10 @@ impl ShadowRays {
             for s in range {
                 let (ray, half) = (rays[s], s % HALVES);
                 let piece = ray.piece as usize;
+                let counts = self.lamps.pieces[piece].is_remote() == remote;
                 let free = scratch.free[half].get(self.lamps.pieces[piece].lamp).copied().unwrap_or(0.0);
                 let weight = f64::from(ray.weight);
-                let left = weight.max(0.0) - free * weight.abs();
+                let left = if counts { weight.max(0.0) - free * weight.abs() } else { 0.0 };
                 for c in 0..C {
                     parts[c][k] += (left * sent[piece][c] + controlled[half][c]) / many;
                 }
@@ -175,6 +199,22 @@ impl ShadowRays {
             std::array::from_fn(|c| parts[c].iter().zip(weights).map(|(part, weight)| weight * part).sum());
         let deviation = std::array::from_fn(|c| parts[c].map(|part| (part - mean[c]) as f32));
         (mean.map(|e| e.max(0.0)), deviation)
+    }
+}
+
+impl<const C: usize> DirectLight<C> {
+    /// Adds light that enters from outside the patches.
+    pub(crate) fn add(&mut self, irradiance: &[[f64; C]], deviations: &[Deviation<C>], areas: &[f64]) {
+        for (sum, more) in self.irradiance.iter_mut().zip(irradiance) {
+            (0..C).for_each(|c| sum[c] += more[c]);
+        }
+        for (sum, more) in self.deviations.iter_mut().zip(deviations) {
+            let values = sum.as_flattened_mut().iter_mut().zip(more.as_flattened());
+            values.for_each(|(sum, more)| *sum += more);
+        }
+        for c in 0..C {
+            self.entered[c] += ordered_sum(areas.len(), |i| areas[i] * irradiance[i][c]);
+        }
     }
 }
 
@@ -268,10 +308,10 @@ mod tests {
         let scene = Scene::new(triangles, materials);
         let (tracer, patches) =
             (Tracer::new(&scene), Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY)));
-        let mut shadow = ShadowRays::none(Lamps::new(&tracer, &patches, |_| true));
+        let mut shadow = ShadowRays::none(Lamps::new(&tracer, &patches, &scene.lights, |_| true));
         shadow.extend(&tracer, &patches, |_| rays, seed, None, &Progress::new()).unwrap();
         let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
-        (shadow.irradiance(patches.emission().as_chunks().0, &areas, 1.0), patches)
+        (shadow.irradiance(patches.emission().as_chunks().0, 1.0, &areas, 1.0), patches)
     }
 
     /// Nothing between a patch and a lamp: the closed form and no error, with however few rays; near, far, and across its plane.
@@ -341,7 +381,7 @@ mod tests {
             let scene = Scene::new(&[(patch, 0), (lamp, 1)], materials);
             let (tracer, patches) =
                 (Tracer::new(&scene), Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY)));
-            let mut shadow = ShadowRays::none(Lamps::new(&tracer, &patches, |_| true));
+            let mut shadow = ShadowRays::none(Lamps::new(&tracer, &patches, &scene.lights, |_| true));
             shadow.extend(&tracer, &patches, |_| 1 << 14, 5, None, &Progress::new()).unwrap();
             let mean =
                 shadow.of(0).iter().map(|ray| f64::from(ray.weight.abs())).sum::<f64>() / f64::from(1 << 14);

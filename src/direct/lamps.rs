@@ -1,4 +1,4 @@
-//! The lamps of a scene: patches that emit, put together where they shine alike.
+//! The lamps of a scene: patches that emit, put together where they shine alike, and lights that are no surfaces.
 //!
 //! A lamp meets one contract, whatever its kind: for a patch it tells what would arrive if nothing stood between
 //! ([`Lamps::unoccluded`]), and it samples paths from points of the patch ([`Lamps::sample`]), each with the irradiance that it
@@ -11,12 +11,16 @@ use glam::Vec3A;
 use super::{
     Constants,
     footprint::{Footprint, is_hidden, kernel},
+    remote::Remote,
+    shadow::mean,
     solid_angle,
     tree::Tree,
     unoccluded::{Facing, form_factor},
 };
 use crate::{
+    parallel::magnitude,
     patch::Patches,
+    scene::light::{Lights, Sky},
     trace::{
         Tracer, UnitTriangle,
         sampling::{mix, square_to_triangle},
@@ -32,20 +36,33 @@ pub(crate) fn adjoin(p: &UnitTriangle, q: &UnitTriangle) -> bool {
     p.normal.dot(q.normal) > FLAT && p.corners.iter().any(|corner| q.corners.contains(corner))
 }
 
-/// A triangle of one brightness: a patch, or all patches of a triangle.
+/// What the light of samples is told from: a part of a surface, or a light that is none.
 #[derive(Debug, Clone)]
 pub(super) struct Piece {
+    source: Source,
+    /// Radiosity of a surface, irradiance or intensity of another light, all channels together.
+    pub(super) brightness: f64,
+    /// Which lamp it is a part of: triangles that follow each other in the file, in one plane, and share a corner, are one.
+    pub(super) lamp: usize,
+}
+
+#[derive(Debug, Clone)]
+enum Source {
+    Surface(Surface),
+    /// With its colour.
+    Remote(Remote, [f64; 3]),
+}
+
+/// A triangle of one brightness: a patch, or all patches of a triangle.
+#[derive(Debug, Clone)]
+struct Surface {
     /// Where its light leaves.
     footprint: Footprint,
     facing: Facing,
     /// In unit space.
     area: f64,
-    /// Radiosity, all channels together.
-    pub(super) brightness: f64,
     /// The front patches that it consists of.
-    pub(super) patches: Range<usize>,
-    /// Which lamp it is a part of: triangles that follow each other in the file, in one plane, and share a corner, are one.
-    pub(super) lamp: usize,
+    patches: Range<usize>,
 }
 
 /// The lamps of a scene.
@@ -58,8 +75,12 @@ pub(crate) struct Lamps {
     is_part: Vec<bool>,
     /// Patches that emit behind another face at the same place, in order: nobody sees their light.
     hidden: Vec<usize>,
-    /// To choose among many.
+    /// How many pieces, the first ones, are of surfaces.
+    surfaces: usize,
+    /// To choose among many of them.
     tree: Option<Tree>,
+    /// The sky, whose light hemisphere rays bring.
+    pub(crate) sky: Option<Sky>,
 }
 
 /// A path between a point of a patch and one of a lamp, both moved off their surfaces, and which share of the lamp's radiosity
@@ -76,10 +97,75 @@ pub(super) enum Choice<'a> {
     /// By the cumulative probability of each.
     Table(Vec<f64>),
     /// By a walk down a tree.
-    Tree(&'a Tree, glam::DVec3, f64, glam::DVec3),
+    Tree(Walk<'a>),
+    /// A surface by a walk, or another light by the cumulative probability of each: one or the other with even chances.
+    Both(Walk<'a>, Vec<f64>),
+}
+
+/// A tree, and the patch that asks: its middle, radius and normal.
+pub(super) type Walk<'a> = (&'a Tree, (glam::DVec3, f64, glam::DVec3));
+
+/// Running sums.
+fn cumulated(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut sum = 0.0;
+    let sums = values.map(|value| {
+        sum += value;
+        sum
+    });
+    sums.collect()
+}
+
+/// What a number in \[0, 1) chooses by cumulative probabilities, what is left of the number, stretched to \[0, 1) again, and the
+/// probability of the choice.
+#[inline]
+fn chosen(cumulative: &[f64], u: f64) -> (usize, f64, f64) {
+    let end = cumulative[cumulative.len() - 1];
+    let u = u * end;
+    let k = cumulative.partition_point(|&c| c <= u).min(cumulative.len() - 1);
+    let below = if k > 0 { cumulative[k - 1] } else { 0.0 };
+    let share = cumulative[k] - below;
+    (k, (u - below) / share, share / end)
 }
 
 impl Piece {
+    /// What it sends in each channel, over `unit`, where patches emit what `emission` says in that unit.
+    #[inline]
+    pub(super) fn sent<const C: usize>(&self, emission: &[[f64; C]], unit: f64) -> [f64; C] {
+        match &self.source {
+            Source::Surface(surface) => mean(&emission[surface.patches.clone()]),
+            Source::Remote(_, colour) => std::array::from_fn(|c| colour[c] / unit),
+        }
+    }
+
+    /// Whether its light enters the scene from outside the patches.
+    #[inline]
+    pub(super) fn is_remote(&self) -> bool {
+        matches!(self.source, Source::Remote(..))
+    }
+
+    /// The share of its light that arrives at a patch if nothing stands between.
+    fn unoccluded(&self, patch: &Facing) -> f64 {
+        match &self.source {
+            Source::Surface(surface) => form_factor(patch, &surface.facing),
+            Source::Remote(remote, _) => remote.unblocked(patch),
+        }
+    }
+
+    /// A path between a patch and it, both ends moved off their surfaces, and the share of its light that arrives, were all like it.
+    #[inline]
+    fn sample(&self, from: &Footprint, point: [f32; 4]) -> Option<(Vec3A, Vec3A, f64)> {
+        let (p, q, weight) = match &self.source {
+            Source::Surface(surface) => {
+                let (p, q, weight) = surface.sample(from, point)?;
+                (p, Tracer::leave(q, surface.footprint.normal), weight)
+            }
+            Source::Remote(remote, _) => remote.sample(from, point)?,
+        };
+        Some((Tracer::leave(p, from.normal), q, weight))
+    }
+}
+
+impl Surface {
     /// A path from a part of a patch in front of the piece to a part of the piece in front of the patch, both points of them, and what
     /// share of the piece's radiosity arrives, were all paths like it; `None` where they do not face each other. Where the piece is
     /// near, evenly over its solid angle, so that shares hardly differ; where it is far that is no other than evenly over its area.
@@ -160,8 +246,28 @@ fn part_in_front(corners: &[Vec3A; 3], face: &Footprint, u: f32) -> Option<([Vec
 }
 
 impl Lamps {
-    /// Those front patches that `shine`, but for hidden ones.
-    pub(crate) fn new(tracer: &Tracer, patches: &Patches, shines: impl Fn(usize) -> bool + Sync) -> Lamps {
+    /// Those front patches that `shine`, but for hidden ones, and lights that are no surfaces.
+    pub(crate) fn new(
+        tracer: &Tracer,
+        patches: &Patches,
+        lights: &Lights,
+        shines: impl Fn(usize) -> bool + Sync,
+    ) -> Lamps {
+        let mut lamps = Lamps::of_surfaces(tracer, patches, shines);
+        for light in &lights.list {
+            let colour = light.kind.colour();
+            let brightness = colour[..patches.channels()].iter().sum();
+            if brightness > 0.0 {
+                let source = Source::Remote(Remote::new(&light.kind, tracer), colour);
+                lamps.pieces.push(Piece { source, brightness, lamp: lamps.count });
+                lamps.count += 1;
+            }
+        }
+        lamps.sky.clone_from(&lights.sky);
+        lamps
+    }
+
+    fn of_surfaces(tracer: &Tracer, patches: &Patches, shines: impl Fn(usize) -> bool + Sync) -> Lamps {
         let channels = patches.channels();
         let emission = |i: usize| &patches.emission()[i * channels..][..channels];
         let brightness = |i: usize| emission(i).iter().sum::<f64>();
@@ -190,15 +296,19 @@ impl Lamps {
                 let exactly = |b: [f64; 3]| (0..3).map(|k| triangle.corners[k].as_dvec3() * b[k]).sum();
                 let facing = Facing { corners: corners.map(exactly), normal: triangle.normal.as_dvec3() };
                 let [a, b, c] = facing.corners;
-                lamps.pieces.push(Piece {
+                let brightness = brightness(of.start);
+                let surface = Surface {
                     footprint: Footprint {
                         corners: corners.map(|b| triangle.point(b.map(|x| x as f32))),
                         normal: triangle.normal,
                     },
                     facing,
                     area: 0.5 * (b - a).cross(c - a).length(),
-                    brightness: brightness(of.start),
                     patches: of,
+                };
+                lamps.pieces.push(Piece {
+                    source: Source::Surface(surface),
+                    brightness,
                     lamp: lamps.count - 1,
                 });
             };
@@ -208,12 +318,33 @@ impl Lamps {
                 part.iter().for_each(|&i| add(patches.barycentric_corners(i), i..i + 1));
             }
         }
-        if lamps.pieces.len() > Constants::MOST_KNOWN {
-            let of =
-                |piece: &Piece| (piece.facing.corners, piece.facing.normal, piece.brightness * piece.area);
+        lamps.surfaces = lamps.pieces.len();
+        if lamps.surfaces > Constants::MOST_KNOWN {
+            let of = |piece: &Piece| match &piece.source {
+                Source::Surface(of) => (of.facing.corners, of.facing.normal, piece.brightness * of.area),
+                Source::Remote(..) => unreachable!("surfaces alone so far"),
+            };
             lamps.tree = Some(Tree::new(lamps.pieces.iter().map(of)));
         }
         lamps
+    }
+
+    /// The [`magnitude`] of what all that shines sends.
+    pub(crate) fn magnitude(&self, emission: &[f64]) -> f64 {
+        let mut values = vec![magnitude(emission)];
+        values.retain(|_| emission.iter().any(|&b| b > 0.0));
+        for piece in &self.pieces {
+            if let Source::Remote(_, colour) = &piece.source {
+                values.extend(colour);
+            }
+        }
+        values.extend(self.sky.iter().flat_map(Sky::strongest));
+        magnitude(&values)
+    }
+
+    /// Whether any light enters the scene from outside the patches: through [pieces](Piece::is_remote).
+    pub(super) fn has_remote(&self) -> bool {
+        self.pieces.len() > self.surfaces
     }
 
     /// How many pieces there are.
@@ -239,16 +370,18 @@ impl Lamps {
 
     /// Whether it is known what each piece would send to a patch if nothing stood between: where they are not too many.
     pub(super) fn are_known(&self) -> bool {
-        self.tree.is_none()
+        self.tree.is_none() && self.pieces.len() - self.surfaces <= Constants::MOST_KNOWN
     }
 
     /// What decides which samples a patch takes of the lamps.
     pub(crate) fn digest(&self) -> u64 {
-        let words = self
-            .pieces
-            .iter()
-            .map(|p| mix(&[p.patches.start as u64, p.patches.end as u64, p.brightness.to_bits()]));
-        mix(&words.collect::<Vec<_>>())
+        let words = |piece: &Piece| match &piece.source {
+            Source::Surface(Surface { patches, .. }) => {
+                mix(&[patches.start as u64, patches.end as u64, piece.brightness.to_bits()])
+            }
+            Source::Remote(remote, _) => mix(&[mix(&remote.words()), piece.brightness.to_bits()]),
+        };
+        mix(&self.pieces.iter().map(words).collect::<Vec<_>>())
     }
 
     /// The form factor of a patch to each piece if nothing stands between, where [they are known](Self::are_known).
@@ -259,7 +392,7 @@ impl Lamps {
         let normal = triangle.side_normal(patches.is_front(i)).as_dvec3();
         let patch = Facing { corners: patches.barycentric_corners(i).map(exactly), normal };
         for (found, piece) in found.iter_mut().zip(&self.pieces) {
-            *found = form_factor(&patch, &piece.facing);
+            *found = piece.unoccluded(&patch);
         }
     }
 
@@ -267,18 +400,30 @@ impl Lamps {
     ///
     /// By what would arrive, and some of all lamps alike: a dim one may be all the light there is behind a door.
     pub(super) fn choice(&self, from: &Footprint, unoccluded: &[f64]) -> Option<Choice<'_>> {
-        if let Some(tree) = &self.tree {
+        if self.are_known() {
+            return Some(Choice::Table(cumulated(self.shares(unoccluded)?.into_iter())));
+        }
+        let walk = self.tree.as_ref().map(|tree| {
             let middle = (from.corners[0] + from.corners[1] + from.corners[2]) / 3.0;
             let radius = from.corners.iter().map(|c| c.distance(middle)).fold(0.0, f32::max);
-            return Some(Choice::Tree(tree, middle.as_dvec3(), radius.into(), from.normal.as_dvec3()));
-        }
-        let shares = self.shares(unoccluded)?;
-        let mut cumulative = 0.0;
-        let sums = shares.into_iter().map(|share| {
-            cumulative += share;
-            cumulative
+            (tree, (middle.as_dvec3(), radius.into(), from.normal.as_dvec3()))
         });
-        Some(Choice::Table(sums.collect()))
+        let mut found = vec![0.0; self.pieces.len()];
+        if self.has_remote() {
+            let corners = from.corners.map(|corner| corner.as_dvec3());
+            let patch = Facing { corners, normal: from.normal.as_dvec3() };
+            let from = if walk.is_some() { self.surfaces } else { 0 };
+            let asked = found[from..].iter_mut().zip(&self.pieces[from..]);
+            asked.for_each(|(found, piece)| *found = piece.unoccluded(&patch));
+        }
+        let others = self.shares(&found);
+        match (walk, others) {
+            (Some(walk), Some(shares)) => {
+                Some(Choice::Both(walk, cumulated(shares[self.surfaces..].iter().copied())))
+            }
+            (Some(walk), None) => Some(Choice::Tree(walk)),
+            (None, shares) => Some(Choice::Table(cumulated(shares?.into_iter()))),
+        }
     }
 
     /// The probability of each piece to be chosen, where they are few; `None` where no light can come.
@@ -305,28 +450,23 @@ impl Lamps {
         from: &Footprint,
         [x, y, u, v]: [f32; 4],
     ) -> Option<Path> {
+        let u = f64::from(u);
         let (k, u, probability) = match choice {
-            Choice::Table(cumulative) => {
-                let end = cumulative[cumulative.len() - 1];
-                let u = f64::from(u) * end;
-                let k = cumulative.partition_point(|&c| c <= u).min(cumulative.len() - 1);
-                let below = if k > 0 { cumulative[k - 1] } else { 0.0 };
-                let share = cumulative[k] - below;
-                (k, (u - below) / share, share / end)
+            Choice::Table(cumulative) => chosen(cumulative, u),
+            Choice::Tree((tree, patch)) => tree.choose(*patch, u),
+            Choice::Both((tree, patch), _) if u < 0.5 => {
+                let (k, u, probability) = tree.choose(*patch, 2.0 * u);
+                (k, u, 0.5 * probability)
             }
-            Choice::Tree(tree, middle, radius, normal) => {
-                tree.choose((*middle, *radius, *normal), f64::from(u))
+            Choice::Both(_, cumulative) => {
+                let (k, u, probability) = chosen(cumulative, 2.0 * u - 1.0);
+                (self.surfaces + k, u, 0.5 * probability)
             }
         };
         let piece = &self.pieces[k];
         let u = (u as f32).clamp(0.0, 1.0 - f32::EPSILON);
-        let (p, q, weight) = piece.sample(from, [x, y, u, v])?;
+        let (from, to, weight) = piece.sample(from, [x, y, u, v])?;
         let weight = (weight / probability) as f32;
-        (weight > 0.0 && weight.is_finite()).then(|| Path {
-            from: Tracer::leave(p, from.normal),
-            to: Tracer::leave(q, piece.footprint.normal),
-            piece: k as u32,
-            weight,
-        })
+        (weight > 0.0 && weight.is_finite()).then_some(Path { from, to, piece: k as u32, weight })
     }
 }

@@ -6,6 +6,7 @@
 pub(crate) mod footprint;
 mod irradiance;
 mod lamps;
+mod remote;
 mod shadow;
 mod solid_angle;
 mod tree;

@@ -155,7 +155,7 @@ impl ShadowRays {
         self.lamps.are_known().then(|| {
             let mut sum = [0.0; C];
             for (piece, f) in self.lamps.pieces.iter().zip(self.unoccluded(i)) {
-                let sent = mean(&emission[piece.patches.clone()]);
+                let sent = piece.sent(emission, 1.0);
                 (0..C).for_each(|c| sum[c] += f * sent[c]);
             }
             sum
@@ -176,7 +176,7 @@ impl ShadowRays {
         cast(tracer, &self.lamps, from, self.unoccluded(i), indices, seed, |index, ray| {
             let piece = &self.lamps.pieces[ray.piece as usize];
             let weight = f64::from(ray.weight.abs());
-            let light = mean(&emission[piece.patches.clone()]).map(|sent| weight * sent);
+            let light = piece.sent(emission, 1.0).map(|sent| weight * sent);
             found(index as usize % HALVES, light, weight * piece.brightness, ray.weight > 0.0);
         });
     }

@@ -7,11 +7,12 @@ use super::{
     blocks::Blocks,
     brightness,
     calibration::{self, Measured},
-    closure, magnitude,
+    closure,
     pooling::{self, Buckets, Densities},
     rays::RaySet,
     replicates::Samples,
     siblings,
+    sky::SkyLight,
     symmetric::Symmetric,
     together,
 };
@@ -64,9 +65,10 @@ impl FormFactors {
     pub(crate) fn half(&self, half: usize, tracer: &Tracer, patches: &Patches) -> Option<FormFactors> {
         let samples = self.samples.as_ref()?;
         let (rays, shadow) = (samples.rays.half(half)?, samples.shadow.half(half)?);
+        let sky = samples.sky.as_ref().map(|sky| sky.half(half));
         let start = samples.radiosity.clone();
         Some(together(|| {
-            let assembled = Assembled::new(rays, shadow, tracer, patches, &samples.options, start);
+            let assembled = Assembled::new((rays, shadow, sky), tracer, patches, &samples.options, start);
             match samples.options.estimator {
                 Estimator::OneWay => assembled.one_way(),
                 Estimator::Pooled => assembled.pooled(patches, ROUGH),
@@ -100,8 +102,7 @@ pub(super) struct Assembled {
 impl Assembled {
     /// `start` is the radiosity, but for what lamps emit, that fewer or more rays told, or empty.
     pub(super) fn new(
-        mut rays: RaySet,
-        mut shadow: ShadowRays,
+        (mut rays, mut shadow, mut sky): (RaySet, ShadowRays, Option<SkyLight>),
         tracer: &Tracer,
         patches: &Patches,
         options: &CastOptions,
@@ -118,6 +119,7 @@ impl Assembled {
             let known = (|i: usize| lamps.contains(i), |i: usize| lamps.hides(i));
             let withdrawn = rays.withdraw_hidden(&relative, tracer, patches, known);
             shadow.withdraw(withdrawn);
+            sky.iter_mut().for_each(|sky| sky.withdraw(withdrawn));
         }
         let densities = Densities::new(&rays, &relative);
         let buckets = Buckets::new(&rays, Blocks::new(n));
@@ -133,6 +135,7 @@ impl Assembled {
             },
             rays,
             shadow,
+            sky,
             densities,
             escaped,
             areas: relative,
@@ -163,14 +166,14 @@ impl Assembled {
     }
 
     fn source_of<const C: usize>(&self, patches: &Patches) -> Vec<f32> {
-        let Samples { shadow, escaping, .. } = &self.samples;
-        let unit = magnitude(patches.emission());
+        let lamps = &self.samples.shadow.lamps;
+        let unit = lamps.magnitude(patches.emission());
         let scaled = |b: &[f64; C]| b.map(|b| b / unit);
         let emission: Vec<[f64; C]> = patches.emission().as_chunks().0.iter().map(scaled).collect();
         let reflectance = patches.reflectance().as_chunks::<C>().0;
-        let direct = shadow.irradiance(&emission, &self.samples.areas, *escaping).irradiance;
+        let direct = self.samples.direct(&emission, unit).irradiance;
         let of_patch = |i: usize| {
-            let emitted = if shadow.lamps.contains(i) { [0.0; C] } else { emission[i] };
+            let emitted = if lamps.contains(i) { [0.0; C] } else { emission[i] };
             std::array::from_fn::<f32, C, _>(|c| (emitted[c] + reflectance[i][c] * direct[i][c]) as f32)
         };
         let all: Vec<[f32; C]> =

@@ -18,6 +18,7 @@ mod product;
 pub mod rays;
 pub(crate) mod replicates;
 pub(crate) mod siblings;
+mod sky;
 pub(crate) mod stratification;
 pub mod sweep;
 mod symmetric;
@@ -38,6 +39,7 @@ use assembly::Assembled;
 use checkpoint::{Record, Section};
 use rays::{RaySet, casting::Names};
 use replicates::Samples;
+use sky::SkyLight;
 pub(crate) use symmetric::Real;
 use symmetric::Symmetric;
 
@@ -105,10 +107,29 @@ impl Default for CastOptions {
 }
 
 impl CastOptions {
+    /// The same with shadow rays where lights that are no surfaces need them.
+    fn for_lights(&self, scene: &Scene) -> CastOptions {
+        let needed = !scene.lights.list.is_empty() && !(self.shadow_share > 0.0);
+        CastOptions {
+            shadow_share: if needed { CastOptions::default().shadow_share } else { self.shadow_share },
+            ..*self
+        }
+    }
+
     /// Whether variances decide on a part of the rays.
     fn looks_first(&self) -> bool {
         self.estimator == Estimator::Pooled && self.by_variance
     }
+}
+
+/// Powers of direct light, channel by channel.
+pub(crate) struct DirectPowers {
+    /// What arrives from lights that are no surfaces.
+    pub(crate) entered: Vec<f64>,
+    /// What of the lamps' power arrives nowhere.
+    pub(crate) escaped: Vec<f64>,
+    /// Whether that is more than sampling explains where no ray finds a way out.
+    pub(crate) leaks: bool,
 }
 
 /// A figure before and after a repair.
@@ -179,26 +200,28 @@ impl FormFactors {
         progress: &Progress,
     ) -> Result<FormFactors> {
         together(|| {
+            let apart = options.estimator == Estimator::Pooled && options.shadow_share > 0.0;
+            let options = &options.for_lights(scene);
             let rays = if options.looks_first() { allocation::PILOT * options.rays } else { options.rays };
             let mut set = RaySet::none();
             set.checkpoint = checkpoint.map(|file| Section::new(file, digest(patches), options.seed));
-            let lit = options.estimator == Estimator::Pooled && options.shadow_share > 0.0;
-            let mut share =
-                allocation::even(options, rays, lit && patches.emission().iter().any(|&b| b > 0.0));
+            let emits = apart && patches.emission().iter().any(|&b| b > 0.0);
+            let mut share = allocation::even(options, rays, emits || !scene.lights.list.is_empty());
             set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
-            let mut lamps = Lamps::default();
-            if share.shadow > 0 {
-                let shines = brightness::above_what_is_seen(&set, patches);
-                lamps = Lamps::new(tracer, patches, |i| shines[i]);
-                if lamps.is_empty() {
-                    // None of the rays goes to lamps then.
-                    share = allocation::even(options, rays, false);
-                    set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
-                }
+            let shines = match emits {
+                true => brightness::above_what_is_seen(&set, patches),
+                false => vec![false; patches.fronts()],
+            };
+            let lamps = Lamps::new(tracer, patches, &scene.lights, |i| shines[i]);
+            if share.shadow > 0 && lamps.is_empty() {
+                // None of the rays goes to lamps then.
+                share = allocation::even(options, rays, false);
+                set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
             }
             let mut shadow = ShadowRays::none(lamps);
             cast_shadow(&mut shadow, &set, tracer, patches, |_| share.shadow, options.seed, progress)?;
-            let assembled = Assembled::new(set, shadow, tracer, patches, options, Vec::new());
+            let sky = SkyLight::of(&set, &shadow.lamps, tracer, patches, options.seed);
+            let assembled = Assembled::new((set, shadow, sky), tracer, patches, options, Vec::new());
             if options.looks_first() {
                 let samples = assembled.into_samples(patches);
                 return Self::continued(samples, scene, tracer, patches, options.rays, progress);
@@ -248,17 +271,26 @@ impl FormFactors {
         let share = |i: usize| shares.get(i).copied().unwrap_or(even);
         set.extend(scene, tracer, patches, |i| share(i).hemisphere, options.seed, progress)?;
         cast_shadow(&mut shadow, &set, tracer, patches, |i| share(i).shadow, options.seed, progress)?;
-        Ok(Assembled::new(set, shadow, tracer, patches, &options, start).finish(patches))
+        let sky = SkyLight::of(&set, &shadow.lamps, tracer, patches, options.seed);
+        Ok(Assembled::new((set, shadow, sky), tracer, patches, &options, start).finish(patches))
     }
 
-    /// The light that comes straight from lamps, which emit what `emission` says.
-    pub(crate) fn direct<const C: usize>(&self, emission: &[[f64; C]]) -> Option<DirectLight<C>> {
-        let samples = self.samples.as_ref().filter(|samples| !samples.shadow.lamps.is_empty())?;
+    /// The light that comes straight from lamps, which emit what `emission` says over `unit`, and from other lights, over it too.
+    pub(crate) fn direct<const C: usize>(&self, emission: &[[f64; C]], unit: f64) -> Option<DirectLight<C>> {
+        let samples = self.samples.as_ref().filter(|samples| samples.has_direct())?;
         // In relative areas, whose squares are in range.
-        let mut light = samples.shadow.irradiance(emission, &samples.areas, samples.escaping);
-        let unit = self.areas.iter().sum::<f64>() / samples.areas.iter().sum::<f64>();
-        light.escaped.iter_mut().chain(light.escaped_deviations.as_flattened_mut()).for_each(|x| *x *= unit);
+        let mut light = samples.direct(emission, unit);
+        let area = self.areas.iter().sum::<f64>() / samples.areas.iter().sum::<f64>();
+        let powers = light.escaped.iter_mut().chain(&mut light.entered);
+        powers.chain(light.escaped_deviations.as_flattened_mut()).for_each(|x| *x *= area);
         Some(light)
+    }
+
+    /// The [`magnitude`] of all light that is emitted or enters.
+    pub(crate) fn magnitude(&self, emission: &[f64]) -> f64 {
+        self.samples
+            .as_ref()
+            .map_or_else(|| magnitude(emission), |samples| samples.shadow.lamps.magnitude(emission))
     }
 
     /// The irradiance of all patches that comes straight from lamps, which emit what `emission` says, and by form factors from
@@ -271,21 +303,26 @@ impl FormFactors {
         let carried: Vec<f64> = radiosity.iter().enumerate().map(|(q, b)| b - of_lamps(q)).collect();
         let mut irradiance = self.irradiance(&carried, channels);
         let direct = match channels {
-            1 => self.direct::<1>(emission.as_chunks().0).map(|d| d.irradiance.into_flattened()),
-            _ => self.direct::<3>(emission.as_chunks().0).map(|d| d.irradiance.into_flattened()),
+            1 => self.direct::<1>(emission.as_chunks().0, 1.0).map(|d| d.irradiance.into_flattened()),
+            _ => self.direct::<3>(emission.as_chunks().0, 1.0).map(|d| d.irradiance.into_flattened()),
         };
         irradiance.iter_mut().zip(direct.iter().flatten()).for_each(|(e, direct)| *e += direct);
         irradiance
     }
 
-    /// What of the power of lamps, which emit what `emission` says, `channels` interleaved values a patch, arrives nowhere; and
-    /// whether that is more than sampling explains where no ray finds a way out.
-    pub(crate) fn direct_escape(&self, emission: &[f64], channels: usize) -> (Vec<f64>, bool) {
-        let of_lamps = match channels {
-            1 => self.direct::<1>(emission.as_chunks().0).map(|d| (d.escaped.to_vec(), d.leaks)),
-            _ => self.direct::<3>(emission.as_chunks().0).map(|d| (d.escaped.to_vec(), d.leaks)),
-        };
-        of_lamps.unwrap_or_else(|| (vec![0.0; channels], false))
+    /// What becomes of the power of lamps, which emit what `emission` says, `channels` interleaved values a patch, and of other lights.
+    pub(crate) fn direct_powers(&self, emission: &[f64], channels: usize) -> DirectPowers {
+        fn of<const C: usize>(light: Option<DirectLight<C>>) -> DirectPowers {
+            let none = || vec![0.0; C];
+            light.map_or_else(
+                || DirectPowers { entered: none(), escaped: none(), leaks: false },
+                |d| DirectPowers { entered: d.entered.to_vec(), escaped: d.escaped.to_vec(), leaks: d.leaks },
+            )
+        }
+        match channels {
+            1 => of(self.direct::<1>(emission.as_chunks().0, 1.0)),
+            _ => of(self.direct::<3>(emission.as_chunks().0, 1.0)),
+        }
     }
 
     /// Whether patch `i` is a part of a lamp: what it emits arrives by direct light, not through form factors.
@@ -404,7 +441,7 @@ impl FormFactors {
 
     /// Bytes held by the matrix, its scaling and the rays.
     pub fn bytes(&self) -> usize {
-        let samples = |samples: &Samples| samples.rays.bytes() + samples.shadow.bytes();
+        let samples = |samples: &Samples| samples.bytes();
         self.matrix_bytes() + 8 * 4 * self.len() + self.samples.as_ref().map_or(0, samples)
     }
 

@@ -120,7 +120,7 @@ impl<'a> Sweeper<'a> {
         few.extend(scene, tracer, patches, |_| LOOKING, mix(&[seed, LOOKING.into()]), progress)?;
         let patches = &*patches;
         let shines = brightness::above_what_is_seen(&few, patches);
-        let mut shadow = ShadowRays::none(Lamps::new(tracer, patches, |i| shines[i]));
+        let mut shadow = ShadowRays::none(Lamps::new(tracer, patches, &scene.lights, |i| shines[i]));
         shadow.face(tracer, patches);
         let areas = (0..patches.len()).map(|i| patches.area(i)).collect();
         Ok(Sweeper { tracer, patches, shadow, areas, seed })

@@ -52,6 +52,8 @@ pub(super) struct Emitters {
     starts: Vec<u32>,
     /// The largest radiance that any material emits.
     brightest: [f64; 3],
+    /// The power of all, all channels together.
+    power: f64,
 }
 
 impl Emitters {
@@ -95,7 +97,13 @@ impl Emitters {
             }
         }
         emitters.starts.push(emitters.list.len() as u32);
+        emitters.power = total;
         emitters
+    }
+
+    /// The power of all, all channels together.
+    pub(super) fn power(&self) -> f64 {
+        self.power
     }
 
     /// Whether nothing emits.

@@ -80,6 +80,12 @@ impl Film {
         Film { width, height, pixels }
     }
 
+    /// Adds a picture of the same size.
+    pub(super) fn add(&mut self, other: &Film) {
+        let values = self.pixels.as_flattened_mut().iter_mut().zip(other.pixels.as_flattened());
+        values.for_each(|(sum, more)| *sum += more);
+    }
+
     /// Pixels in a row.
     pub fn width(&self) -> usize {
         self.width

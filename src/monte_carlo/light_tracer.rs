@@ -15,7 +15,7 @@ use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
 use super::{
-    Camera, Emitters, Estimate, Film, Lens, Samples,
+    Camera, Emitters, Estimate, Film, Lens, Outside, RenderOptions, Samples,
     estimate::Running,
     reflection::{Surface, Surfaces},
     samples::take,
@@ -32,6 +32,9 @@ use crate::{
 
 /// After this many hits a particle counts as endless: at a reflectance of 0.9999 only one in e¹⁰⁰ gets so far.
 const ENDLESS: u32 = 1_000_000;
+
+/// Camera rays of a pixel that show the sky.
+const BACKGROUND: u32 = 16;
 
 /// How particles are followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,7 +67,7 @@ impl Default for LightOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Particle {
-    /// Flux at emission.
+    /// Flux at emission, or where it first meets a surface if it comes from a light that is none.
     pub emitted: [f64; 3],
     /// Flux absorbed by surfaces.
     pub absorbed: [f64; 3],
@@ -78,7 +81,7 @@ pub struct Particle {
 pub struct LightTransport {
     /// Flux that arrived in each bin. Divided by the area of the bin it is the irradiance.
     pub bins: Vec<Estimate>,
-    /// Flux emitted.
+    /// Flux emitted by surfaces, and entered from other lights.
     pub emitted: Estimate,
     /// Flux absorbed.
     pub absorbed: Estimate,
@@ -104,6 +107,9 @@ pub struct LightTracer<'a> {
     scene: &'a Scene,
     tracer: &'a Tracer,
     emitters: Emitters,
+    outside: Outside,
+    /// The share of the particles that come from outside.
+    share: f64,
     surfaces: Surfaces,
     /// Whether particles are followed as in a scene with gloss.
     glossy: bool,
@@ -118,6 +124,15 @@ enum Event<'h> {
     Leaves(Vec3A, Vec3A, &'h dyn Fn(Vec3A) -> DVec3),
 }
 
+/// A particle at its start.
+struct Begun {
+    origin: Vec3A,
+    direction: Vec3A,
+    flux: DVec3,
+    /// Whether it comes from a light that is no surface.
+    is_outside: bool,
+}
+
 /// Sums of one batch: bins of three channels, and the energy account.
 struct Batch {
     counters: Vec<[f64; 3]>,
@@ -129,7 +144,10 @@ impl<'a> LightTracer<'a> {
     pub fn new(scene: &'a Scene, tracer: &'a Tracer, options: LightOptions) -> Self {
         let (emitters, surfaces) = (Emitters::new(scene, tracer), Surfaces::of(scene));
         let glossy = !surfaces.is_lambertian();
-        LightTracer { scene, tracer, emitters, surfaces, glossy, options }
+        let outside = Outside::new(scene, tracer);
+        let entering = outside.power();
+        let share = if entering > 0.0 { entering / (entering + emitters.power()) } else { 0.0 };
+        LightTracer { scene, tracer, emitters, outside, share, surfaces, glossy, options }
     }
 
     /// The tracer with an equal number of random numbers per hit: see [`super::PathTracer::in_step`].
@@ -171,8 +189,20 @@ impl<'a> LightTracer<'a> {
         let film = |pick: fn(&Estimate) -> [f64; 3]| {
             Film::from_pixels(width, height, found.bins.iter().map(|e| pick(e).map(|x| x as f32)).collect())
         };
+        let mut picture = film(|e| e.mean);
+        if !self.outside.is_empty() {
+            // No particle comes from the sky into a pinhole.
+            let options = RenderOptions::default().with_samples(BACKGROUND).with_seed(self.options.seed);
+            let sky = Film::sample(&lens, &options, progress, |direction, _| {
+                match self.tracer.closest(lens.eye(), direction) {
+                    Some(_) => [0.0; 3],
+                    None => self.scene.lights.seen(direction.as_dvec3()),
+                }
+            })?;
+            picture.add(&sky);
+        }
         Ok(LightImage {
-            film: film(|e| e.mean),
+            film: picture,
             standard_error: film(|e| e.standard_error),
             transport: LightTransport { bins: Vec::new(), ..found },
         })
@@ -186,11 +216,16 @@ impl<'a> LightTracer<'a> {
         let LightOptions { batches, .. } = self.options;
         let each = self.particles_of_a_batch();
         progress.begin("tracing light", u64::from(each) * u64::from(batches));
-        if self.emitters.is_empty() {
+        if self.is_dark() {
             return Ok(vec![[[0.0; 3]; 3]; batches as usize]);
         }
         let books = |b| Ok(self.batch(b, each, 0, progress, &|_, _| ())?.books);
         (0..batches).into_par_iter().map(books).collect()
+    }
+
+    /// Whether there is no light.
+    fn is_dark(&self) -> bool {
+        self.emitters.is_empty() && self.share == 0.0
     }
 
     fn particles_of_a_batch(&self) -> u32 {
@@ -216,7 +251,7 @@ impl<'a> LightTracer<'a> {
         assert!(batches >= 2, "a standard error needs two batches");
         let each = self.particles_of_a_batch();
         progress.begin("tracing light", each as u64 * batches as u64);
-        if self.emitters.is_empty() {
+        if self.is_dark() {
             return Ok(LightTransport { bins: vec![Estimate::default(); counters], ..Default::default() });
         }
         // In waves there are no more arrays than threads. Folding in the order of the batches makes the sums independent of
@@ -280,22 +315,19 @@ impl<'a> LightTracer<'a> {
         tell: &mut impl FnMut(Event),
     ) -> Result<Particle> {
         let place = Place { scene: self.scene, tracer: self.tracer, surfaces: &self.surfaces };
-        let lamp = self.emitters.sample(self.scene, self.tracer, samples);
-        let (mut point, mut normal) = (lamp.position, lamp.normal);
-        let file_density = lamp.density / self.tracer.scale().powi(2);
-        let mut flux = DVec3::from(lamp.radiance) * (PI * share / file_density);
+        let begun = self.begin(samples, share, tell);
+        let (mut origin, mut direction, mut flux) = (begun.origin, begun.direction, begun.flux);
         let emitted = flux;
         let mut absorbed = DVec3::ZERO;
-        tell(Event::Leaves(point, normal, &|_| flux * FRAC_1_PI));
-        let [x, y] = samples.square();
-        let mut direction = around(normal, square_to_cosine_hemisphere(x, y));
         for hits in 0..ENDLESS {
-            let Some(hit) = self.tracer.closest(Tracer::leave(point, normal), direction) else {
-                return Ok(close(emitted, absorbed, flux));
+            let Some(hit) = self.tracer.closest(origin, direction) else {
+                let passes = hits == 0 && begun.is_outside;
+                return Ok(if passes { Particle::default() } else { close(emitted, absorbed, flux) });
             };
             tell(Event::Arrives(&hit, flux));
             let shape = &self.tracer.triangles()[hit.triangle as usize];
-            (point, normal) = (shape.point(hit.barycentric), shape.side_normal(hit.front));
+            let (point, normal) = (shape.point(hit.barycentric), shape.side_normal(hit.front));
+            origin = Tracer::leave(point, normal);
             let (surface, reflectance) = S::met(place, &hit, direction);
             let arrived = flux * reflectance;
             tell(Event::Leaves(point, normal, &|to| arrived * surface.brdf(to)));
@@ -312,6 +344,29 @@ impl<'a> LightTracer<'a> {
             }
         }
         Err(Error::NoEquilibrium)
+    }
+
+    /// Emits a particle that stands for `share` of all.
+    #[inline]
+    fn begin(&self, samples: &mut Samples, share: f64, tell: &mut impl FnMut(Event)) -> Begun {
+        let mut of_lamps = 1.0;
+        if self.share > 0.0 {
+            let u = f64::from(samples.number());
+            if u < self.share {
+                let ray = self.outside.emit(u / self.share, samples);
+                let flux = ray.flux * (share / self.share);
+                return Begun { origin: ray.origin, direction: ray.direction, flux, is_outside: true };
+            }
+            of_lamps = 1.0 - self.share;
+        }
+        let lamp = self.emitters.sample(self.scene, self.tracer, samples);
+        let (point, normal) = (lamp.position, lamp.normal);
+        let file_density = lamp.density / self.tracer.scale().powi(2);
+        let flux = DVec3::from(lamp.radiance) * (PI * share / (file_density * of_lamps));
+        tell(Event::Leaves(point, normal, &|_| flux * FRAC_1_PI));
+        let [x, y] = samples.square();
+        let direction = around(normal, square_to_cosine_hemisphere(x, y));
+        Begun { origin: Tracer::leave(point, normal), direction, flux, is_outside: false }
     }
 
     /// Adds flux that leaves a point to the radiance of the pixel in which the camera sees it.

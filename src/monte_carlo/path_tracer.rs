@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 use glam::{DVec3, Vec3A};
 
 use super::{
-    Effort, Emitters, Estimate, Samples,
+    Effort, Emitters, Estimate, Outside, Samples,
     reflection::{Bounce, Surface, Surfaces},
     scattering::{Diffuse, Place, Scattering},
 };
@@ -126,6 +126,7 @@ pub struct PathTracer<'a> {
     scene: &'a Scene,
     tracer: &'a Tracer,
     emitters: Emitters,
+    outside: Outside,
     surfaces: Surfaces,
     /// Whether paths are followed as in a scene with gloss.
     glossy: bool,
@@ -144,7 +145,8 @@ impl<'a> PathTracer<'a> {
         );
         let (emitters, surfaces) = (Emitters::new(scene, tracer), Surfaces::of(scene));
         let glossy = !surfaces.is_lambertian();
-        PathTracer { scene, tracer, emitters, surfaces, glossy, options }
+        let outside = Outside::new(scene, tracer);
+        PathTracer { scene, tracer, emitters, outside, surfaces, glossy, options }
     }
 
     /// The tracer with an equal number of random numbers per bounce. Runs with one seed on scenes that differ in materials
@@ -175,7 +177,9 @@ impl<'a> PathTracer<'a> {
         direction: Vec3A,
         samples: &mut Samples,
     ) -> [f64; 3] {
-        let Some(hit) = self.tracer.closest(origin, direction) else { return [0.0; 3] };
+        let Some(hit) = self.tracer.closest(origin, direction) else {
+            return self.scene.lights.seen(direction.as_dvec3());
+        };
         let emitted = hit.emission(self.scene);
         if self.options.max_bounces == Some(0) {
             return emitted;
@@ -212,7 +216,8 @@ impl<'a> PathTracer<'a> {
     ) -> Result<Vec<Estimate>> {
         let estimate = |i: usize, samples: &mut Samples| self.irradiance(places[i], samples);
         let mut estimates = effort.estimate(places.len(), progress, estimate)?;
-        let one = self.emitters.brightest().map(|radiance| PI * radiance / f64::from(effort.samples));
+        let brightest = DVec3::from(self.emitters.brightest()).max(self.outside.brightest().into());
+        let one = brightest * (PI / f64::from(effort.samples));
         for Estimate { mean, standard_error } in &mut estimates {
             for c in (0..3).filter(|&c| mean[c] == 0.0) {
                 standard_error[c] = one[c];
@@ -264,7 +269,7 @@ impl<'a> PathTracer<'a> {
         samples: &mut Samples,
     ) -> DVec3 {
         let mut sum = DVec3::ZERO;
-        if self.emitters.is_empty() {
+        if self.emitters.is_empty() && self.outside.is_empty() {
             return sum;
         }
         loop {
@@ -317,8 +322,16 @@ impl<'a> PathTracer<'a> {
         if self.options.next_event && !self.emitters.is_empty() {
             light += self.look_at_emitter(origin, at.normal, surface, samples);
         }
+        if !self.outside.is_empty() {
+            light += self.look_outside(origin, at.normal, surface, samples);
+        }
         let Some(bounce) = bounce else { return (light, None) };
         let hit = self.tracer.closest(origin, bounce.direction);
+        if hit.is_none() && !self.outside.is_empty() {
+            let (place, next_event) = ((origin, at.normal), self.options.next_event);
+            let towards = bounce.direction.normalize();
+            light += bounce.weight * self.outside.met(place, towards, bounce.density, next_event);
+        }
         if let Some(hit) = &hit {
             let emitted = DVec3::from(hit.emission(self.scene));
             if emitted != DVec3::ZERO {
@@ -358,6 +371,26 @@ impl<'a> PathTracer<'a> {
             return DVec3::ZERO;
         }
         DVec3::from(lamp.radiance) * reflected * (chosen / (bounce * bounce + chosen * chosen))
+    }
+
+    /// The same for lights that are no surfaces. One without a size no bounce can meet.
+    #[inline]
+    fn look_outside<'s, S: Scattering<'s>>(
+        &self,
+        origin: Vec3A,
+        normal: Vec3A,
+        surface: &S,
+        samples: &mut Samples,
+    ) -> DVec3 {
+        let Some(look) = self.outside.look(origin, normal, self.options.next_event, samples) else {
+            return DVec3::ZERO;
+        };
+        let to = look.target - origin;
+        if to.dot(normal) <= 0.0 || !self.tracer.visible(origin, look.target) {
+            return DVec3::ZERO;
+        }
+        let (reflected, bounce) = surface.towards(normal, to, f64::from(to.length()));
+        look.light * reflected / (1.0 + (bounce / look.density).powi(2))
     }
 
     /// Weight of emission that a bounce hits: 1, or p²/(p² + q²) if the emitter could also have been chosen.

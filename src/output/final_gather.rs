@@ -105,7 +105,9 @@ impl<'a> FinalGather<'a> {
 
     /// One sample of the radiance that arrives at `origin` against `direction` (unit space).
     pub fn radiance(&self, origin: Vec3A, direction: Vec3A, samples: &mut Samples) -> [f64; 3] {
-        let Some(hit) = self.tracer.closest(origin, direction) else { return [0.0; 3] };
+        let Some(hit) = self.tracer.closest(origin, direction) else {
+            return self.scene.lights.seen(direction.as_dvec3());
+        };
         let irradiance = self.irradiance(Receiver::of_hit(self.tracer, &hit), samples);
         outgoing(self.scene, &hit, irradiance.into())
     }

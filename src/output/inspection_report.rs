@@ -194,7 +194,7 @@ fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<Stri
     };
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let (all, lamps, edges) = (&survey.all, &survey.lamps, &inspection.edges);
-    add(!scene.has_emitter(), &|| {
+    add(!scene.is_lit(), &|| {
         "nothing emits light: solving needs an emitter, for instance a material with `Ke`".into()
     });
     add(lamps.rays > 0 && lamps.escaped == lamps.rays, &|| {

@@ -95,8 +95,9 @@ pub fn smooth(
 ) -> Result<Film> {
     let lens = camera.lens(tracer);
     let surface = SmoothSurface::new(scene, patches, light);
-    Film::sample(&lens, options, progress, |direction, _| {
-        tracer.closest(lens.eye(), direction).map_or([0.0; 3], |hit| surface.radiance(&hit))
+    Film::sample(&lens, options, progress, |direction, _| match tracer.closest(lens.eye(), direction) {
+        Some(hit) => surface.radiance(&hit),
+        None => scene.lights.seen(direction.as_dvec3()),
     })
 }
 

@@ -120,15 +120,17 @@ pub struct SolverReport {
 /// The energy ledger.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct EnergyReport {
-    /// Emitted power.
+    /// Power emitted by surfaces.
     pub emitted: [f64; 3],
+    /// Power that enters from sky, sun and other lights that are no surfaces: the part that hits a surface.
+    pub entered: [f64; 3],
     /// Absorbed power.
     pub absorbed: [f64; 3],
     /// Escaped power.
     pub escaped: [f64; 3],
     /// Standard error of the escaped power; `null` without a matrix.
     pub escaped_standard_error: Option<[f64; 3]>,
-    /// (emitted - absorbed - escaped) / emitted of the worst channel.
+    /// (emitted + entered - absorbed - escaped) / (emitted + entered) of the worst channel.
     pub imbalance: f64,
     /// The part of the imbalance that is due to the residual of the solver; `null` without a linear system.
     pub solver_part: Option<f64>,
@@ -344,6 +346,7 @@ impl EnergyReport {
     pub fn of(energy: &EnergyLedger) -> Self {
         EnergyReport {
             emitted: rgb(&energy.emitted),
+            entered: rgb(&energy.entered),
             absorbed: rgb(&energy.absorbed),
             escaped: rgb(&energy.escaped),
             escaped_standard_error: None,
@@ -360,6 +363,7 @@ impl EnergyReport {
         let (imbalance, error) = solution.worst_imbalance();
         EnergyReport {
             emitted: rgb(&solution.emitted),
+            entered: [0.0; 3],
             absorbed: rgb(&solution.absorbed),
             escaped: rgb(&solution.escaped),
             escaped_standard_error: None,

@@ -8,6 +8,7 @@ mod cutting;
 pub(crate) mod gltf;
 mod indexed;
 pub mod inspection;
+pub mod light;
 pub mod obj;
 pub mod overlaps;
 pub(crate) mod ply;
@@ -28,6 +29,7 @@ use std::{
 use glam::{DVec2, DVec3};
 
 use crate::{Error, Result};
+use light::Lights;
 use overlaps::Hidden;
 pub use specular::{Distribution, Fresnel, MOST_EXPONENT, Shadowing, Specular};
 pub use texture::{Texture, TextureMap};
@@ -133,6 +135,8 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Textures that the materials refer to.
     pub textures: Vec<Texture>,
+    /// Lights that are no surfaces.
+    pub lights: Lights,
     /// Number of triangles at the end that were added as backs of double-sided emitters.
     pub backs_of_lamps: usize,
     /// Number of triangles that were left out because their area is zero.
@@ -354,6 +358,11 @@ impl Scene {
         emitters.into_values().collect()
     }
 
+    /// Whether there is any light: of surfaces that emit, or of [lights that are no surfaces](Scene::lights).
+    pub fn is_lit(&self) -> bool {
+        self.has_emitter() || !self.lights.is_empty()
+    }
+
     /// Whether any triangle emits.
     pub fn has_emitter(&self) -> bool {
         (0..self.triangles.len()).any(|t| self.emits(t))
@@ -421,7 +430,9 @@ impl Scene {
                     .flatten()
                     .any(|map| !self.textures[map.texture].is_grey())
         });
-        let colourful = colourful || self.colours.iter().flatten().any(|&c| !grey(c.map(f64::from)));
+        let colourful = colourful
+            || self.colours.iter().flatten().any(|&c| !grey(c.map(f64::from)))
+            || !self.lights.is_grey();
         if colourful { 3 } else { 1 }
     }
 

@@ -100,7 +100,7 @@ fn suits_single<const C: usize>(system: &System<C>) -> bool {
 /// leaves black patches would never be corrected.
 fn expected<const C: usize>(system: &System<C>) -> Option<Vec<[f64; C]>> {
     let (known, n) = (system.form_factors.expected().as_chunks::<C>().0, system.source.len());
-    let unit = magnitude(system.emission.as_flattened());
+    let unit = system.form_factors.magnitude(system.emission.as_flattened());
     let of_patch = |i: usize| -> [f64; C] {
         std::array::from_fn(|c| {
             let (source, rho) = (system.source[i][c], system.reflectance[i][c]);

@@ -20,6 +20,7 @@ use std::borrow::Cow;
 
 use crate::{
     Error, Progress, Result, Setting,
+    direct::DirectLight,
     form_factor::{Estimator, FormFactors, together},
     patch::Patches,
 };
@@ -125,7 +126,7 @@ pub struct Solution {
     pub solver: Solver,
     /// Its iterations: sweeps, products with the matrix, or shots.
     pub iterations: usize,
-    /// Σ A |Be + ρ E - B| / Σ A Be of the worst channel, computed from the result itself.
+    /// Σ A |Be + ρ E - B| over what is emitted and enters, of the worst channel, computed from the result itself.
     pub residual: f64,
     /// No patch's radiosity is farther than this from the exact solution of the discrete system, W/m². Infinite where
     /// a patch reflects everything and loses nothing.
@@ -227,8 +228,10 @@ pub(crate) struct System<'a, const C: usize> {
     pub(crate) reflectance: &'a [[f64; C]],
     /// Be.
     emission: &'a [[f64; C]],
-    /// D, where there are lamps.
+    /// D, where there are lamps or other lights.
     direct: Option<Vec<[f64; C]>>,
+    /// What of it enters from outside the patches, as a power.
+    entered: [f64; C],
 }
 
 /// What an algorithm hands back: radiosity and iterations done.
@@ -238,17 +241,16 @@ impl<'a, const C: usize> System<'a, C> {
     pub(crate) fn new(form_factors: &'a FormFactors, radiometry: Radiometry<'a>) -> Self {
         let emission: &[[f64; C]] = radiometry.emission.as_chunks().0;
         let reflectance: &[[f64; C]] = radiometry.reflectance.as_chunks().0;
-        let Some(direct) = form_factors.direct(emission) else {
+        let Some(DirectLight { irradiance: direct, entered, .. }) = form_factors.direct(emission, 1.0) else {
             let source = Cow::Borrowed(emission);
-            return System { form_factors, source, reflectance, emission, direct: None };
+            return System { form_factors, source, reflectance, emission, direct: None, entered: [0.0; C] };
         };
-        let direct = direct.irradiance;
         let source = |i: usize| {
             let emitted = if form_factors.is_lamp(i) { [0.0; C] } else { emission[i] };
             std::array::from_fn(|c| emitted[c] + reflectance[i][c] * direct[i][c])
         };
         let source = Cow::Owned((0..emission.len()).map(source).collect());
-        System { form_factors, source, reflectance, emission, direct: Some(direct) }
+        System { form_factors, source, reflectance, emission, direct: Some(direct), entered }
     }
 
     fn solve(&self, start: Option<&[f64]>, options: &SolveOptions, progress: &Progress) -> Result<Solution> {
@@ -332,9 +334,9 @@ impl<'a, const C: usize> System<'a, C> {
         std::array::from_fn(|c| self.source[i][c] + self.reflectance[i][c] * irradiance[c] - radiosity[c])
     }
 
-    /// Σ A Be for each channel.
+    /// Σ A Be and what enters, for each channel.
     pub(crate) fn emitted(&self) -> [f64; C] {
-        let mut sum = [0.0; C];
+        let mut sum = self.entered;
         for (area, emission) in self.form_factors.areas().iter().zip(self.emission) {
             for c in 0..C {
                 sum[c] += area * emission[c];

@@ -156,6 +156,11 @@ impl Tracer {
         ((point - self.centre) / self.scale).as_vec3a()
     }
 
+    /// The same in double precision.
+    pub(crate) fn to_unit_exactly(&self, point: DVec3) -> DVec3 {
+        (point - self.centre) / self.scale
+    }
+
     /// A point of unit space in the file's coordinates.
     pub fn to_file(&self, point: Vec3A) -> DVec3 {
         point.as_dvec3() * self.scale + self.centre

@@ -14,6 +14,7 @@ mod form_factors;
 mod heat;
 mod lambert;
 mod lightmaps;
+mod lights;
 mod matrix;
 mod ply;
 mod presets;

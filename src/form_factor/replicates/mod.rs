@@ -9,12 +9,12 @@ use rayon::prelude::*;
 use super::{
     CastOptions, Estimator, FormFactors, allocation,
     allocation::Share,
-    magnitude,
     pooling::Densities,
     rays::{ESCAPED, REPLICATES, RaySet},
+    sky::SkyLight,
 };
 use crate::{
-    direct::{Deviation, ShadowRays},
+    direct::{Deviation, DirectLight, ShadowRays},
     patch::Patches,
 };
 use sums::{Counted, Sums, WhichRays};
@@ -24,6 +24,8 @@ use sums::{Counted, Sums, WhichRays};
 pub(super) struct Samples {
     pub(super) rays: RaySet,
     pub(super) shadow: ShadowRays,
+    /// What the rays see of the sky, where there is one.
+    pub(super) sky: Option<SkyLight>,
     pub(super) densities: Densities,
     /// The share of each patch's rays that leave the scene, and of all light were it as bright everywhere.
     pub(super) escaped: Vec<f64>,
@@ -65,6 +67,27 @@ impl FormFactors {
 }
 
 impl Samples {
+    /// Bytes of the rays, and of what they brought.
+    pub(super) fn bytes(&self) -> usize {
+        self.rays.bytes() + self.shadow.bytes() + self.sky.as_ref().map_or(0, SkyLight::bytes)
+    }
+
+    /// Whether any light comes straight from lamps or from outside the patches.
+    pub(super) fn has_direct(&self) -> bool {
+        !self.shadow.lamps.is_empty() || self.sky.is_some()
+    }
+
+    /// The light that comes straight from lamps, which emit what `emission` says over `unit`, and from other lights, over it too;
+    /// powers in relative areas.
+    pub(super) fn direct<const C: usize>(&self, emission: &[[f64; C]], unit: f64) -> DirectLight<C> {
+        let mut light = self.shadow.irradiance(emission, unit, &self.areas, self.escaping);
+        if let Some(sky) = &self.sky {
+            let (irradiance, deviations) = sky.arriving(unit);
+            light.add(&irradiance, &deviations, &self.areas);
+        }
+        light
+    }
+
     /// How many rays each patch shall have, of so many a patch in the mean, for the least error.
     pub(super) fn shares(&self, patches: &Patches, rays: f64) -> Vec<Share> {
         let variances = match patches.channels() {
@@ -78,11 +101,17 @@ impl Samples {
     /// Variances of every patch's irradiance, all channels together, that come from its own hemisphere rays, and from its
     /// shadow rays. Light reflected from patches that are off counts to none.
     fn variances<const C: usize>(&self, patches: &Patches) -> Vec<[f64; 2]> {
-        let unit = magnitude(patches.emission());
+        let unit = self.shadow.lamps.magnitude(patches.emission());
         let scaled = |b: &[f64; C]| b.map(|b| b / unit);
         let emission: Vec<[f64; C]> = patches.emission().as_chunks().0.iter().map(scaled).collect();
-        let direct = self.shadow.irradiance(&emission, &self.areas, self.escaping).deviations;
-        let reflected = self.deviations::<C>(self.radiosity.as_chunks().0, WhichRays::Own);
+        let direct = self.shadow.irradiance(&emission, unit, &self.areas, self.escaping).deviations;
+        let mut reflected = self.deviations::<C>(self.radiosity.as_chunks().0, WhichRays::Own);
+        if let Some(sky) = &self.sky {
+            for (reflected, sky) in reflected.iter_mut().zip(sky.arriving::<C>(unit).1) {
+                let values = reflected.as_flattened_mut().iter_mut().zip(sky.as_flattened());
+                values.for_each(|(reflected, sky)| *reflected += sky);
+            }
+        }
         let squares = |d: &Deviation<C>| d.as_flattened().iter().map(|&d| f64::from(d).powi(2)).sum();
         reflected
             .iter()

@@ -1,0 +1,198 @@
+//! Lights that are no surfaces, as lamps: distant discs and points.
+
+use glam::{DVec3, Vec3A};
+
+use super::{Constants, footprint::Footprint, solid_angle, unoccluded::Facing};
+use crate::{
+    scene::light::{Distant, Distribution, LightKind},
+    trace::{Tracer, sampling::square_to_triangle},
+};
+
+/// How far a shadow ray to a distant light goes, in unit space: out of the scene, from wherever in it.
+const FAR_AWAY: f32 = 4.0;
+/// A shadow ray to a point ends before it by this, in unit space: what it is mounted on does not hide it.
+const MOUNTED: f32 = 1e-5;
+/// A triangle that subtends more than this is cut before the intensity towards it is integrated, and so is one over which halves of
+/// the edge change the integral by more than this share.
+const WIDE: f64 = 0.1;
+const EVEN: f64 = 1e-4;
+/// Cuts at most.
+const MOST_CUTS: u32 = 7;
+
+/// A light that is no surface, in unit space. All it tells is relative to its colour, irradiance or intensity.
+#[derive(Debug, Clone)]
+pub(super) enum Remote {
+    Distant(Distant),
+    Point {
+        at: DVec3,
+        distribution: Distribution,
+        /// Area in the unit of the file over that in unit space.
+        unit: f64,
+    },
+}
+
+impl Remote {
+    pub(super) fn new(kind: &LightKind, tracer: &Tracer) -> Remote {
+        match kind {
+            LightKind::Distant(distant) => Remote::Distant(*distant),
+            LightKind::Point(point) => Remote::Point {
+                at: tracer.to_unit_exactly(point.position),
+                distribution: point.distribution.clone(),
+                unit: tracer.scale() * tracer.scale(),
+            },
+        }
+    }
+
+    /// The mean irradiance of a patch if nothing stands between.
+    pub(super) fn unblocked(&self, patch: &Facing) -> f64 {
+        match self {
+            Remote::Distant(distant) => distant.unblocked(patch.normal),
+            Remote::Point { at, distribution, unit } => {
+                if (*at - patch.corners[0]).dot(patch.normal) <= 0.0 {
+                    return 0.0;
+                }
+                let flux = flux(distribution, *at, patch.corners, 0);
+                let area = area(patch.corners);
+                if area > 0.0 { flux / (area * unit) } else { 0.0 }
+            }
+        }
+    }
+
+    /// A path from a point of a patch to the light, and the irradiance that arrives, were all paths like it; `None` where the light is
+    /// below the patch.
+    #[inline]
+    pub(super) fn sample(&self, from: &Footprint, [x, y, u, v]: [f32; 4]) -> Option<(Vec3A, Vec3A, f64)> {
+        match self {
+            Remote::Distant(distant) => {
+                let direction = distant.sample([u, v].map(f64::from));
+                let cos = direction.dot(from.normal.as_dvec3());
+                if cos <= 0.0 {
+                    return None;
+                }
+                let p = from.at(square_to_triangle(x, y));
+                let weight = if distant.radius > 0.0 {
+                    distant.solid_angle() / (std::f64::consts::PI * distant.radius.sin().powi(2))
+                } else {
+                    1.0
+                };
+                Some((p, p + direction.as_vec3a() * FAR_AWAY, cos * weight))
+            }
+            Remote::Point { at, distribution, unit } => {
+                let corners = from.corners.map(|corner| corner.as_dvec3());
+                let normal = from.normal.as_dvec3();
+                let height = (*at - corners[0]).dot(normal);
+                if height <= 0.0 {
+                    return None;
+                }
+                let area = area(corners);
+                let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+                let (p, weight) = if middle.distance_squared(*at) * Constants::FAR < area {
+                    let (direction, solid_angle) = solid_angle::sample(corners, *at, [x, y].map(f64::from))?;
+                    let p = *at - direction * (height / direction.dot(normal));
+                    (p, distribution.towards(direction) * solid_angle / area)
+                } else {
+                    let p = from.at(square_to_triangle(x, y)).as_dvec3();
+                    let path = p - *at;
+                    let (squared, distance) = (path.length_squared(), path.length());
+                    (p, distribution.towards(path / distance) * -path.dot(normal) / (squared * distance))
+                };
+                let (p, to) = (p.as_vec3a(), at.as_vec3a());
+                Some((p, to + (p - to).normalize_or_zero() * MOUNTED, weight / unit))
+            }
+        }
+    }
+
+    /// What decides on its samples.
+    pub(super) fn words(&self) -> Vec<u64> {
+        match self {
+            Remote::Distant(d) => {
+                d.direction.to_array().into_iter().chain([d.radius]).map(f64::to_bits).collect()
+            }
+            Remote::Point { at, distribution, unit } => {
+                let some =
+                    [DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z, DVec3::splat(-1.0)];
+                let towards = some.map(|d| distribution.towards(d.normalize()));
+                at.to_array().into_iter().chain([*unit]).chain(towards).map(f64::to_bits).collect()
+            }
+        }
+    }
+}
+
+fn area([a, b, c]: [DVec3; 3]) -> f64 {
+    0.5 * (b - a).cross(c - a).length()
+}
+
+/// The solid angle of a triangle (Van Oosterom and Strackee, "The Solid Angle of a Plane Triangle", IEEE Transactions on Biomedical
+/// Engineering 30, 1983).
+fn subtended(at: DVec3, corners: [DVec3; 3]) -> f64 {
+    let [a, b, c] = corners.map(|corner| corner - at);
+    let [la, lb, lc] = [a, b, c].map(DVec3::length);
+    let below = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
+    2.0 * a.dot(b.cross(c)).abs().atan2(below)
+}
+
+/// The integral of a distribution over the solid angle of a triangle.
+fn flux(distribution: &Distribution, at: DVec3, corners: [DVec3; 3], cuts: u32) -> f64 {
+    let whole = subtended(at, corners);
+    if matches!(distribution, Distribution::Isotropic) {
+        return whole;
+    }
+    let towards = |[a, b, c]: [DVec3; 3]| distribution.towards(((a + b + c) / 3.0 - at).normalize_or_zero());
+    let [a, b, c] = corners;
+    let (ab, bc, ca) = (a.midpoint(b), b.midpoint(c), c.midpoint(a));
+    let parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [bc, ca, ab]];
+    let middle = whole * towards(corners);
+    let finer: f64 = parts.iter().map(|&part| subtended(at, part) * towards(part)).sum();
+    let even = (finer - middle).abs() <= EVEN * finer.max(1e-3 * whole);
+    if cuts >= MOST_CUTS || (cuts > 0 && whole < WIDE && even) {
+        // The error of a midpoint rule goes with the square of the edge.
+        return (finer + (finer - middle) / 3.0).max(0.0);
+    }
+    parts.iter().map(|&part| flux(distribution, at, part, cuts + 1)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::dvec3;
+
+    /// Intensity in a cone, integrated over triangles near and far: as the mean of many samples is.
+    #[test]
+    fn what_a_point_sends_unblocked_is_the_mean_of_its_samples() {
+        let spot = Distribution::spot(dvec3(0.2, 0.1, -1.0), 0.2, 0.7);
+        for distribution in [Distribution::Isotropic, spot] {
+            for (height, size) in [(0.2, 1.0), (1.0, 0.5), (0.9, 0.02)] {
+                let light = Remote::Point {
+                    at: dvec3(0.1, 0.2, height),
+                    distribution: distribution.clone(),
+                    unit: 4.0,
+                };
+                let corners = [DVec3::ZERO, dvec3(size, 0.0, 0.0), dvec3(0.0, size, 0.0)];
+                let from = Footprint {
+                    corners: corners.map(|corner| corner.as_vec3a()),
+                    normal: Vec3A::new(0.0, 0.0, 1.0),
+                };
+                let many = 512;
+                let cell = |k: usize| (k as f32 + 0.5) / many as f32;
+                let mut mean = 0.0;
+                for (i, j) in (0..many).flat_map(|i| (0..many).map(move |j| (i, j))) {
+                    let (_, to, weight) = light.sample(&from, [cell(i), cell(j), 0.5, 0.5]).unwrap();
+                    assert!((to - Vec3A::new(0.1, 0.2, height as f32)).length() < 2.0 * MOUNTED);
+                    mean += weight / (many * many) as f64;
+                }
+                let wanted = light.unblocked(&Facing { corners, normal: DVec3::Z });
+                assert!((mean / wanted - 1.0).abs() < 3e-4, "{distribution:?} {height}: {mean} for {wanted}");
+                assert_eq!(light.unblocked(&Facing { corners, normal: -DVec3::Z }), 0.0);
+            }
+        }
+    }
+
+    /// An octant of the sphere, and a far triangle, whose solid angle is its area over the squared distance.
+    #[test]
+    fn solid_angles() {
+        let octant = [DVec3::X, DVec3::Y, DVec3::Z].map(|p| 3.0 * p + 1.0);
+        assert!((subtended(DVec3::ONE, octant) - 0.5 * std::f64::consts::PI).abs() < 1e-14);
+        let far = [dvec3(1e4, 0.0, 0.0), dvec3(1e4, 0.1, 0.0), dvec3(1e4, 0.0, 0.1)];
+        assert!((subtended(DVec3::ZERO, far) / 5e-11 - 1.0).abs() < 1e-4);
+    }
+}

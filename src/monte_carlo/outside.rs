@@ -1,0 +1,366 @@
+//! Lights that are no surfaces, as paths and particles meet them: sky, distant discs and points.
+
+use std::f64::consts::{PI, TAU};
+
+use glam::{DVec3, Vec3A};
+
+use super::Samples;
+use crate::{
+    scene::{
+        Scene,
+        light::{Distant, Distribution, LightKind, PointLight, Sky},
+    },
+    trace::Tracer,
+};
+
+/// How far a ray to a distant light goes, in unit space: out of the scene, from wherever in it.
+const FAR_AWAY: f32 = 4.0;
+/// A ray to a point ends before it by this, in unit space: what it is mounted on does not hide it.
+const MOUNTED: f32 = 1e-5;
+/// Directions in which the power of the sky is summed to share out particles, in each of two dimensions.
+const DIRECTIONS: usize = 16;
+
+/// A light at a point in unit space.
+#[derive(Debug, Clone)]
+struct Point {
+    at: Vec3A,
+    intensity: DVec3,
+    distribution: Distribution,
+}
+
+/// Sky, discs and points.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Outside {
+    sky: Option<Sky>,
+    distant: Vec<Distant>,
+    points: Vec<Point>,
+    /// Corners of the box of all triangles, in unit space.
+    bounds: [Vec3A; 2],
+    /// Lengths of the file per length in unit space.
+    scale: f64,
+    /// Running sums of the power of the sky, of each disc and of each point that goes into the box.
+    powers: Vec<f64>,
+}
+
+/// Light that is to be looked for along a path.
+pub(super) struct Look {
+    /// Where the path to it ends.
+    pub(super) target: Vec3A,
+    /// Its radiance over the density of its direction, or its irradiance on a surface that faces it, over the probability of its choice.
+    pub(super) light: DVec3,
+    /// The density of its direction; infinite for a light without a size.
+    pub(super) density: f64,
+}
+
+/// Light on its way into the scene.
+pub(super) struct Ray {
+    pub(super) origin: Vec3A,
+    pub(super) direction: Vec3A,
+    /// Flux, were all particles like it.
+    pub(super) flux: DVec3,
+}
+
+impl Outside {
+    /// The lights of a scene that are no surfaces.
+    pub(super) fn new(scene: &Scene, tracer: &Tracer) -> Outside {
+        let mut outside =
+            Outside { sky: scene.lights.sky.clone(), scale: tracer.scale(), ..Outside::default() };
+        for light in &scene.lights.list {
+            match &light.kind {
+                LightKind::Distant(distant) => outside.distant.push(*distant),
+                LightKind::Point(PointLight { position, intensity, distribution }) => {
+                    outside.points.push(Point {
+                        at: tracer.to_unit(*position),
+                        intensity: DVec3::from(*intensity),
+                        distribution: distribution.clone(),
+                    });
+                }
+            }
+        }
+        if outside.is_empty() {
+            return outside;
+        }
+        let corners = || tracer.triangles().iter().flat_map(|t| t.corners);
+        let bound = |f: fn(Vec3A, Vec3A) -> Vec3A| corners().reduce(f).unwrap_or_default();
+        outside.bounds = [bound(Vec3A::min), bound(Vec3A::max)];
+        let mut sum = 0.0;
+        let powers = outside.powers_of_all().into_iter().map(|power| {
+            sum += power;
+            sum
+        });
+        outside.powers = powers.collect();
+        outside
+    }
+
+    /// Whether there is none.
+    pub(super) fn is_empty(&self) -> bool {
+        self.sky.is_none() && self.distant.is_empty() && self.points.is_empty()
+    }
+
+    /// The power of the sky, of each disc and of each point that goes into the box, all channels together.
+    fn powers_of_all(&self) -> Vec<f64> {
+        let cell = |k: usize| (k as f64 + 0.5) / DIRECTIONS as f64;
+        let of_sky = self.sky.as_ref().map_or(0.0, |sky| {
+            let cells = (0..DIRECTIONS * DIRECTIONS).map(|k| [cell(k / DIRECTIONS), cell(k % DIRECTIONS)]);
+            let power = |at: [f64; 2]| {
+                let (direction, density) = of_sky(sky, at);
+                DVec3::from(sky.radiance(direction)).element_sum() * self.shadow(direction) / density
+            };
+            cells.map(power).sum::<f64>() / (DIRECTIONS * DIRECTIONS) as f64
+        });
+        let discs = self.distant.iter().map(|d| d.irradiance.iter().sum::<f64>() * self.shadow(d.direction));
+        let points = self.points.iter().map(|p| p.intensity.element_sum() * p.distribution.total());
+        std::iter::once(of_sky).chain(discs).chain(points).collect()
+    }
+
+    /// The power of all that goes into the box.
+    pub(super) fn power(&self) -> f64 {
+        self.powers.last().copied().unwrap_or_default()
+    }
+
+    /// The area of the shadow of the box in a direction, in the unit of the file.
+    fn shadow(&self, direction: DVec3) -> f64 {
+        self.faces(direction).iter().sum::<f64>() * self.scale * self.scale
+    }
+
+    /// What each axis' faces add to the shadow of the box, in unit space.
+    fn faces(&self, direction: DVec3) -> [f64; 3] {
+        let size = (self.bounds[1] - self.bounds[0]).as_dvec3();
+        let d = direction.abs();
+        [size.y * size.z * d.x, size.z * size.x * d.y, size.x * size.y * d.z]
+    }
+
+    /// About the largest radiance that a path which saw no light may have missed.
+    pub(super) fn brightest(&self) -> [f64; 3] {
+        let mut most = self.sky.as_ref().map_or(DVec3::ZERO, |sky| sky.strongest().into());
+        most += self.distant.iter().map(|d| DVec3::from(d.irradiance) / PI).sum::<DVec3>();
+        most += self.points.iter().map(|p| p.intensity / (PI * self.scale * self.scale)).sum::<DVec3>();
+        most.to_array()
+    }
+
+    fn sky_seen(&self, direction: DVec3) -> DVec3 {
+        self.sky.as_ref().map_or(DVec3::ZERO, |sky| sky.radiance(direction).into())
+    }
+
+    /// What a bounce from a place in a direction, a unit vector, brings: discs are weighted against [`Outside::look`], where that looks
+    /// for them too.
+    pub(super) fn met(
+        &self,
+        (origin, normal): (Vec3A, Vec3A),
+        direction: Vec3A,
+        density: f64,
+        next_event: bool,
+    ) -> DVec3 {
+        let towards = direction.as_dvec3();
+        let mut light = self.sky_seen(towards);
+        if self.distant.iter().any(|d| d.contains(towards)) {
+            let shares = self.shares(origin, normal, next_event);
+            let sum: f64 = shares.iter().sum();
+            for (disc, share) in self.distant.iter().zip(&shares).filter(|(d, _)| d.contains(towards)) {
+                let chosen = if next_event { share / sum * density_of_disc(disc, towards) } else { 0.0 };
+                let weight = match density > 0.0 {
+                    true => 1.0 / (1.0 + (chosen / density).powi(2)),
+                    false => 0.0,
+                };
+                light += weight * DVec3::from(disc.radiance());
+            }
+        }
+        light
+    }
+
+    /// How much each disc and each point may send to a place, all channels together. Without next event estimation those that no bounce
+    /// can meet are left.
+    fn shares(&self, origin: Vec3A, normal: Vec3A, next_event: bool) -> Vec<f64> {
+        let normal = normal.as_dvec3();
+        let disc = |d: &Distant| {
+            let most = (normal.dot(d.direction) + d.radius.sin()).clamp(0.0, 1.0);
+            let counts = next_event || d.radius == 0.0;
+            if counts { most * d.irradiance.iter().sum::<f64>() } else { 0.0 }
+        };
+        let point = |p: &Point| {
+            let path = (p.at - origin).as_dvec3();
+            let distance = path.length();
+            let arrives = path.dot(normal).max(0.0) / distance.powi(3).max(f64::MIN_POSITIVE);
+            let towards = p.distribution.towards(-path / distance.max(f64::MIN_POSITIVE));
+            p.intensity.element_sum() * towards * arrives / (self.scale * self.scale)
+        };
+        self.distant.iter().map(disc).chain(self.points.iter().map(point)).collect()
+    }
+
+    /// A disc or a point that may send light to a place, chosen by how much; `None` where none can.
+    pub(super) fn look(
+        &self,
+        origin: Vec3A,
+        normal: Vec3A,
+        next_event: bool,
+        samples: &mut Samples,
+    ) -> Option<Look> {
+        if self.distant.is_empty() && self.points.is_empty() {
+            return None;
+        }
+        let shares = self.shares(origin, normal, next_event);
+        let sum: f64 = shares.iter().sum();
+        if !(sum > 0.0 && sum.is_finite()) {
+            return None;
+        }
+        let (x, y) = samples.fine_square();
+        let (mut rest, mut k) = (x * sum, 0);
+        while k + 1 < shares.len() && (rest >= shares[k] || shares[k] == 0.0) {
+            rest -= shares[k];
+            k += 1;
+        }
+        let probability = shares[k] / sum;
+        if probability == 0.0 {
+            return None;
+        }
+        let Some(disc) = self.distant.get(k) else {
+            let point = &self.points[k - self.distant.len()];
+            let path = origin - point.at;
+            let squared = f64::from(path.length_squared());
+            let towards = point.distribution.towards((path / squared.sqrt() as f32).as_dvec3().normalize());
+            return Some(Look {
+                target: point.at + path.normalize_or_zero() * MOUNTED,
+                light: point.intensity * (towards / (squared * self.scale * self.scale * probability)),
+                density: f64::INFINITY,
+            });
+        };
+        let rest = (rest / shares[k]).clamp(0.0, 1.0);
+        let direction = in_disc(disc, [rest, y.into()]);
+        let target = origin + direction.as_vec3a() * FAR_AWAY;
+        Some(if disc.radius == 0.0 {
+            Look { target, light: DVec3::from(disc.irradiance) / probability, density: f64::INFINITY }
+        } else {
+            let density = probability * density_of_disc(disc, direction);
+            Look { target, light: DVec3::from(disc.radiance()) / density, density }
+        })
+    }
+
+    /// A particle of light, chosen by power with the number `u`.
+    pub(super) fn emit(&self, u: f64, samples: &mut Samples) -> Ray {
+        let end = self.power();
+        let k = self.powers.partition_point(|&p| p <= u * end).min(self.powers.len() - 1);
+        let below = if k > 0 { self.powers[k - 1] } else { 0.0 };
+        let probability = (self.powers[k] - below) / end;
+        let at = samples.square().map(f64::from);
+        if k > self.distant.len() {
+            let point = &self.points[k - 1 - self.distant.len()];
+            let (direction, density) = of_point(&point.distribution, at);
+            let flux = point.intensity * (point.distribution.towards(direction) / (density * probability));
+            return Ray { origin: point.at, direction: direction.as_vec3a(), flux };
+        }
+        let (towards, light) = match k.checked_sub(1) {
+            None => {
+                let sky = self.sky.as_ref().expect("the sky has power");
+                let (direction, density) = of_sky(sky, at);
+                (direction, DVec3::from(sky.radiance(direction)) / density)
+            }
+            Some(k) => {
+                let disc = &self.distant[k];
+                let direction = in_disc(disc, at);
+                // Radiance over density: what it brings to a plane that faces this very direction.
+                (direction, DVec3::from(disc.irradiance) / direction.dot(disc.direction))
+            }
+        };
+        let origin = self.entry(towards, samples);
+        let flux = light * (self.shadow(towards) / probability);
+        Ray { origin, direction: -towards.as_vec3a(), flux }
+    }
+
+    /// A point before the box, evenly over its shadow in a direction.
+    fn entry(&self, towards: DVec3, samples: &mut Samples) -> Vec3A {
+        let faces = self.faces(towards);
+        let [x, y] = samples.square();
+        let mut rest = f64::from(x) * faces.iter().sum::<f64>();
+        let mut axis = 0;
+        while axis < 2 && (rest >= faces[axis] || faces[axis] == 0.0) {
+            rest -= faces[axis];
+            axis += 1;
+        }
+        let x = (rest / faces[axis].max(f64::MIN_POSITIVE)).clamp(0.0, 1.0) as f32;
+        let [low, high] = self.bounds;
+        let mut point = low;
+        let along = |axis: usize, share: f32| low[axis] + (high[axis] - low[axis]) * share;
+        let (first, second) = ((axis + 1) % 3, (axis + 2) % 3);
+        point[first] = along(first, x);
+        point[second] = along(second, y);
+        point[axis] = if towards[axis] > 0.0 { high[axis] } else { low[axis] };
+        point + towards.as_vec3a()
+    }
+}
+
+/// A direction into a disc: evenly over its projection onto the plane that it faces.
+fn in_disc(disc: &Distant, [u, v]: [f64; 2]) -> DVec3 {
+    let sin = disc.radius.sin() * u.sqrt();
+    let (y, x) = (TAU * v).sin_cos();
+    let (a, b) = disc.direction.any_orthonormal_pair();
+    (a * x + b * y) * sin + disc.direction * (1.0 - sin * sin).sqrt()
+}
+
+/// The density of [`in_disc`] over solid angle.
+fn density_of_disc(disc: &Distant, direction: DVec3) -> f64 {
+    direction.dot(disc.direction).max(0.0) / (PI * disc.radius.sin().powi(2))
+}
+
+/// A direction into the sky, and its density: evenly over the half of the sphere above the horizon.
+fn of_sky(sky: &Sky, [u, v]: [f64; 2]) -> (DVec3, f64) {
+    (sky.up().direction(TAU * u, v.asin()), 1.0 / TAU)
+}
+
+/// A direction from a point, and its density: evenly over its cone, or over the sphere.
+fn of_point(distribution: &Distribution, [u, v]: [f64; 2]) -> (DVec3, f64) {
+    let (axis, outer) = match distribution {
+        Distribution::Spot { axis, outer, .. } => (*axis, *outer),
+        Distribution::Isotropic => (DVec3::Z, -1.0),
+    };
+    let cos = 1.0 - u * (1.0 - outer);
+    let sin = (1.0 - cos * cos).max(0.0).sqrt();
+    let (y, x) = (TAU * v).sin_cos();
+    let (a, b) = axis.any_orthonormal_pair();
+    ((a * x + b * y) * sin + axis * cos, 1.0 / (TAU * (1.0 - outer)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{
+        Material,
+        light::{Light, SkyModel, Up},
+    };
+    use glam::dvec3;
+
+    fn boxed(lights: Vec<LightKind>, sky: Option<Sky>) -> (Scene, Tracer) {
+        let corners = [dvec3(0.0, 0.0, 0.0), dvec3(3.0, 0.0, 0.0), dvec3(0.0, 2.0, 1.0)];
+        let mut scene = Scene::new(&[(corners, 0)], vec![Material::new("m", [0.5; 3], [0.0; 3])]);
+        scene.lights.list = lights.into_iter().map(|kind| Light::new("", kind)).collect();
+        scene.lights.sky = sky;
+        let tracer = Tracer::new(&scene);
+        (scene, tracer)
+    }
+
+    /// The mean flux of particles is the power that goes into the box, and all of them go into it; discs and sky as the box's shadow is
+    /// large, points by their intensity.
+    #[test]
+    fn particles_carry_the_power_that_goes_into_the_box() {
+        let sun = Distant::new(dvec3(0.3, 0.5, 1.0), [2.0; 3], 0.5);
+        let spot = PointLight::new(dvec3(1.0, 1.0, 2.0), [3.0; 3], Distribution::spot(-DVec3::Z, 0.2, 0.6));
+        let sky = Sky::with_irradiance(SkyModel::Overcast, Up::Z, [4.0; 3]);
+        for (lights, sky) in [
+            (vec![LightKind::Distant(sun)], None),
+            (vec![LightKind::Point(spot.clone())], None),
+            (vec![], Some(sky.clone())),
+            (vec![LightKind::Distant(sun), LightKind::Point(spot)], Some(sky)),
+        ] {
+            let (scene, tracer) = boxed(lights, sky);
+            let outside = Outside::new(&scene, &tracer);
+            let many = 1 << 14;
+            let mut flux = 0.0;
+            for k in 0..many {
+                let mut samples = Samples::new(k, 7);
+                let u = f64::from(samples.number());
+                flux += outside.emit(u, &mut samples).flux.x / f64::from(many);
+            }
+            let wanted = outside.power() / 3.0;
+            assert!((flux / wanted - 1.0).abs() < 0.03, "{flux} for {wanted}");
+        }
+    }
+}

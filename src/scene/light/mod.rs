@@ -1,0 +1,165 @@
+//! Lights that are no surfaces: sun, sky, points, spots and luminaires.
+//!
+//! They belong to the scene and are known by what arrives from them: a [`Distant`] light by the irradiance on a plane that faces it, a
+//! [`PointLight`] by its intensity in every direction, a [`Sky`] by its radiance in every direction. Positions are in the unit of the
+//! file, directions point from the scene to the light.
+
+mod cie;
+mod distant;
+mod point;
+mod sky;
+
+use glam::DVec3;
+
+pub use distant::{Distant, SUN_DIAMETER};
+pub use point::{Distribution, PointLight};
+pub use sky::{Sky, SkyModel};
+
+/// Which axis points up: the frame of azimuths and altitudes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Up {
+    /// y is up, north is −z, east is +x.
+    #[default]
+    Y,
+    /// z is up, north is +y, east is +x.
+    Z,
+}
+
+impl Up {
+    /// A direction given by its parts towards east, north and up.
+    pub fn to_scene(self, [east, north, up]: [f64; 3]) -> DVec3 {
+        match self {
+            Up::Y => DVec3::new(east, up, -north),
+            Up::Z => DVec3::new(east, north, up),
+        }
+    }
+
+    /// The parts of a direction towards east, north and up.
+    pub fn of_scene(self, direction: DVec3) -> [f64; 3] {
+        match self {
+            Up::Y => [direction.x, -direction.z, direction.y],
+            Up::Z => direction.to_array(),
+        }
+    }
+
+    /// The unit vector at this azimuth, in radians clockwise from north as seen from above, and this altitude above the horizon.
+    pub fn direction(self, azimuth: f64, altitude: f64) -> DVec3 {
+        let (sin, cos) = azimuth.sin_cos();
+        let level = altitude.cos();
+        self.to_scene([sin * level, cos * level, altitude.sin()])
+    }
+}
+
+/// A light with its name.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Light {
+    /// For messages and to choose it by; names need not be unique.
+    pub name: String,
+    /// What it is.
+    pub kind: LightKind,
+}
+
+impl Light {
+    /// A light of this name.
+    pub fn new(name: &str, kind: LightKind) -> Light {
+        Light { name: name.into(), kind }
+    }
+}
+
+/// The kinds of lights that are seen in one direction from any place.
+#[derive(Debug, Clone, PartialEq)]
+pub enum LightKind {
+    /// So far away that its direction is the same everywhere.
+    Distant(Distant),
+    /// At a point of the scene.
+    Point(PointLight),
+}
+
+impl LightKind {
+    /// Its colour: irradiance on a plane that faces it, or intensity.
+    pub fn colour(&self) -> [f64; 3] {
+        match self {
+            LightKind::Distant(distant) => distant.irradiance,
+            LightKind::Point(point) => point.intensity,
+        }
+    }
+}
+
+/// The name of the sky among [`Lights::names`].
+pub const SKY: &str = "sky";
+
+/// All lights of a scene that are no surfaces.
+#[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
+pub struct Lights {
+    /// Distant lights and lights at points.
+    pub list: Vec<Light>,
+    /// The sky.
+    pub sky: Option<Sky>,
+}
+
+impl Lights {
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.list.is_empty() && self.sky.is_none()
+    }
+
+    /// The names of all of them; that of the sky is [`SKY`].
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.list.iter().map(|light| &light.name[..]).chain(self.sky.as_ref().map(|_| SKY))
+    }
+
+    /// Keeps only those with these names.
+    pub fn retain(&mut self, keep: impl Fn(&str) -> bool) {
+        self.list.retain(|light| keep(&light.name));
+        self.sky = self.sky.take().filter(|_| keep(SKY));
+    }
+
+    /// The radiance, R G B, that is seen in a direction of any length: of the sky and of distant discs.
+    pub fn seen(&self, direction: DVec3) -> [f64; 3] {
+        let Some(direction) = crate::scene::direction(direction) else { return [0.0; 3] };
+        let mut seen = self.sky.as_ref().map_or(DVec3::ZERO, |sky| sky.radiance(direction).into());
+        for light in &self.list {
+            match &light.kind {
+                LightKind::Distant(distant) if distant.contains(direction) => {
+                    seen += DVec3::from(distant.radiance());
+                }
+                _ => {}
+            }
+        }
+        seen.to_array()
+    }
+
+    /// Whether all of them send as much in each channel.
+    pub fn is_grey(&self) -> bool {
+        let grey = |c: [f64; 3]| c[0] == c[1] && c[1] == c[2];
+        self.list.iter().all(|light| grey(light.kind.colour())) && self.sky.as_ref().is_none_or(Sky::is_grey)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+
+    /// Azimuths run clockwise from north as seen from above: the sun of a northern noon is in the south, in the morning in the east.
+    #[test]
+    fn azimuths_run_from_north_over_east() {
+        for (up, north, east, zenith) in
+            [(Up::Y, -DVec3::Z, DVec3::X, DVec3::Y), (Up::Z, DVec3::Y, DVec3::X, DVec3::Z)]
+        {
+            let close = |a: DVec3, b: DVec3| assert!((a - b).length() < 1e-15, "{a} {b}");
+            close(up.direction(0.0, 0.0), north);
+            close(up.direction(FRAC_PI_2, 0.0), east);
+            close(up.direction(2.0 * FRAC_PI_2, 0.0), -north);
+            close(up.direction(3.0 * FRAC_PI_2, 0.0), -east);
+            close(up.direction(1.0, FRAC_PI_2), zenith);
+            close(up.direction(FRAC_PI_2, FRAC_PI_4), (east + zenith) * 0.5f64.sqrt());
+            // Seen from above, east is a quarter turn clockwise from north.
+            close(north.cross(zenith), east);
+            let direction = up.direction(0.7, 0.4);
+            close(up.to_scene(up.of_scene(direction)), direction);
+        }
+    }
+}

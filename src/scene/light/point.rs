@@ -1,0 +1,107 @@
+//! Lights at a point.
+
+use glam::DVec3;
+
+/// How the intensity of a light at a point depends on the direction.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Distribution {
+    /// Alike in all directions.
+    Isotropic,
+    /// A cone about `axis`, a unit vector: full intensity within the inner angle, none beyond the outer angle, and between them the
+    /// square of a ramp linear in the cosine, as in the glTF extension KHR_lights_punctual.
+    Spot {
+        /// Where it shines.
+        axis: DVec3,
+        /// Cosine of the angle to the edge of the full intensity.
+        inner: f64,
+        /// Cosine of the angle to the edge of the cone.
+        outer: f64,
+    },
+}
+
+/// A light at a point.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct PointLight {
+    /// Where it is, in the unit of the file.
+    pub position: DVec3,
+    /// Its intensity, R G B, W/sr, where its distribution is 1.
+    pub intensity: [f64; 3],
+    /// How that depends on the direction.
+    pub distribution: Distribution,
+}
+
+/// Least difference of the cosines of a cone's edges, as glTF has it.
+const LEAST_RAMP: f64 = 1e-3;
+
+impl Distribution {
+    /// A cone about an axis, with its half angles in radians.
+    ///
+    /// # Panics
+    /// When the axis has no length.
+    pub fn spot(axis: DVec3, inner: f64, outer: f64) -> Distribution {
+        let axis = crate::scene::direction(axis).expect("an axis has a length");
+        Distribution::Spot { axis, inner: inner.cos(), outer: outer.cos() }
+    }
+
+    /// Intensity in a direction, a unit vector from the light on, relative to the light's.
+    pub fn towards(&self, direction: DVec3) -> f64 {
+        match self {
+            Distribution::Isotropic => 1.0,
+            Distribution::Spot { axis, inner, outer } => {
+                let ramp = (inner - outer).max(LEAST_RAMP);
+                ((axis.dot(direction) - outer) / ramp).clamp(0.0, 1.0).powi(2)
+            }
+        }
+    }
+
+    /// The integral over all directions, sr.
+    pub fn total(&self) -> f64 {
+        match self {
+            Distribution::Isotropic => 4.0 * std::f64::consts::PI,
+            Distribution::Spot { inner, outer, .. } => {
+                // A third of the ramp's width counts.
+                let ramp = (inner - outer).max(LEAST_RAMP);
+                let full = (1.0 - outer - ramp).max(0.0);
+                let of_ramp = ramp.min(1.0 - outer);
+                std::f64::consts::TAU * (full + of_ramp.powi(3) / (3.0 * ramp * ramp))
+            }
+        }
+    }
+}
+
+impl PointLight {
+    /// A light that shines alike in all directions.
+    pub fn isotropic(position: DVec3, intensity: [f64; 3]) -> PointLight {
+        PointLight { position, intensity, distribution: Distribution::Isotropic }
+    }
+
+    /// A light with this distribution.
+    pub fn new(position: DVec3, intensity: [f64; 3], distribution: Distribution) -> PointLight {
+        PointLight { position, intensity, distribution }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The ramp of glTF: attenuation = clamp((cos θ - cos outer) / (cos inner - cos outer))²; and its integral.
+    #[test]
+    fn the_cone_of_gltf() {
+        for (inner, outer) in [(0.0, 0.8), (0.3, 0.5), (0.5, 0.5), (0.0, 0.01)] {
+            let spot = Distribution::spot(DVec3::new(0.0, -3.0, 0.0), inner, outer);
+            let at = |angle: f64| spot.towards(DVec3::new(angle.sin(), -angle.cos(), 0.0));
+            let ramp = (f64::cos(inner) - f64::cos(outer)).max(1e-3);
+            for angle in [0.0, 0.2, 0.4, 0.499, 0.6, 0.9, 2.0] {
+                let wanted = ((f64::cos(angle) - f64::cos(outer)) / ramp).clamp(0.0, 1.0).powi(2);
+                assert!((at(angle) - wanted).abs() < 1e-12);
+            }
+            let many = 200_000;
+            let cos = |k: i32| 1.0 - 2.0 * (f64::from(k) + 0.5) / f64::from(many);
+            let sum: f64 = (0..many).map(|k| at(cos(k).acos())).sum();
+            let wanted = sum * 4.0 * std::f64::consts::PI / f64::from(many);
+            assert!((spot.total() - wanted).abs() < 1e-4, "{inner} {outer}: {} {wanted}", spot.total());
+        }
+    }
+}
