@@ -12,7 +12,6 @@ use super::{
     Constants,
     footprint::{Footprint, is_hidden, kernel},
     remote::Remote,
-    shadow::mean,
     solid_angle,
     tree::Tree,
     unoccluded::{Facing, form_factor},
@@ -104,6 +103,11 @@ pub(super) enum Choice<'a> {
 
 /// A tree, and the patch that asks: its middle, radius and normal.
 pub(super) type Walk<'a> = (&'a Tree, (glam::DVec3, f64, glam::DVec3));
+
+/// The mean of some patches' light.
+fn mean<const C: usize>(values: &[[f64; C]]) -> [f64; C] {
+    std::array::from_fn(|c| values.iter().map(|v| v[c]).sum::<f64>() / values.len() as f64)
+}
 
 /// Running sums.
 fn cumulated(values: impl Iterator<Item = f64>) -> Vec<f64> {

@@ -268,11 +268,6 @@ impl ShadowRays {
     }
 }
 
-/// The mean of some patches' light.
-pub(super) fn mean<const C: usize>(values: &[[f64; C]]) -> [f64; C] {
-    std::array::from_fn(|c| values.iter().map(|v| v[c]).sum::<f64>() / values.len() as f64)
-}
-
 /// Casts the shadow rays of a patch with these indices, and calls `found` with each, in the order in which they end; those whose
 /// points do not face each other are left out.
 fn cast(
