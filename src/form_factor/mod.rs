@@ -30,7 +30,7 @@ use sprs::CsMatI;
 
 use crate::{
     Progress, Result,
-    direct::{DirectLight, Keep, Lamps, ShadowRay, ShadowRays},
+    direct::{Keep, Lamps, ShadowRay, ShadowRays},
     patch::Patches,
     scene::Scene,
     trace::{Tracer, sampling::mix},
@@ -45,7 +45,10 @@ use symmetric::Symmetric;
 
 pub use crate::exact;
 pub(crate) use crate::{
-    direct::footprint::{is_hidden, kernel},
+    direct::{
+        DirectLight,
+        footprint::{is_hidden, kernel},
+    },
     parallel::{SHORT, magnitude, ordered_sum, together},
 };
 pub use checkpoint::Checkpoint;

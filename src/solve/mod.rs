@@ -20,8 +20,7 @@ use std::borrow::Cow;
 
 use crate::{
     Error, Progress, Result, Setting,
-    direct::DirectLight,
-    form_factor::{Estimator, FormFactors, together},
+    form_factor::{DirectLight, Estimator, FormFactors, together},
     patch::Patches,
 };
 use stochastic_jacobi::StochasticSolution;
