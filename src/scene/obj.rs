@@ -58,7 +58,7 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let (models, definitions) = parse(path, &scan, &libraries)?;
     scan.text = String::new();
 
-    // A reflectance from outside counts before colours, which are pictures of a surface rather than figures of it.
+    // The reflectance of an option takes precedence over colours, which are rather pictures than measured values.
     let coloured = options.reflectance.is_none() && !scan.colours.is_empty();
     let mut assembly = Assembly {
         path,
@@ -97,7 +97,7 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
 }
 
 fn parse(path: &Path, scan: &Scan, libraries: &Libraries) -> Result<(Vec<tobj::Model>, Vec<tobj::Material>)> {
-    // One library under one name: which files there are is `Libraries`' business.
+    // tobj gets all libraries as one text. `Libraries` finds the files.
     let text = format!("mtllib all\n{}", scan.text);
     let failed = |e: tobj::LoadError| Error::input(path, None, format!("not understood: {e}"));
     let (models, materials) = tobj::load_obj_buf(&mut text.as_bytes(), &tobj::LoadOptions::default(), |_| {
@@ -117,14 +117,14 @@ struct Assembly<'a> {
     path: &'a Path,
     materials: Materials,
     builder: SceneBuilder,
-    /// Where vertices have colours.
+    /// Colours of the corners, if vertices have colours.
     scan: Option<&'a Scan>,
-    /// Those of each triangle's corners.
+    /// Colours of each triangle's corners.
     colours: Vec<[[f32; 3]; 3]>,
 }
 
 impl Assembly<'_> {
-    /// Adds the polygons of all models, which come in file order: `faces` runs parallel to them.
+    /// Adds the polygons of all models. They come in file order, as `faces` does.
     fn add(
         &mut self,
         models: &[tobj::Model],
@@ -164,7 +164,7 @@ impl Assembly<'_> {
         Ok(())
     }
 
-    /// The colours of a face's vertices, where all have one.
+    /// The colours of a face's vertices, if all have one.
     fn colours_of(&self, face: &Face, arity: usize) -> Option<Vec<[f32; 3]>> {
         let scan = self.scan?;
         scan.corners[face.corners..][..arity].iter().map(|&v| scan.colours[v as usize]).collect()

@@ -131,8 +131,8 @@ fn concentric_spheres() {
     }
 }
 
-/// Crossed strings give 1/4 for endless strips. Of length L they lose to both ends no more than strips without the
-/// blocker do, whose loss the formula for rectangles tells.
+/// Crossed strings give 1/4 for endless strips. Strips of length L lose at their ends at most as much as strips without the
+/// blocker, and that loss follows from the formula for rectangles.
 #[test]
 fn long_strips_with_a_blocker() {
     const LENGTH: usize = 60;
@@ -157,7 +157,7 @@ fn hemisphere_on_its_base() {
     let (dome, base) = (zone(0.0, FRAC_PI_2, 6, 24), disk(24, 1.0, 0.0, true));
     let slack = (area(&base) / area(&dome) - 0.5).abs();
     assert!(slack < 0.01, "{slack}");
-    // The rim of the dome lies at cos(π/2) = 6e-17 and not at 0: no gap that single precision could tell.
+    // The rim of the dome lies at cos(π/2) = 6e-17 instead of 0, a gap that single precision does not resolve.
     let parts = [black(dome), black(base)];
     for estimator in BOTH {
         let closed = cast_whole(&parts, 4096.0, estimator, 11);

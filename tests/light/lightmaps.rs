@@ -74,7 +74,7 @@ impl Solved {
         for (&(t, at), truth) in places.iter().zip(&truth) {
             let found = map.at(t, at).unwrap()[0];
             let (e, se) = (truth.mean[0], truth.standard_error[0]);
-            // Nothing arrives inside solids, and what the map shows there comes from neighbours.
+            // No light arrives inside solids. There the map shows values of neighbours.
             if e > 0.0 {
                 sums.add(found - e, se, e);
             }
@@ -168,7 +168,7 @@ fn assert_shows_the_light(s: &Solved, side: usize, rms: f64) {
     assert_seams_are_closed(&map);
 }
 
-/// The two sides of seams agree better than the map is known.
+/// The difference across seams is smaller than the error of the map.
 #[track_caller]
 fn assert_seams_are_closed(map: &Lightmap) {
     let (samples, [before, after]) = map.seams();
@@ -204,8 +204,8 @@ fn an_occluded_room_is_lit_as_paths_light_it() {
 
 #[test]
 fn more_texels_show_the_light_better() {
-    // What is left beside noise is what texels are too large for. Shadows' edges cross a share of the texels that falls
-    // with their size, and each is off by no less: the error falls with the root of the size at least.
+    // The error besides noise is due to the size of texels. The share of texels on shadow edges falls with their size, and the
+    // error of each stays the same. So the error falls at least with the square root of the size.
     let s = solved(crate::common::load("cornell-box"), 4000, 128.0);
     let [coarse, fine] = [64, 256].map(|side| s.against_paths(&finished(&s, side), 300, 512).rms());
     assert!(fine < 0.5 * coarse, "{fine} with 256 texels, {coarse} with 64");
@@ -365,7 +365,7 @@ fn the_floor_under_a_block_is_hidden_and_not_black() {
     }
 }
 
-/// Next to nothing but the inside of the shell is seen from there; what is, is not all that counts.
+/// From there almost only the inside of the shell is visible, but the rest counts too.
 #[test]
 fn the_floor_under_a_shell_with_a_gap_is_lit_as_paths_light_it() {
     let faces = room_faces(dvec3(-0.5, -0.5, -0.9), dvec3(0.5, 0.5, 0.1));
@@ -384,7 +384,7 @@ fn the_floor_under_a_shell_with_a_gap_is_lit_as_paths_light_it() {
     let compared = s.at_places(&map, &places, 256);
     let (bias, error) = compared.bias();
     println!("{bias:.3} +- {error:.3}");
-    // Patches have edges of a tenth of the shell's: those that reach under it carry light as far.
+    // Patches have edges of a tenth of the shell's. Patches that reach under the shell carry light that far.
     assert!(bias.abs() <= 4.0 * error + 0.1, "{bias} +- {error}");
 }
 
@@ -527,7 +527,7 @@ fn long_charts_are_split_and_leave_the_rest_its_texels() {
         let flux = map.flux();
         assert_eq!(flux.unmapped, [0.0; 3]);
         assert!((flux.map[0] / flux.solver[0] - 1.0).abs() < 1e-6, "{flux:?}");
-        // And each point of the strip is found where it lies; patches of half a metre would be too coarse to tell.
+        // Each point of the strip has its own texel. Patches of half a metre would be too coarse for this test.
         let gathered = s.bake(layout, &BakeOptions::default().with_final_gather(64));
         let compared = s.at_places(&gathered, &[(0, [0.45, 0.1, 0.45]), (1, [0.3, 0.4, 0.3])], 4096);
         // 0.3 % was found.

@@ -167,8 +167,8 @@ fn backs_that_are_seen() {
     assert_eq!([0, 1].map(|i| stage.patches.back_of(i)), [None; 2]);
 }
 
-/// A triangle that faces away from everything and that nothing sees has an empty row: what leaves it escapes, and the
-/// light of the others is what it is without it.
+/// A triangle that faces away from all others and that none of them sees has an empty row. Its light escapes, and the light of
+/// the others does not depend on it.
 #[test]
 fn a_patch_that_sees_nothing_loses_everything() {
     let lit = |lonely: bool| {

@@ -29,7 +29,7 @@ fn bars(cast: &Cast, solution: &Solution) -> Vec<f64> {
     ErrorBars::of(&cast.form_factors, &cast.patches, solution).unwrap().standard_error
 }
 
-/// B = 1 up to the solver's certified bound and to what rows that do not sum to 1 add with every bounce; the rounding
+/// B = 1 up to the certified bound of the solver and the error that row sums other than 1 add with every bounce. The rounding
 /// of the sums is 1e-15 of some hundred terms.
 #[track_caller]
 fn assert_furnace(f: &FormFactors, solution: &Solution, most: f64, slack: f64) {
@@ -48,8 +48,8 @@ fn the_furnace_is_evenly_bright() {
     assert_furnace(&room.form_factors, &solution, 0.5, 1e-15);
 }
 
-/// In any closed scene, with any reflectances, occluders and textures, where each patch emits what it absorbs. One-way
-/// rows sum to one as well.
+/// Closed scenes with any reflectances, occluders and textures, in which each patch emits as much as it absorbs. One-way rows
+/// sum to one as well.
 #[test]
 fn what_emits_as_it_absorbs_is_white() {
     for name in ["furnace", "door-ajar", "textured"] {
@@ -175,9 +175,8 @@ fn the_inside_of_a_sphere() {
     assert!(fine > 1.5 && fine > coarse, "orders {coarse}, {fine} of {deviations:?}");
 }
 
-/// The true numbers, by rays, on zones that follow the pattern. The mean irradiance misses the sphere's by what the
-/// areas of emitter and sphere lack, O(h²): halving h takes the deviation to a quarter. Conservation leaves little
-/// for chance in it.
+/// Form factors by rays on zones that follow the pattern. The mean irradiance differs from that of the sphere, because facets
+/// have smaller areas, by O(h²): half of h gives a quarter of the deviation. Energy conservation leaves little noise in it.
 #[test]
 fn a_tessellated_sphere_converges_to_the_true_one() {
     let truth = 0.1339745962;
@@ -211,10 +210,10 @@ fn a_tessellated_sphere_converges_to_the_true_one() {
     assert!((extrapolated - truth).abs() <= T15 * error + off[2] / 4.0, "{extrapolated} instead of {truth}");
 }
 
-/// Two similar polyhedra have the form factors of the spheres, whatever their facets: means over both are the truth
-/// but for chance, which error bars tell to first order. To second order a patch of the outer sphere that by chance sees
-/// more of the inner one is brighter, and is seen more by it in turn. With dE = (B1 - B2) dF21, which has the patch's
-/// standard error, light on the inner sphere gains ρ2 mean(dE dF21) / F21 on average; twice that is allowed.
+/// Two similar polyhedra have the form factors of spheres for any number of facets. So means over both have sampling errors
+/// only, which error bars describe to first order. To second order there is a bias: a patch of the outer sphere that by
+/// chance sees more of the inner one is brighter, and the inner one sees it more. With dE = (B1 - B2) dF21, which has the
+/// standard error of the patch, light on the inner sphere gains ρ2 mean(dE dF21) / F21 on average. Twice that is allowed.
 #[test]
 fn concentric_spheres() {
     let (truth, rho) = ([1.08910891, 0.29702970], [0.3, 0.6]);
@@ -308,7 +307,7 @@ fn the_ledger_splits_exactly() {
         match estimator {
             // Closed to 1e-13, times the radiosity of each bounce: ten at most here.
             Estimator::Pooled => assert!(reciprocity <= 1e-11, "{name}: {reciprocity:e}"),
-            // Sums to one, yet loses or makes light: the furnace's even light cannot tell.
+            // Rows sum to one, yet light is lost or made. The even light of a furnace does not show this.
             Estimator::OneWay => assert!(name == "furnace" || reciprocity > 1e-5, "{name}: {reciprocity:e}"),
         }
     }

@@ -1,4 +1,4 @@
-//! The value of `map_Kd` and `map_Ke`: options, then a file name that may contain blanks. tobj leaves it one string.
+//! The value of `map_Kd` and `map_Ke`: options, then a file name that may contain blanks. tobj returns it as one string.
 
 use crate::scene::text::split_keyword;
 
@@ -48,7 +48,7 @@ pub(super) fn parse(value: &str) -> MapLine {
     }
 }
 
-/// Up to three numbers, of which the first two count; the last word is the file, even when it is a number.
+/// Up to three numbers, of which the first two are used. The last word is the file, even if it is a number.
 fn numbers<'a>(mut rest: &'a str, values: &mut [f64; 2]) -> &'a str {
     for i in 0..3 {
         let (word, tail) = split_keyword(rest);

@@ -14,7 +14,7 @@ use crate::scene::{
     warnings::Warnings,
 };
 
-/// Makes the materials that faces use, each once, in the order of their first use.
+/// Makes each material that faces use once, in the order of their first use.
 pub(super) struct Materials {
     pub(super) options: LoadOptions,
     pub(super) materials: Vec<Material>,
@@ -24,11 +24,11 @@ pub(super) struct Materials {
     pub(super) files: Vec<PathBuf>,
     /// Names of textures that could not be read.
     pub(super) missing: Vec<String>,
-    /// By tobj's index, whether textures apply, and whether vertices have colours.
+    /// Materials by the index of tobj, whether textures apply, and whether vertices have colours.
     made: HashMap<(Option<usize>, bool, bool), u32>,
     read: HashMap<PathBuf, Option<usize>>,
     absent: HashSet<(PathBuf, String)>,
-    /// Textures with holes, by file and by whether whiteness tells where.
+    /// Textures with holes, by file and by whether black texels are the holes.
     masks: HashMap<(PathBuf, bool), Option<usize>>,
 }
 
@@ -48,7 +48,7 @@ impl Materials {
         }
     }
 
-    /// The index of the material `id` for a face that has texture coordinates or not, and colours at its vertices or not.
+    /// The index of the material `id` for a face with or without texture coordinates, and with or without vertex colours.
     pub(super) fn index(
         &mut self,
         id: Option<usize>,
@@ -163,7 +163,7 @@ impl Materials {
         None
     }
 
-    /// The index of a texture with holes; `whiteness` tells where they are if its alpha does not.
+    /// The index of a texture with holes. With `whiteness`, black texels are holes if its alpha has none.
     fn mask(&mut self, path: &Path, whiteness: bool) -> Option<usize> {
         let path = path.canonicalize().unwrap_or(path.to_owned());
         *self.masks.entry((path.clone(), whiteness)).or_insert_with(|| {
@@ -199,7 +199,7 @@ impl Materials {
         Some(TextureMap { texture, scale, offset, clamp: line.clamp })
     }
 
-    /// The index of a texture that may have been read before. A texture that is missing or damaged gives one warning.
+    /// The index of a texture, which is read once. A texture that is missing or damaged causes one warning.
     fn texture(
         &mut self,
         name: &str,
@@ -257,26 +257,26 @@ impl Materials {
     }
 }
 
-/// Illumination models of glass, of which nothing but the diffuse part counts.
+/// Illumination models of glass. Only the diffuse part of such materials is used.
 const GLASS: [u8; 4] = [4, 6, 7, 9];
 
-/// The specular part that a definition asks for.
+/// The specular part of a definition.
 struct Asked {
     part: Option<Specular>,
     /// A statement whose value was out of range, and the value.
     clamped: Option<(&'static str, f64)>,
 }
 
-/// Reads the specular part of a material. `Pr` and `Pm` come before `Ks` and `Ns`, which exporters that know both fill with
-/// conventions of their own. `illum` 3 and 8 are mirrors, 5 one that follows Fresnel's law, 0 and 1 have no highlights, and
-/// glass is left out. Without `illum`, `Ks` is a highlight as in `illum` 2.
+/// Reads the specular part of a material. `Pr` and `Pm` take precedence over `Ks` and `Ns`, because exporters that write both
+/// fill `Ks` and `Ns` with conventions of their own. `illum` 3 and 8 are mirrors, 5 is a mirror with a Fresnel term, 0 and 1
+/// have no highlights, and glass is left out. Without `illum`, `Ks` is a highlight as in `illum` 2.
 fn specular(definition: &tobj::Material) -> Asked {
     let mut clamped = None;
     let mut within = |statement: &'static str, value: f64, most: f64| {
         if !(0.0..=most).contains(&value) {
             clamped.get_or_insert((statement, value));
         }
-        // NaN is no more than nothing.
+        // NaN counts as nothing too.
         value.max(0.0).min(most)
     };
     let parameter = |key: &str| number(definition, key);

@@ -1,5 +1,5 @@
-//! The layer before tobj for material libraries. It rewrites or removes lines on which tobj panics (`Kd 0.5`), or for which
-//! it drops the whole library (`Kd spectral …`). It remembers the line of every statement.
+//! The layer before tobj for material libraries. tobj panics on some lines (`Kd 0.5`) and drops the whole library because of
+//! others (`Kd spectral …`). This layer rewrites or removes such lines, and remembers the line of every statement.
 
 use std::collections::{HashMap, HashSet};
 use std::fmt::Write as _;
@@ -10,19 +10,19 @@ use crate::scene::text::{self, find_as_named, find_file, split_keyword, without_
 use crate::scene::{LoadOptions, warnings::Warnings};
 use crate::{Error, Result};
 
-/// Statements under the spelling that tobj knows; exporters vary the case.
+/// Statements in the spelling that tobj knows. Exporters vary the case.
 const STATEMENTS: [&str; 24] = [
     "Kd", "Ke", "Ks", "d", "Tr", "Tf", "illum", "map_Kd", "map_Ke", "map_Ks", "map_d", "map_Tr", "map_Ns",
     "bump", "map_bump", "norm", "disp", "decal", "refl", "Pm", "Pc", "Ns", "Pr", "aniso",
 ];
 
-/// Where a material comes from. The list runs parallel to tobj's materials.
+/// The origin of a material. The list has the order of tobj's materials.
 pub(super) struct Origin {
     pub(super) file: PathBuf,
     lines: HashMap<&'static str, usize>,
-    /// A statement that cannot be read; an error only if a face uses the material.
+    /// A statement that cannot be read. It is an error only if a face uses the material.
     bad: Option<(usize, String)>,
-    /// Warnings about this material; they count only if a face uses it.
+    /// Warnings about this material. They appear only if a face uses it.
     pub(super) notes: Vec<String>,
     /// Whether a library defines it.
     pub(super) defined: bool,
@@ -53,7 +53,7 @@ impl Origin {
 /// All libraries of an OBJ file.
 #[derive(Default)]
 pub(super) struct Libraries {
-    /// One text for tobj.
+    /// The text of all libraries for tobj.
     pub(super) text: String,
     pub(super) origins: Vec<Origin>,
     pub(super) warnings: Warnings,
@@ -64,7 +64,7 @@ pub(super) struct Libraries {
     /// Reflectance of undefined materials, in words.
     default: String,
     names: HashSet<String>,
-    /// Whether the statements read now belong to a second definition, which does not count.
+    /// Whether the current statements belong to a second definition, which is ignored.
     skipping: bool,
 }
 
@@ -111,7 +111,7 @@ impl Libraries {
     }
 
     fn parse(&mut self, path: &Path, text: &str) {
-        // Statements before the first `newmtl` belong to nothing.
+        // Statements before the first `newmtl` belong to no material.
         self.skipping = true;
         for (number, line) in text::lines(text) {
             let (keyword, value) = split_keyword(&line);
@@ -203,8 +203,8 @@ fn colour(value: &str) -> std::result::Result<[f64; 3], Unread> {
     Ok(if xyz { rec709(c) } else { c })
 }
 
-/// CIE XYZ (D65) to linear Rec. 709. A colour on the rim of the gamut is snapped onto it, up to the digits that files
-/// give.
+/// CIE XYZ (D65) to linear Rec. 709. A colour that is outside the gamut by the rounding of the file's digits is moved onto its
+/// rim.
 fn rec709([x, y, z]: [f64; 3]) -> [f64; 3] {
     let rgb = [
         3.2404542 * x - 1.5371385 * y - 0.4985314 * z,

@@ -13,7 +13,7 @@ use crate::{Error, Result, tone};
 /// Name of a material without a name.
 pub(super) const UNNAMED: &str = "(unnamed)";
 
-/// A polygon; tobj returns it at the same index of its list.
+/// A polygon. tobj returns it at the same index of its list.
 pub(super) struct Face {
     pub(super) line: usize,
     /// Whether every corner has a texture coordinate.
@@ -26,7 +26,7 @@ pub(super) struct Face {
 
 /// An OBJ file, checked.
 pub(super) struct Scan {
-    /// For tobj: first all vertices, since faces may come before them in the file; then faces with absolute indices.
+    /// The text for tobj: first all vertices, since faces may come before them in the file, then faces with absolute indices.
     pub(super) text: String,
     /// The polygons of `text`, in order.
     pub(super) faces: Vec<Face>,
@@ -47,7 +47,7 @@ struct Scanner<'a> {
     path: &'a Path,
     positions: usize,
     texcoords: usize,
-    /// What the file calls the brightest colour; `None` where vertices have no colours.
+    /// The value of full brightness in the file's colours: 1 or 255. `None` if vertices have no colours.
     white: Option<f64>,
     total_positions: usize,
     total_texcoords: usize,
@@ -55,7 +55,7 @@ struct Scanner<'a> {
     face_text: String,
     material: Option<String>,
     part: Part,
-    /// Index of `part`, once a face needed it.
+    /// Index of `part`, if a face needed it.
     current: Option<u32>,
     known: HashMap<Part, u32>,
     skipped: Noted,
@@ -65,7 +65,7 @@ struct Scanner<'a> {
     scan: Scan,
 }
 
-/// How often something happened, and the line where it first did.
+/// The number of cases, and the line of the first case.
 #[derive(Default)]
 struct Noted {
     count: usize,
@@ -134,7 +134,7 @@ impl Scanner<'_> {
         Error::input(self.path, Some(line), message)
     }
 
-    /// x y z; the weight is for rational curves (OBJ specification, "Vertex data"). Colours are an extension.
+    /// Reads x y z. The weight is for rational curves (OBJ specification, "Vertex data"). Colours are an extension.
     fn position(&mut self, line: usize, rest: &str) -> Result<()> {
         let mut words = rest.split_whitespace();
         self.vertex_text.push('v');
@@ -202,7 +202,7 @@ impl Scanner<'_> {
         Ok(())
     }
 
-    /// The next faces belong to another object or group; to none if there is no name.
+    /// Begins another object or group. Without a name the next faces belong to none.
     fn belongs(&mut self, to: impl Fn(&mut Part) -> &mut Option<String>, name: &str) {
         *to(&mut self.part) = (!name.is_empty()).then(|| name.into());
         self.current = None;
@@ -278,8 +278,8 @@ impl Scanner<'_> {
     }
 }
 
-/// The colour that a vertex line holds: the last three of six numbers, or of seven, of which the fourth is the weight. None of
-/// another line, or of numbers that are none.
+/// The colour of a vertex line: the last three of six numbers, or of seven, of which the fourth is the weight. `None` for other
+/// lines and for words that are not numbers.
 fn colour(rest: &str) -> Option<[f64; 3]> {
     let mut words = rest.split_whitespace().skip(3);
     let mut numbers = [0.0; 4];
@@ -293,7 +293,7 @@ fn colour(rest: &str) -> Option<[f64; 3]> {
     }
 }
 
-/// The brightest colour of the vertices of a file: 1, or 255 where there are larger numbers. None where no vertex has a colour.
+/// The value of full brightness: 1, or 255 if a colour is larger than 1. `None` if no vertex has a colour.
 fn white(text: &str) -> Option<f64> {
     let lines = text::lines(text);
     let colours = lines.filter_map(|(_, line)| match split_keyword(&line) {
