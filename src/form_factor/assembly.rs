@@ -42,7 +42,7 @@ impl FormFactors {
         let closed = closure::close(&mut matrix, &areas, escaped, precision);
         let mut form_factors = FormFactors {
             left: closed.scale.iter().zip(&areas).map(|(d, a)| d / a).collect(),
-            escaped: closed.scale.iter().zip(escaped).map(|(d, e)| d * e).collect(),
+            escaped: closed.escaping.iter().zip(&areas).map(|(x, a)| x / a).collect(),
             right: closed.scale,
             stored: Stored::Symmetric(matrix),
             areas,

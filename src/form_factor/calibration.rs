@@ -20,6 +20,7 @@ use rayon::prelude::*;
 
 use super::{
     SHORT,
+    closure::LEAST_LANDING,
     pooling::{Buckets, Densities},
     rays::RaySet,
     symmetric::Symmetric,
@@ -40,8 +41,6 @@ const FURTHEST: f64 = 4.0;
 /// harm then, and what few rays say is believed less. RMS errors at 64 rays a patch with 1, 6, 12 and 24: 4.04, 4.00, 3.99 and
 /// 3.99 % on the Cornell box, 1.3, 1.23, 1.20 and 1.18 % on a block in the open, 2.69, 2.69, 2.69 and 2.72 % behind a door.
 pub(super) const RESISTANCE: f64 = 12.0;
-/// A row's sum shrinks to this share of itself at most: rays of others met a patch none of whose own rays met anything.
-const LEAST_LANDING: f64 = 1e-3;
 /// The least and greatest factor.
 const FACTORS: (f64, f64) = (0.05, 20.0);
 

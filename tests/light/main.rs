@@ -16,6 +16,7 @@ mod lambert;
 mod lightmaps;
 mod lights;
 mod matrix;
+mod openings;
 mod ply;
 mod presets;
 mod properties;
