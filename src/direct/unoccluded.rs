@@ -4,17 +4,12 @@ use glam::DVec3;
 
 use crate::exact::{lambert, polygon_form_factor};
 
-/// A patch is cut until it is smaller than this share of its distance to the lamp. The rule is then right to 10⁻⁶; its error
-/// goes with the sixth power of that.
+/// A patch that is larger than this share of its distance to the lamp is left to the closed form, which costs ten times as much. For
+/// smaller ones the rule is right to 10⁻⁶; its error goes with the sixth power of the share.
 const NEAR: f64 = 0.25;
 /// For one that is smaller than this share three points are as good; their error goes with the third power. A lamp that is
 /// smaller than this share is integrated by three points as well.
 const FAR: f64 = 0.03;
-/// A patch larger than this many times the distance is left to the closed form, which costs a hundred times as much.
-const TOUCHING: f64 = 2.0;
-/// Parts that touch the lamp stay as near to it, relative to their size, however often they are cut: after so many cuts they hold
-/// 4⁻¹² of the patch, and the rule will do.
-const MOST_CUTS: usize = 12;
 
 /// The points, as weights of the corners, and the weights of a rule for a triangle that is exact to the fifth degree (J. Radon,
 /// "Zur mechanischen Kubatur", Monatshefte für Mathematik 52, 1948).
@@ -53,7 +48,7 @@ pub(super) fn form_factor(patch: &Facing, lamp: &Facing) -> f64 {
     if in_front && size.max(longest(lamp.corners)) < FAR * gap {
         return between_points(patch, lamp);
     }
-    if size > TOUCHING * gap {
+    if size > NEAR * gap {
         // The front of a polygon is the side that its corners run counter-clockwise on.
         let turned = |of: &Facing| {
             let [a, b, c] = of.corners;
@@ -66,13 +61,13 @@ pub(super) fn form_factor(patch: &Facing, lamp: &Facing) -> f64 {
         return 0.0;
     }
     if heights.iter().all(|&h| h >= 0.0) {
-        return over_triangle(lamp, &above[..count], corners, normal, 0);
+        return over_triangle(lamp, &above[..count], corners, normal);
     }
     let (seen, sides) = clip(corners, heights);
     let area = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).length();
     let of_part = |k: usize| {
         let part = [seen[0], seen[k], seen[k + 1]];
-        area(part) / area(corners) * over_triangle(lamp, &above[..count], part, normal, 0)
+        area(part) / area(corners) * over_triangle(lamp, &above[..count], part, normal)
     };
     (1..sides.max(1) - 1).map(of_part).sum()
 }
@@ -138,15 +133,9 @@ fn between_points(patch: &Facing, lamp: &Facing) -> f64 {
 }
 
 /// The mean form factor of a triangle to `above`, what it sees of the lamp.
-fn over_triangle(lamp: &Facing, above: &[DVec3], corners: [DVec3; 3], normal: DVec3, cuts: usize) -> f64 {
+fn over_triangle(lamp: &Facing, above: &[DVec3], corners: [DVec3; 3], normal: DVec3) -> f64 {
     let [a, b, c] = corners;
     let size = longest(corners) / distance(lamp, (a + b + c) / 3.0);
-    if size > NEAR && cuts < MOST_CUTS {
-        let (ab, bc, ca) = (a.midpoint(b), b.midpoint(c), c.midpoint(a));
-        let parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [bc, ca, ab]];
-        return parts.iter().map(|&part| over_triangle(lamp, above, part, normal, cuts + 1)).sum::<f64>()
-            / 4.0;
-    }
     let rule: &[_] = if size < FAR { &SECOND_DEGREE } else { &FIFTH_DEGREE };
     nodes(rule, corners).map(|(point, weight)| weight * lambert(point, normal, above)).sum()
 }
