@@ -340,3 +340,25 @@ fn grey_scenes_have_one_channel() {
     assert_eq!(coloured.patches.channels(), 3);
     assert_eq!(coloured.patches.emission().len(), 3 * coloured.patches.len());
 }
+
+/// Emitting triangles with corners on a small grid, which touch, cross and cover each other: none of it ends the program, and the
+/// light is finite and balances.
+#[test]
+fn lamps_that_touch_or_cross_are_solved() {
+    let mut random = Random::new(7);
+    let mut corner = || DVec3::from([0; 3].map(|_| random.between(0.0, 3.0).floor()));
+    let mut scenes = 0;
+    while scenes < 40 {
+        let triangles: Vec<Corners> = (0..2 + scenes % 6).map(|_| [0; 3].map(|_| corner())).collect();
+        if triangles.iter().any(|t| area(&[*t]) == 0.0) {
+            continue;
+        }
+        scenes += 1;
+        let lit = cast_whole(&[part(triangles, 0.5, 1.0)], 16.0, Estimator::Pooled, 3);
+        let solution = solved(&lit.form_factors, &lit.patches);
+        assert!(solution.irradiance.iter().all(|e| e.is_finite() && *e >= 0.0), "scene {scenes}");
+        let ledger = EnergyLedger::of(&lit.form_factors, &lit.patches, &solution);
+        assert!(ledger.imbalance().abs() <= 1e-9, "scene {scenes}: {:e}", ledger.imbalance());
+        assert_eq!(lit.form_factors.out_of_range(), 0, "scene {scenes}");
+    }
+}
