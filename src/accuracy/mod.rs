@@ -8,6 +8,7 @@ pub mod error_bars;
 pub mod lambert;
 pub mod memory;
 pub mod refinement;
+pub mod regions;
 pub mod solved;
 pub mod survey;
 pub mod tradeoff;

@@ -11,7 +11,8 @@ use clap::{Args, ValueEnum};
 use radiosity::{
     Error, Progress, Result, Scene,
     accuracy::{
-        bias, discretisation::Discretisation, error_bars::relative_rms, refinement::Round, solved::Solved,
+        bias, discretisation::Discretisation, error_bars::relative_rms, refinement::Round, regions,
+        solved::Solved,
     },
     energy::EnergyLedger,
     form_factor::{Checkpoint, Estimator},
@@ -317,7 +318,10 @@ fn compute(
     };
     let Sampled { answer, rounds, chosen, floor } = sampling.run(start, times)?;
     let told = answer.errors();
+    let light = (answer.light().irradiance, answer.standard_error());
+    let regions = regions::errors(&scene, answer.patches(), light.0, light.1);
     let error = ErrorReport {
+        largest_region: regions.first().map(Into::into),
         target: args.error.map(|percent| percent / 100.0),
         rms_relative: rounds.last().map(|round| round.error),
         bias_relative: told.and_then(|errors| errors.bias),
@@ -403,7 +407,7 @@ fn report_of(args: &SolveArgs, computed: &Computed, exposure: Exposure) -> Solve
         }
         Answer::Sweeps(patches, solution) => SolveReport::of_sweeps(&file, scene, patches, solution, options),
     };
-    report.error = computed.error;
+    report.error = computed.error.clone();
     report.rounds = rounds.iter().map(round_report).collect();
     report
 }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use radiosity::{
     lightmap::report::{BakeReport, MapMaterialReport},
     output::{
-        report::{ErrorReport, Seconds, SolveReport},
+        report::{ErrorReport, RegionReport, Seconds, SolveReport},
         sampling_report::{PictureReport, SamplingReport, SamplingSeconds},
     },
     patch::Patches,
@@ -104,6 +104,10 @@ pub fn table(
             solver_relative.map_or("unknown".into(), |x| format!("{x:.0e}")),
         ),
     );
+    if let Some(RegionReport { region, rms_relative }) = &report.error.largest_region {
+        let error = percent(Some(*rms_relative));
+        row("by region", format!("sampling {error} at most, relative to its own mean: {region}"));
+    }
     // If one is unknown, the largest is unknown too.
     if let (Some(sampling), Some(size), Some(left)) = (rms_relative, discretisation_relative, solver_relative)
     {

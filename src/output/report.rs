@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
-    accuracy::error_bars::ErrorBars,
+    accuracy::{error_bars::ErrorBars, regions::RegionError},
     energy::EnergyLedger,
     form_factor::{self, FormFactors, rays},
     patch::Patches,
@@ -142,8 +142,23 @@ pub struct EnergyReport {
     pub sampled_imbalance_error: Option<f64>,
 }
 
+/// The error of a material or an object.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RegionReport {
+    /// As in `material wall` or `object lamp`.
+    pub region: String,
+    /// Root mean square of the irradiance's standard error, by area, relative to the region's own mean irradiance.
+    pub rms_relative: f64,
+}
+
+impl From<&RegionError> for RegionReport {
+    fn from(error: &RegionError) -> Self {
+        RegionReport { region: error.region.clone(), rms_relative: error.rms_relative }
+    }
+}
+
 /// Estimated errors; `null` where there is no estimate.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ErrorReport {
     /// Root mean square of the standard errors of irradiance, weighted by area, relative to the mean irradiance.
     pub rms_relative: Option<f64>,
@@ -157,6 +172,8 @@ pub struct ErrorReport {
     pub solver_relative: Option<f64>,
     /// The value of `--error`; `null` without it.
     pub target: Option<f64>,
+    /// The material or object whose sampling error is largest; `null` where no light arrives.
+    pub largest_region: Option<RegionReport>,
 }
 
 /// A round of sampling.
@@ -180,6 +197,7 @@ impl Default for ErrorReport {
             discretisation_relative: None,
             solver_relative: None,
             target: None,
+            largest_region: None,
         }
     }
 }
