@@ -111,54 +111,59 @@ fn measure(solved: &Solved, irradiance: &[f64]) -> [f64; 3] {
     [ledger.escaped[0] / emitted, bars.of_escaped[0] / emitted, within as f64 / irradiance.len() as f64]
 }
 
-/// Compares what escapes with several seeds with the truth.
+/// Compares what escapes with several seeds with the truth, and returns the share of patches within their intervals.
 ///
-/// The mean is within four of the standard errors that the seeds tell of themselves, and of what is off to second order: a patch of
+/// The mean is within four of the standard errors that the seeds give for themselves, and of what is off to second order: a patch of
 /// which more rays escape than should is darker by as much, so that what escapes there lacks ρ / R of itself with R hemisphere rays,
-/// of which a patch has a quarter of all rays at least. The root mean square of z-scores with 15 degrees of freedom is 1.07, and
-/// of twelve of them that of 95 % of cases between 0.6 and 1.6.
-fn compare(name: &str, found: &[[f64; 3]], wanted: f64, rho: f64, rays: f64) {
+/// of which a patch has a quarter of all rays at least. Standard errors have 15 degrees of freedom: twelve errors over them have a
+/// root mean square of 1.07, and of 0.6 to 1.6 in 95 % of cases.
+fn compare(name: &str, found: &[[f64; 3]], wanted: f64, rho: f64, rays: f64) -> f64 {
     let many = found.len() as f64;
-    let mean = found.iter().map(|f| f[0]).sum::<f64>() / many;
-    let error = found.iter().map(|f| f[1].powi(2)).sum::<f64>().sqrt() / many;
-    let z = (found.iter().map(|f| ((f[0] - wanted) / f[1]).powi(2)).sum::<f64>() / many).sqrt();
-    let within = found.iter().map(|f| f[2]).sum::<f64>() / many;
+    let mean = |value: &dyn Fn(&[f64; 3]) -> f64| found.iter().map(value).sum::<f64>() / many;
+    let (escaped, within) = (mean(&|f| f[0]), mean(&|f| f[2]));
+    let squares = mean(&|f| f[1].powi(2));
+    let error = (squares / many).sqrt();
+    let ratio = (mean(&|f| (f[0] - wanted).powi(2)) / squares).sqrt();
     println!(
-        "{name}, rho {rho}, {rays} rays: {mean:.5} for {wanted:.5}: {:+.2} ± {:.2} %, RMS of z {z:.2}, {:.1} % within",
-        100.0 * (mean / wanted - 1.0),
+        "{name}, rho {rho}, {rays} rays: {escaped:.5} for {wanted:.5}: {:+.2} ± {:.2} %, errors {ratio:.2} of what they \
+         should be, {:.1} % within",
+        100.0 * (escaped / wanted - 1.0),
         100.0 * error / wanted,
         100.0 * within
     );
     let slack = wanted * rho / (0.25 * rays);
-    assert!((mean - wanted).abs() <= 4.0 * error + slack, "{name}: {mean} ± {error} for {wanted}");
-    assert!(z > 0.4 && z < 1.8, "{name}: RMS of z {z}");
-    assert!((0.91..=0.985).contains(&within), "{name}: {within} within");
+    assert!((escaped - wanted).abs() <= 4.0 * error + slack, "{name}: {escaped} ± {error} for {wanted}");
+    assert!(ratio > 0.4 && ratio < 1.8, "{name}: errors are {ratio} of their standard errors");
+    within
 }
 
-fn check(name: &str, shape: (Vec<Corners>, Vec<bool>)) {
+/// Intervals of patches are looked at but for the `smallest` opening, of which they hold hardly more than what all patches share.
+fn check(name: &str, shape: (Vec<Corners>, Vec<bool>), smallest: bool) {
     let truth = Truth::of(shape);
     for rho in [0.8, 0.95, 0.99] {
         let (scene, (irradiance, escaped)) = (truth.scene(rho), truth.light(rho));
         for rays in [64.0, 256.0] {
             let one = |seed| measure(&whole(Estimator::Pooled, rays, seed, &scene), &irradiance);
-            compare(name, &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, rays);
+            let within = compare(name, &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, rays);
+            // Where light is reflected more often, all patches share more of an error than their bars know of.
+            assert!(rho > 0.8 || smallest || (0.91..=0.985).contains(&within), "{name}: {within} within");
         }
     }
 }
 
 #[test]
 fn a_sphere_with_a_small_port() {
-    check("port of 0.6 %", sphere(2));
+    check("port of 0.6 %", sphere(2), true);
 }
 
 #[test]
 fn a_sphere_with_a_large_port() {
-    check("port of 5 %", sphere(16));
+    check("port of 5 %", sphere(16), false);
 }
 
 #[test]
 fn a_room_with_a_window() {
-    check("window", room_with_window());
+    check("window", room_with_window(), false);
 }
 
 /// Rounds that go on until an error is reached look at what came before; what escapes must not depend on it.
@@ -167,16 +172,16 @@ fn an_error_that_was_asked_for_leaves_what_escapes_alone() {
     let (truth, rho) = (Truth::of(sphere(2)), 0.9);
     let (scene, (irradiance, escaped)) = (truth.scene(rho), truth.light(rho));
     let tracer = Tracer::new(&scene);
-    let plan = Plan::default().with_error(Some(0.01));
+    let plan = Plan::default().with_error(Some(0.002));
     let one = |seed| {
         let patches = Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY));
-        let cast = CastOptions::default().with_rays(32.0).with_seed(seed);
+        let cast = CastOptions::default().with_rays(64.0).with_seed(seed);
         let (options, progress) = (SolveOptions::default(), Progress::new());
         let first = begin(&scene, &tracer, patches, &cast, &options, None, &progress).unwrap();
         let next = |_: &Solved, rounds: &[_]| Ok(plan.next(rounds));
         measure(&refine(&scene, &tracer, first, &options, next, &progress).unwrap().0, &irradiance)
     };
-    compare("error of 1 %", &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, 32.0);
+    compare("error of 0.2 %", &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, 64.0);
 }
 
 /// Where much emits, what both ends of a ray tell is no worse than what one does.
