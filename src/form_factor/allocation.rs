@@ -198,6 +198,6 @@ mod tests {
     #[test]
     fn neighbours_are_four_at_least() {
         assert_eq!(neighbours(&[0..1, 1..3, 3..4, 4..20, 20..21]), [0..4, 4..21]);
-        assert_eq!(neighbours(&[0..2]), [0..2]);
+        assert_eq!(neighbours(&[0..1, 1..3]).len(), 1);
     }
 }
