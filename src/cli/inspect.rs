@@ -48,8 +48,8 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     args.common.start_threads()?;
     let watch = Watch::new(args.common.quiet);
     let files: Vec<_> = report_file.iter().collect();
-    let (scene, _) = watch.stage("reading", || pipeline::read(&args.scene, &files, &watch))?;
-    let (inspection, _) = watch.stage("mesh", || Ok(Inspection::of(&scene)))?;
+    let ((scene, inspection), _) =
+        watch.stage("reading", || pipeline::read_and(&args.scene, &files, &watch, Inspection::of))?;
     let (tracer, _) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
     pipeline::warn_of_turned_lamps(&scene, &tracer, &watch);
     let (bookkeeping, _) = watch.stage("pace", || bookkeeping(watch.progress()))?;
@@ -124,6 +124,16 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
             edges.total, edges.open, edges.non_manifold, edges.inconsistent
         ),
     );
+    let contacts = &report.contacts;
+    if contacts.lines > 0 {
+        row(
+            "contacts",
+            format!(
+                "{} lines where surfaces touch or cross; {} triangles are cut along them, into {}",
+                contacts.lines, contacts.triangles, contacts.pieces
+            ),
+        );
+    }
     row(
         "faulty",
         format!(

@@ -80,7 +80,7 @@ impl SceneArgs {
         }
     }
 
-    /// Reads the scene and applies `--emit` and `--model`.
+    /// Reads the scene and applies `--emit` and `--model`. Cuts nothing where surfaces touch or cross.
     pub fn load(&self) -> RadiosityResult<Scene> {
         let plain = self.reflectance.iter().rev().find(|r| r.material.is_none()).map(|r| r.share);
         let mut scene = Scene::load_with(

@@ -105,12 +105,25 @@ pub fn warn_of_gloss(scene: &Scene, file: &Path, watch: &Watch) {
     }
 }
 
-/// Reads a scene and prints the warnings of the reader. Refuses a scene of which a file is one of `outputs`.
+/// Reads a scene, cuts it where surfaces touch or cross, and prints the warnings. Refuses a scene of which a file is one of
+/// `outputs`.
 pub fn read(args: &SceneArgs, outputs: &[&OutputFile], watch: &Watch) -> Result<Scene> {
-    let scene = args.load()?;
+    read_and(args, outputs, watch, |_| ()).map(|(scene, ())| scene)
+}
+
+/// Does the same, and looks at the scene as its file has it before it is cut.
+pub fn read_and<T>(
+    args: &SceneArgs,
+    outputs: &[&OutputFile],
+    watch: &Watch,
+    look: impl FnOnce(&Scene) -> T,
+) -> Result<(Scene, T)> {
+    let mut scene = args.load()?;
     outputs.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
+    let seen = look(&scene);
+    scene.cut_contacts();
     scene.warnings.iter().for_each(|warning| watch.warn(warning));
-    Ok(scene)
+    Ok((scene, seen))
 }
 
 /// Settings of the solution for commands that compute something else from it.

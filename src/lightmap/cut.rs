@@ -8,10 +8,7 @@ use std::collections::{HashMap, HashSet};
 
 use glam::DVec2;
 
-use crate::scene::{Scene, Triangle};
-
-/// Corners of faces from here on are vertices that the file does not have: [`Cut::first_vertex`] is the first.
-pub(super) const NEW_CORNER: u32 = 1 << 31;
+use crate::scene::{NEW_CORNER, Scene, Triangle};
 
 /// What a triangle of the cut scene is.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,8 +37,6 @@ pub(super) struct Cut {
     /// Its triangles are the facets. Copies for backs come after the faces of the file, and the backs of lamps last.
     pub scene: Scene,
     pub facets: Vec<Facet>,
-    /// The first vertex that the uncut scene does not have.
-    pub first_vertex: usize,
     /// Where the facets of each triangle begin and end, and those of its second copy.
     ranges: Vec<[(u32, u32); 2]>,
 }
@@ -85,7 +80,7 @@ impl Cut {
     fn empty(scene: &Scene) -> Cut {
         let bare =
             Scene { triangles: Vec::new(), texcoords: Vec::new(), face_corners: Vec::new(), ..scene.clone() };
-        Cut { scene: bare, facets: Vec::new(), first_vertex: scene.vertices.len(), ranges: Vec::new() }
+        Cut { scene: bare, facets: Vec::new(), ranges: Vec::new() }
     }
 
     fn push(&mut self, piece: &Piece, turned: bool, vertices: [u32; 3]) {
@@ -234,7 +229,7 @@ impl Cutter<'_> {
 
     fn middle(&mut self, a: Corner, b: Corner) -> Corner {
         let ends = ends(a.0, b.0);
-        let (vertices, first) = (&mut self.cut.scene.vertices, self.scene.vertices.len());
+        let vertices = &mut self.cut.scene.vertices;
         let vertex = *self.middles.entry(ends).or_insert_with(|| {
             let middle = vertices[ends.0 as usize] * 0.5 + vertices[ends.1 as usize] * 0.5;
             vertices.push(middle);
@@ -244,7 +239,7 @@ impl Cutter<'_> {
             self.shared.extend([self::ends(a.0, vertex), self::ends(vertex, b.0)]);
         }
         let corner = std::array::from_fn(|k| 0.5 * (a.1[k] + b.1[k]));
-        (vertex, corner, NEW_CORNER | (vertex - first as u32), a.3.zip(b.3).map(|(a, b)| 0.5 * (a + b)))
+        (vertex, corner, NEW_CORNER | vertex, a.3.zip(b.3).map(|(a, b)| 0.5 * (a + b)))
     }
 }
 

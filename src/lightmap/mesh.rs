@@ -19,11 +19,8 @@ use std::{
 
 use glam::DVec2;
 
-use super::{
-    atlas::{Atlas, NONE},
-    cut::NEW_CORNER,
-};
-use crate::scene::{Part, Scene, text};
+use super::atlas::{Atlas, NONE};
+use crate::scene::{NEW_CORNER, Part, Scene, text};
 
 /// Whose texture coordinates a mesh has, and which material libraries it names.
 #[derive(Debug, Clone, Copy)]
@@ -134,7 +131,7 @@ impl Words {
 /// What the scene's file does not have, because its triangles are cut.
 #[derive(Debug, Default)]
 struct New {
-    /// Vertices of the cut scene.
+    /// Vertices of the scene, in order.
     vertices: Vec<u32>,
     /// Texture coordinates of the file's kind, each once.
     coordinates: Vec<DVec2>,
@@ -143,14 +140,13 @@ struct New {
 }
 
 impl New {
-    fn of(atlas: &Atlas) -> New {
+    fn of(scene: &Scene) -> New {
         let mut new = New::default();
-        let Some(cut) = &atlas.cut else { return new };
         let (mut vertices, mut known) = (BTreeSet::new(), HashMap::new());
-        for (f, names) in cut.scene.face_corners.iter().enumerate() {
+        for (f, names) in scene.face_corners.iter().enumerate() {
             for k in (0..3).filter(|&k| names[k] & NEW_CORNER != 0) {
-                vertices.insert(cut.first_vertex as u32 + (names[k] & !NEW_CORNER));
-                if let Some(uv) = cut.scene.texcoords.get(f).map(|uv| uv[k]) {
+                vertices.insert(names[k] & !NEW_CORNER);
+                if let Some(uv) = scene.texcoords.get(f).map(|uv| uv[k]) {
                     let next = new.coordinates.len();
                     let index = *known.entry(uv.to_array().map(f64::to_bits)).or_insert(next);
                     if index == next {
@@ -163,6 +159,11 @@ impl New {
         new.vertices = vertices.into_iter().collect();
         new
     }
+
+    /// Where a vertex stands in the file that is written, counted from 1: new ones come first.
+    fn vertex(&self, v: u32) -> i64 {
+        self.vertices.partition_point(|&w| w < v) as i64 + 1
+    }
 }
 
 impl Mesh<'_> {
@@ -173,7 +174,7 @@ impl Mesh<'_> {
             of_source(io::Error::new(io::ErrorKind::InvalidData, "the file has changed since it was read"))
         };
         let source_text = text::decode(std::fs::read(source).map_err(of_source)?);
-        let new = New::of(self.atlas);
+        let new = New::of(self.scene);
         let is_map = matches!(self.set, Set::Map(_));
         for &vertex in &new.vertices {
             let v = self.scene.vertices[vertex as usize];
@@ -254,7 +255,7 @@ impl Mesh<'_> {
             let is_new = corner & NEW_CORNER != 0;
             // A new corner has the normal of another one of its face.
             let word = &corners[if is_new { k % corners.len() } else { corner as usize }];
-            let vertex = if is_new { i64::from(corner & !NEW_CORNER) + 1 } else { word.vertex };
+            let vertex = if is_new { new.vertex(corner & !NEW_CORNER) } else { word.vertex };
             let own = match outline.facet.filter(|_| is_new) {
                 Some(f) => {
                     new.of_corner.get(&(f, k)).filter(|_| word.coordinate.is_some()).map(|i| *i as i64 + 1)

@@ -17,7 +17,7 @@ use super::{
 use crate::{
     Error, Result, Setting,
     output::surfaces::{DisjointSets, smooth_edges},
-    scene::Scene,
+    scene::{NEW_CORNER, Scene},
     trace::Tracer,
 };
 
@@ -391,13 +391,15 @@ fn polygons(scene: &Scene, cut: Option<&Cut>) -> Vec<u32> {
     if faces == 0 {
         return (0..cut.map_or(triangles, |cut| cut.facets.len()) as u32).collect();
     }
-    let Some(cut) = cut else {
-        return face_of.into_iter().map(|face| face as u32).collect();
-    };
     let mut is_whole = vec![true; faces];
     for t in 0..triangles {
-        is_whole[face_of[t]] &= cut.facets_of(t, false).len() == 1;
+        is_whole[face_of[t]] &= scene.face_corners[t].iter().all(|corner| corner & NEW_CORNER == 0);
+        is_whole[face_of[t]] &= cut.is_none_or(|cut| cut.facets_of(t, false).len() == 1);
     }
+    let Some(cut) = cut else {
+        let number = |(t, face): (usize, usize)| if is_whole[face] { face } else { faces + t } as u32;
+        return face_of.into_iter().enumerate().map(number).collect();
+    };
     let number = |(f, facet): (usize, &super::cut::Facet)| {
         let face = face_of[facet.triangle as usize];
         // Those of second copies come after those of first ones, and facets alone after all.

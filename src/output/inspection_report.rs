@@ -8,7 +8,7 @@ use crate::{
     Quality,
     accuracy::survey::Survey,
     scene::{
-        Scene,
+        Contacts, Scene,
         inspection::{Edges, Inspection, MaterialUse},
     },
 };
@@ -22,6 +22,8 @@ pub struct InspectionReport {
     pub scene: MeshReport,
     /// The edges of the mesh.
     pub edges: EdgesReport,
+    /// What was cut where surfaces touch or cross.
+    pub contacts: Contacts,
     /// The hits of rays from fronts.
     pub seen: SeenReport,
     /// The materials, in the order of their first use.
@@ -148,6 +150,7 @@ impl InspectionReport {
                 channels: scene.channels(),
             },
             edges: EdgesReport { count: edges, closed: edges.is_closed() },
+            contacts: scene.contacts,
             seen: SeenReport {
                 rays: survey.all.rays,
                 back_share: survey.all.back_share(),

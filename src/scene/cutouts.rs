@@ -36,6 +36,8 @@ pub(super) fn cut(scene: &mut Scene) -> Result<(), TooFine> {
     scene.textures = textures;
     let chains = cut?;
     if !left.is_empty() {
+        // What is left of a face is no face of the file.
+        scene.face_corners.clear();
         let cuts = cutting::cuts(scene, chains, Vec::new());
         cutting::replace(scene, &left, &cuts);
         scene.forget_unused_vertices();

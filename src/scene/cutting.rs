@@ -7,7 +7,7 @@ use spade::{
     ConstrainedDelaunayTriangulation, HasPosition, Point2, Triangulation, handles::FixedVertexHandle,
 };
 
-use super::{Scene, Triangle, interpolate, scaled_cross, triangle_area};
+use super::{NEW_CORNER, Scene, Triangle, interpolate, scaled_cross, triangle_area};
 
 /// The vertices on an edge of one triangle.
 pub(super) struct Chain {
@@ -91,8 +91,7 @@ pub(super) fn replace(scene: &mut Scene, left: &HashMap<u32, Vec<[u32; 3]>>, cut
     let old = std::mem::take(&mut scene.triangles);
     let texcoords = [&mut scene.texcoords, &mut scene.emission_texcoords].map(std::mem::take);
     let colours = std::mem::take(&mut scene.colours);
-    // Corners of pieces are not corners of faces of the file.
-    scene.face_corners.clear();
+    let face_corners = std::mem::take(&mut scene.face_corners);
     let backs = old.len() - scene.backs_of_lamps;
     scene.backs_of_lamps = 0;
     let mut parts = Vec::new();
@@ -117,6 +116,11 @@ pub(super) fn replace(scene: &mut Scene, left: &HashMap<u32, Vec<[u32; 3]>>, cut
                 corners.map(|w| [0, 1, 2].map(|c| (0..3).map(|k| colours[k][c] * w[k] as f32).sum()))
             };
             scene.colours.extend(colours.get(t).map(mixed));
+            let named = |names: &[u32; 3]| {
+                let name = |v| triangle.vertices.iter().position(|&w| w == v).map(|k| names[k]);
+                vertices.map(|v| name(v).unwrap_or(NEW_CORNER | v))
+            };
+            scene.face_corners.extend(face_corners.get(t).map(named));
             scene.triangles.push(Triangle { vertices, ..*triangle });
             scene.backs_of_lamps += usize::from(t >= backs);
         }
@@ -185,7 +189,7 @@ impl Plane {
 /// A vertex of a triangulation with its index among the points.
 #[derive(Clone, Copy)]
 pub(super) struct Corner {
-    at: Point2<f64>,
+    pub(super) at: Point2<f64>,
     pub(super) vertex: usize,
 }
 

@@ -73,7 +73,8 @@ pub struct MaterialUse {
 }
 
 impl Inspection {
-    /// Inspects a scene. Time and memory are proportional to the number of triangles.
+    /// Inspects a scene. Where the mesh of a file is of interest, give the scene without cuts
+    /// ([`LoadOptions::keep_overlaps`](super::LoadOptions::keep_overlaps)): each cut adds edges. Time and memory are proportional to the number of triangles.
     pub fn of(scene: &Scene) -> Inspection {
         let bounds = bounds(scene);
         let (names, near_vertices) = weld(scene, bounds);

@@ -3,6 +3,7 @@
 //! A scene keeps the values of its file: lengths in the file's unit and in double precision, `Ke` as radiance, `Kd` as
 //! reflectance. The ray tracer recentres and rescales for itself ([`crate::trace`]).
 
+mod contacts;
 mod cutouts;
 mod cutting;
 pub(crate) mod gltf;
@@ -29,6 +30,7 @@ use std::{
 use glam::{DVec2, DVec3};
 
 use crate::{Error, Result};
+pub use contacts::Contacts;
 use light::Lights;
 use overlaps::Hidden;
 pub use specular::{Distribution, Fresnel, MOST_EXPONENT, Shadowing, Specular};
@@ -127,7 +129,8 @@ pub struct Scene {
     pub colours: Vec<[[f32; 3]; 3]>,
     /// The faces that the triangles come from, in file order; empty unless [`LoadOptions::faces`] asked for them.
     pub faces: Vec<Face>,
-    /// The corners of its face that each triangle has, counted from 0. Empty if the reader does not provide them.
+    /// The corners of its face that each triangle has, counted from 0, or [`NEW_CORNER`] plus a vertex that the file does not have.
+    /// Empty if the reader does not provide them.
     pub face_corners: Vec<[u32; 3]>,
     /// Objects and groups of the faces.
     pub parts: Vec<Part>,
@@ -143,6 +146,8 @@ pub struct Scene {
     pub degenerate: usize,
     /// The surfaces that [`Scene::cut_overlaps`] has cut away.
     pub hidden: Vec<Hidden>,
+    /// What [`Scene::cut_contacts`] has cut.
+    pub contacts: Contacts,
     /// Warnings of the reader: what it left out or assumed, one sentence each.
     pub warnings: Vec<String>,
     /// Files that were read: the mesh, then material libraries and textures; empty for a scene made in memory.
@@ -162,8 +167,8 @@ pub struct LoadOptions {
     pub faces: bool,
     /// Whether unlit materials of a glTF file emit their colour. Otherwise the colour is their reflectance.
     pub unlit_emits: bool,
-    /// Whether to keep faces that overlap in one plane. For callers that change the emission of materials and then call
-    /// [`Scene::cut_overlaps`].
+    /// Whether to keep faces that overlap in one plane, touch or cross as they are. For callers that change the emission of
+    /// materials and then call [`Scene::cut_overlaps`] and [`Scene::cut_contacts`].
     pub keep_overlaps: bool,
 }
 
@@ -173,6 +178,9 @@ setters!(LoadOptions {
     with_unlit_emits(unlit_emits: bool),
     with_keep_overlaps(keep_overlaps: bool),
 });
+
+/// Corners of faces from here on are no corners of the file but new vertices, by their number from here: [`Scene::face_corners`].
+pub const NEW_CORNER: u32 = 1 << 31;
 
 /// Reflectance where neither the file nor [`LoadOptions`] gives one: grey plaster.
 pub const DEFAULT_REFLECTANCE: f64 = 0.5;
@@ -232,6 +240,7 @@ impl Scene {
         scene.cut_holes(path)?;
         if !options.keep_overlaps {
             scene.cut_overlaps();
+            scene.cut_contacts();
         }
         Ok(scene)
     }
@@ -298,6 +307,19 @@ impl Scene {
         for hidden in overlaps::resolve(self) {
             self.warnings.push(hidden.to_string());
             self.hidden.push(hidden);
+        }
+    }
+
+    /// Cuts triangles along the lines where other surface touches or crosses them, by the rule of [`Contacts`], so that no patch
+    /// lies on both sides of a wall. [`Scene::load`] does so; scenes made in memory are left as they are until this is called. Call it
+    /// after [`Scene::cut_overlaps`]. Tells what it cut in [`Scene::contacts`].
+    pub fn cut_contacts(&mut self) {
+        self.contacts = contacts::cut(self);
+        if self.contacts.uncut > 0 {
+            self.warnings.push(format!(
+                "surfaces touch or cross along {} more lines than the program cuts along: light may leak there",
+                self.contacts.uncut
+            ));
         }
     }
 

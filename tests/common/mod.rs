@@ -184,10 +184,13 @@ pub fn area(triangles: &[Corners]) -> f64 {
     triangles.iter().map(|[a, b, c]| 0.5 * (*b - *a).cross(*c - *a).length()).sum()
 }
 
-/// Whether every edge has one triangle in each direction, so that no ray can escape.
+/// Whether every edge has one triangle in each direction, so that no ray can escape. Vertices at one place count as one.
 pub fn is_closed(scene: &Scene) -> bool {
     let mut halves: HashMap<(u32, u32), u32> = HashMap::new();
-    for [a, b, c] in scene.triangles.iter().map(|t| t.vertices) {
+    let mut first: HashMap<[u64; 3], u32> = HashMap::new();
+    let place = |v: u32| scene.vertices[v as usize].to_array().map(f64::to_bits);
+    for triangle in &scene.triangles {
+        let [a, b, c] = triangle.vertices.map(|v| *first.entry(place(v)).or_insert(v));
         for edge in [(a, b), (b, c), (c, a)] {
             *halves.entry(edge).or_default() += 1;
         }

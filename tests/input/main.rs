@@ -3,6 +3,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod contacts;
 mod corpus;
 mod cutouts;
 mod degenerate;

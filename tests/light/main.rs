@@ -6,6 +6,7 @@ mod common;
 mod accuracy;
 mod adaptive;
 mod checkpoint;
+mod contacts;
 mod determinism;
 mod error_bars;
 mod exact_form_factors;

@@ -182,6 +182,40 @@ fn a_hundred_million_rays_stay_in_closed_scenes() {
     leak_test(100_000_000, 20_000_000);
 }
 
+/// A room is cut where a block stands on its floor, another one in a wall, and walls go from wall to wall, in the middle of its triangles
+/// and turned. Pieces share the places of their vertices, so that no ray finds a way out between them.
+#[test]
+fn rays_stay_in_rooms_that_are_cut_where_surfaces_touch() {
+    let size = dvec3(5.0, 4.0, 3.0);
+    // Faces against the room's would send their rays out of it.
+    let is_against = |t: &Corners| {
+        (0..3).any(|axis| [0.0, size[axis]].iter().any(|wall| t.iter().all(|p| p[axis] == *wall)))
+    };
+    let block = |low: [f64; 3], high: [f64; 3]| {
+        let all = flipped(room(DVec3::from(low), DVec3::from(high)));
+        all.into_iter().filter(|t| !is_against(t)).collect::<Vec<_>>()
+    };
+    let mut all = room(DVec3::ZERO, size);
+    all.extend(block([1.0, 1.0, 0.0], [1.5, 1.7, 1.0]));
+    all.extend(block([4.5, 2.0, 0.0], [5.0, 3.0, 1.0]));
+    all.extend(block([2.2, 0.0, 0.0], [2.3, 4.0, 3.0]));
+    all.extend(block([3.1, 0.2, 0.5], [3.7, 3.3, 1.5]));
+    all.extend(block([3.0, 1.2, 0.7], [3.9, 1.9, 1.1]));
+    for triangles in [all.clone(), turned(all)] {
+        let mut scene = scene(&[black(triangles)]);
+        let before = scene.triangles.len();
+        scene.cut_contacts();
+        assert!(scene.triangles.len() > 2 * before, "{:?}", scene.contacts);
+        let tracer = Tracer::new(&scene);
+        let escaped = [
+            hemispheres(&tracer, 1_000_000, 1).escaped,
+            aimed(&tracer, 500_000, 2).escaped,
+            from_edges(&tracer, 500_000, 3).escaped,
+        ];
+        assert_eq!(escaped, [0; 3], "{:?}", scene.contacts);
+    }
+}
+
 /// A body without dents never sees itself: every ray from it goes free.
 #[test]
 fn rays_do_not_hit_the_surface_they_leave() {

@@ -20,6 +20,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use super::{Scene, cutting, triangle_area};
 use overlay::Overlay;
+pub(super) use pairs::BUILD;
 
 /// Surface of one material that was cut away because it lies behind other faces in one plane.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,6 +71,8 @@ pub(super) fn resolve(scene: &mut Scene) -> Vec<Hidden> {
         inner.extend(overlay.inner);
     }
     let told = tell(scene, &pairs, &ranks, &hidden);
+    // What is left of a face is no face of the file.
+    scene.face_corners.clear();
     let cuts = cutting::cuts(scene, chains, inner);
     cutting::replace(scene, &left, &cuts);
     told

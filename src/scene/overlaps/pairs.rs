@@ -64,7 +64,7 @@ pub(super) fn find(scene: &Scene, facing: Facing) -> Vec<Pair> {
 }
 
 /// As for rays (see `trace::bvh`), but without reinsertion, which does not pay for one query per box.
-const BUILD: BvhBuildParams = BvhBuildParams {
+pub(in crate::scene) const BUILD: BvhBuildParams = BvhBuildParams {
     pre_split: false,
     ploc_search_distance: PlocSearchDistance::Low,
     search_depth_threshold: 0,

@@ -1,0 +1,95 @@
+//! The vertices that edges of triangles get: where lines end on them, and where they are halved.
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+
+use super::grading::{Grading, Surface};
+use crate::scene::{Scene, cutting::Chain};
+
+/// An edge is halved where it is longer than this many times the size that pieces next to it should have.
+const LONG: f64 = 4.0;
+
+/// The vertices on edges, by the edge with its lower vertex first, each with its distance from that; in order.
+#[derive(Default)]
+pub(super) struct EdgeVertices(HashMap<[u32; 2], Vec<(f64, u32)>>);
+
+impl EdgeVertices {
+    /// Adds the ends of lines that lie on edges of their triangles.
+    pub(super) fn end_lines(&mut self, scene: &mut Scene, surface: &Surface) {
+        for line in &surface.lines {
+            let vertices = scene.triangles[line.triangle as usize].vertices;
+            for end in line.ends {
+                for k in 0..3 {
+                    self.add(scene, [vertices[k], vertices[(k + 1) % 3]], end, surface.same);
+                }
+            }
+        }
+    }
+
+    /// Adds a point to an edge that it lies on, unless a vertex is there.
+    fn add(&mut self, scene: &mut Scene, [a, b]: [u32; 2], point: DVec3, same: f64) {
+        let ends = [a.min(b), a.max(b)];
+        let [from, to] = ends.map(|v| scene.vertices[v as usize]);
+        let length = from.distance(to);
+        let along = (to - from) / length;
+        let at = along.dot(point - from);
+        let off = point.distance(from + along * at);
+        if off > same || at <= same || at >= length - same {
+            return;
+        }
+        let known = self.0.entry(ends).or_default();
+        if known.iter().all(|(other, _)| (other - at).abs() > same) {
+            scene.vertices.push(from + (to - from) * (at / length));
+            let k = known.partition_point(|(other, _)| *other < at);
+            known.insert(k, (at, scene.vertices.len() as u32 - 1));
+        }
+    }
+
+    /// Halves the edges of a surface where they are too long for what is near.
+    pub(super) fn grade(&mut self, scene: &mut Scene, surface: &Surface, grading: &Grading) {
+        for &t in &surface.triangles {
+            let v = scene.triangles[t as usize].vertices;
+            for k in 0..3 {
+                let ends = [v[k].min(v[(k + 1) % 3]), v[k].max(v[(k + 1) % 3])];
+                let [from, to] = ends.map(|v| scene.vertices[v as usize]);
+                let length = from.distance(to);
+                let known = self.0.entry(ends).or_default();
+                let mut i = 0;
+                // The part of the edge before its vertex `i`.
+                while i <= known.len() {
+                    let start = if i == 0 { 0.0 } else { known[i - 1].0 };
+                    let end = known.get(i).map_or(length, |(at, _)| *at);
+                    let part = [start, end].map(|at| surface.plane.flat(from + (to - from) * (at / length)));
+                    if end - start <= LONG * grading.size_along(part) {
+                        i += 1;
+                        continue;
+                    }
+                    let at = 0.5 * (start + end);
+                    scene.vertices.push(from + (to - from) * (at / length));
+                    known.insert(i, (at, scene.vertices.len() as u32 - 1));
+                }
+            }
+        }
+    }
+
+    /// The vertices on the edge from one vertex to another, in this order.
+    pub(super) fn between(&self, from: u32, to: u32) -> Vec<u32> {
+        let known = self.0.get(&[from.min(to), from.max(to)]);
+        let mut between: Vec<u32> = known.into_iter().flatten().map(|(_, v)| *v).collect();
+        if from > to {
+            between.reverse();
+        }
+        between
+    }
+
+    pub(super) fn into_chains(self) -> Vec<Chain> {
+        let mut edges: Vec<_> = self.0.into_iter().filter(|(_, known)| !known.is_empty()).collect();
+        edges.sort_unstable_by_key(|(ends, _)| *ends);
+        let chain = |(ends, known): ([u32; 2], Vec<(f64, u32)>)| Chain {
+            ends,
+            between: known.into_iter().map(|(_, v)| v).collect(),
+        };
+        edges.into_iter().map(chain).collect()
+    }
+}

@@ -1,0 +1,216 @@
+//! Where other surface touches or crosses a triangle.
+
+use std::collections::HashMap;
+
+use glam::{DVec3, Vec3A};
+use obvhs::{aabb::Aabb, bvh2::Bvh2, bvh2::builder::build_bvh2};
+use rayon::prelude::*;
+
+use crate::scene::{Scene, centre_and_extent, overlaps::BUILD};
+
+/// A straight line in a triangle's plane, along which other surface meets the triangle.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Line {
+    pub(super) triangle: u32,
+    pub(super) ends: [DVec3; 2],
+    /// Longest side of the triangle that meets it.
+    pub(super) size: f64,
+}
+
+impl Line {
+    pub(super) fn length(&self) -> f64 {
+        self.ends[0].distance(self.ends[1])
+    }
+}
+
+/// An edge that comes closer to a plane than this share of the smaller triangle touches it: the light that such a gap lets
+/// through is that share of what the triangle gets.
+const TOUCHING: f64 = 1e-3;
+/// Lines that end closer to each other than this share of what meets there end at one point.
+pub(super) const SAME: f64 = 1e-6;
+
+/// Cosine of the angle by which neighbours in one plane may differ, as coordinates are rounded.
+const FLAT: f64 = 1.0 - 1e-6;
+
+/// All lines inside triangles, by triangle. Lines along the edges of a triangle need no cut and are left out.
+pub(super) fn find(scene: &Scene) -> Vec<Line> {
+    let (centre, half) = centre_and_extent(scene.vertices.iter().copied());
+    let count = scene.triangles.len();
+    let flat: Vec<Flat> = (0..count).into_par_iter().map(|t| Flat::of(scene, t)).collect();
+    let boxes: Vec<Aabb> = flat.par_iter().map(|flat| flat.padded(centre, half)).collect();
+    let search = Search { scene, flat };
+    let tree = build_bvh2(&boxes, BUILD, &mut Default::default());
+    let of_one = |k: usize| {
+        let mut found = Vec::new();
+        tree.aabb_traverse(boxes[k], |tree: &Bvh2, node| {
+            let node = &tree.nodes[node as usize];
+            let first = node.first_index as usize;
+            for &other in &tree.primitive_indices[first..first + node.prim_count as usize] {
+                if (other as usize) > k {
+                    search.pair(k, other as usize, &mut found);
+                }
+            }
+            true
+        });
+        found
+    };
+    let found: Vec<Found> = (0..count).into_par_iter().with_min_len(256).flat_map_iter(of_one).collect();
+    let mut lines = search.without_inner_edges(found);
+    lines.sort_by_cached_key(|line| (line.triangle, line.ends.map(|p| p.to_array().map(f64::to_bits))));
+    lines
+}
+
+/// A line, and the triangle and edge that it is where all of that triangle lies in the plane.
+type Found = (Line, Option<(usize, [u32; 2])>);
+
+/// A triangle with its plane.
+struct Flat {
+    corners: [DVec3; 3],
+    normal: DVec3,
+    longest: f64,
+}
+
+impl Flat {
+    fn of(scene: &Scene, t: usize) -> Flat {
+        let corners @ [a, b, c] = scene.corners(t);
+        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+        Flat { corners, normal: scene.normal(t), longest }
+    }
+
+    /// The box in unit space, with room for the tolerance of any pair it is the smaller one of.
+    fn padded(&self, centre: DVec3, half: f64) -> Aabb {
+        let [a, b, c] = self.corners.map(|p| ((p - centre) / half).as_vec3a());
+        let padding = Vec3A::splat((TOUCHING * self.longest / half) as f32 + 4.0 * f32::EPSILON);
+        Aabb::new(a.min(b).min(c) - padding, a.max(b).max(c) + padding)
+    }
+
+    /// How far the corners of another triangle are above the plane; zero where that is less than a tolerance.
+    fn heights(&self, other: &Flat, tolerance: f64) -> [f64; 3] {
+        other.corners.map(|p| {
+            let height = self.normal.dot(p - self.corners[0]);
+            if height.abs() <= tolerance { 0.0 } else { height }
+        })
+    }
+
+    /// The part of a line in the plane that lies inside the triangle, unless it runs along an edge.
+    fn clip(&self, [p, q]: [DVec3; 2], same: f64) -> Option<[DVec3; 2]> {
+        let (mut from, mut to) = (0.0, 1.0);
+        let inward = |k: usize| {
+            let (a, b) = (self.corners[k], self.corners[(k + 1) % 3]);
+            (a, self.normal.cross((b - a).normalize_or_zero()))
+        };
+        for k in 0..3 {
+            let (a, inward) = inward(k);
+            let (d, e) = (inward.dot(p - a), inward.dot(q - a));
+            if d <= same && e <= same {
+                return None;
+            }
+            let crossing = d / (d - e);
+            if d < 0.0 {
+                from = f64::max(from, crossing);
+            } else if e < 0.0 {
+                to = f64::min(to, crossing);
+            }
+        }
+        let ends = [from, to].map(|x| p + (q - p) * x);
+        let along_edge = (0..3).any(|k| {
+            let (a, inward) = inward(k);
+            ends.iter().all(|&end| inward.dot(end - a) <= same)
+        });
+        (from < to && !along_edge && ends[0].distance(ends[1]) > same).then_some(ends)
+    }
+}
+
+struct Search<'a> {
+    scene: &'a Scene,
+    flat: Vec<Flat>,
+}
+
+impl Search<'_> {
+    /// The lines of two triangles on each other.
+    fn pair(&self, s: usize, t: usize, found: &mut Vec<Found>) {
+        let corners = [s, t].map(|t| self.scene.triangles[t].vertices);
+        let shared = corners[0].iter().filter(|v| corners[1].contains(v)).count();
+        if shared > 1 {
+            return;
+        }
+        let (a, b) = (&self.flat[s], &self.flat[t]);
+        let tolerance = TOUCHING * a.longest.min(b.longest);
+        let one_side =
+            |heights: [f64; 3]| heights.iter().all(|&h| h > 0.0) || heights.iter().all(|&h| h < 0.0);
+        let above = a.heights(b, tolerance);
+        if one_side(above) {
+            return;
+        }
+        let below = b.heights(a, tolerance);
+        if one_side(below) {
+            return;
+        }
+        let same = SAME * a.longest.min(b.longest);
+        for ([of, t], on, other, heights) in [([t, s], a, b, above), ([s, t], b, a, below)] {
+            let in_plane = heights == [0.0; 3];
+            for (k, line) in lines(other, heights).into_iter().enumerate() {
+                let Some(line) = line else { continue };
+                let flattened = line.map(|p| p - on.normal * on.normal.dot(p - on.corners[0]));
+                if let Some(ends) = on.clip(flattened, same) {
+                    let v = self.scene.triangles[of].vertices;
+                    let edge = in_plane.then(|| (of, ends_of(v[k], v[(k + 1) % 3])));
+                    found.push((Line { triangle: t as u32, ends, size: other.longest }, edge));
+                }
+            }
+        }
+    }
+
+    /// Leaves out edges that have the same flat surface on both sides.
+    fn without_inner_edges(&self, found: Vec<Found>) -> Vec<Line> {
+        let mut sharing: HashMap<[u32; 2], Vec<usize>> =
+            found.iter().filter_map(|(_, edge)| Some((edge.as_ref()?.1, Vec::new()))).collect();
+        if !sharing.is_empty() {
+            for (t, triangle) in self.scene.triangles.iter().enumerate() {
+                let [a, b, c] = triangle.vertices;
+                for edge in [ends_of(a, b), ends_of(b, c), ends_of(c, a)] {
+                    sharing.entry(edge).and_modify(|sharing| sharing.push(t));
+                }
+            }
+        }
+        let is_inner = |&(of, edge): &(usize, [u32; 2])| {
+            let continues = |t: usize| t != of && self.flat[t].normal.dot(self.flat[of].normal) > FLAT;
+            sharing[&edge].iter().any(|&t| continues(t))
+        };
+        found
+            .into_iter()
+            .filter(|(_, edge)| !edge.as_ref().is_some_and(is_inner))
+            .map(|(line, _)| line)
+            .collect()
+    }
+}
+
+/// Where a triangle whose corners are at these heights meets the plane at height zero: along a line across it, an edge, or
+/// with all of it.
+fn lines(of: &Flat, heights: [f64; 3]) -> [Option<[DVec3; 2]>; 3] {
+    let corners = of.corners;
+    let edge = |k: usize| Some([corners[k], corners[(k + 1) % 3]]);
+    let zeros = heights.iter().filter(|&&h| h == 0.0).count();
+    match zeros {
+        3 => [edge(0), edge(1), edge(2)],
+        2 => [edge((0..3).find(|&k| heights[(k + 2) % 3] != 0.0).unwrap_or(0)), None, None],
+        _ => {
+            let crossing = |k: usize| {
+                let (h, i) = (heights[k], heights[(k + 1) % 3]);
+                let at = corners[k] + (corners[(k + 1) % 3] - corners[k]) * (h / (h - i));
+                (h * i < 0.0).then_some(at)
+            };
+            let touching = (0..3).filter(|&k| heights[k] == 0.0).map(|k| corners[k]);
+            let mut points = (0..3).filter_map(crossing).chain(touching);
+            match (points.next(), points.next()) {
+                (Some(p), Some(q)) => [Some([p, q]), None, None],
+                _ => [None; 3],
+            }
+        }
+    }
+}
+
+/// An edge, the lower vertex first.
+fn ends_of(a: u32, b: u32) -> [u32; 2] {
+    [a.min(b), a.max(b)]
+}
