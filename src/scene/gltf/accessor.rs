@@ -1,4 +1,4 @@
-//! Numbers out of buffers: every width, normalised, interleaved, sparse.
+//! Reads numbers from buffers: all types, normalised, interleaved and sparse.
 
 use super::container::Document;
 use super::document::Accessor;
@@ -73,22 +73,22 @@ impl Component {
     }
 }
 
-/// Where the elements of an accessor lie.
+/// The layout of an accessor's elements.
 struct Layout {
     component: Component,
-    /// Components of an element, and its bytes.
+    /// Number of components of an element, and its bytes.
     width: usize,
     size: usize,
     count: usize,
 }
 
-/// An accessor's elements as bytes, one after another.
+/// The elements of an accessor as bytes without gaps.
 pub struct Raw {
     bytes: Vec<u8>,
     /// Bytes of an element.
     pub size: usize,
     component: Component,
-    /// As the file calls them.
+    /// The type of an element, as in the file.
     pub component_type: u64,
     pub kind: String,
     pub normalized: bool,
@@ -105,13 +105,13 @@ impl Raw {
         &self.bytes[i * self.size..][..self.size]
     }
 
-    /// The first three components of an element as they stand, zero where there are fewer.
+    /// The first three components of an element. Missing components are zero.
     pub fn numbers(&self, element: &[u8]) -> [f64; 3] {
         let mut numbers = element[..self.size].chunks_exact(self.component.size());
         std::array::from_fn(|_| numbers.next().map_or(0.0, |bytes| self.component.number(bytes, false)))
     }
 
-    /// Writes an element between three.
+    /// Writes an element interpolated from three.
     pub fn mix(&self, of: [u32; 3], weights: [f64; 3], out: &mut [u8]) {
         let size = self.component.size();
         for (k, out) in out.chunks_exact_mut(size).enumerate() {
@@ -147,7 +147,7 @@ impl Document {
         Ok(self.numbers::<1>(i, "SCALAR")?.into_iter().map(|[index]| index as u32).collect())
     }
 
-    /// Accessor `i` as bytes, for copies that change no bit.
+    /// Accessor `i` as bytes, for exact copies.
     ///
     /// # Errors
     /// Those of [`Document::numbers`].
@@ -223,7 +223,7 @@ impl Document {
         Ok(Layout { component, width, size, count: accessor.count as usize })
     }
 
-    /// Copies the elements without gaps, then those that a sparse accessor puts in their place.
+    /// Copies the elements without gaps, then replaces the elements that a sparse accessor lists.
     fn copy(&self, accessor: &Accessor, layout: &Layout, out: &mut [u8]) -> Checked<()> {
         if let Some(view) = accessor.buffer_view {
             let bytes = self.view(view)?;

@@ -1,4 +1,4 @@
-//! From files to JSON and bytes: `.gltf` and `.glb`, buffers beside them, in them and as data URIs.
+//! Reads `.gltf` and `.glb` files with their buffers: files, chunks and data URIs.
 
 use std::{
     borrow::Cow,
@@ -8,7 +8,7 @@ use std::{
 use super::document::Root;
 use crate::{Error, Result, scene::text};
 
-/// Extensions that may be required: what they ask for is done here, or has no say in diffuse light.
+/// Extensions that a file may require: the reader supports them, or they do not affect diffuse light.
 const KNOWN: [&str; 9] = [
     "KHR_mesh_quantization",
     "KHR_texture_transform",
@@ -20,10 +20,10 @@ const KNOWN: [&str; 9] = [
     "MSFT_lod",
     "KHR_xmp_json_ld",
 ];
-/// The same, of every name that begins so.
+/// Prefixes of further such extensions.
 const KNOWN_START: &str = "KHR_materials_";
 
-/// Compressed data, and the command that leaves plain data of it.
+/// Extensions for compressed data, with the command that unpacks them.
 const COMPRESSED: [(&str, &str); 4] = [
     ("KHR_draco_mesh_compression", "npx @gltf-transform/cli dedup IN.glb OUT.glb"),
     ("EXT_meshopt_compression", "npx @gltf-transform/cli dedup IN.glb OUT.glb"),
@@ -33,11 +33,11 @@ const COMPRESSED: [(&str, &str); 4] = [
 
 /// A file with all its buffers.
 pub struct Document {
-    /// Where it is.
+    /// The path of the file.
     pub path: PathBuf,
-    /// Its JSON as bytes.
+    /// The JSON as bytes.
     json: Vec<u8>,
-    /// What the JSON says.
+    /// The parsed JSON.
     pub root: Root,
     /// The bytes of each buffer.
     pub buffers: Vec<Vec<u8>>,
@@ -61,7 +61,7 @@ impl Document {
     pub fn of_bytes(path: &Path, bytes: Vec<u8>) -> Result<Document> {
         let (json, chunk, is_text) = split(path, bytes)?;
         let root: Root = serde_json::from_slice(&json).map_err(|e| {
-            // The position at the end of the message is told as a line, where the file has lines, and by what stands there.
+            // Replaces the position at the end of the message by a line, if the file has lines, and by the text there.
             let said = e.to_string();
             let said = said.rsplit_once(" at line ").map_or(&*said, |(before, _)| before);
             let line = is_text.then(|| e.line()).filter(|&line| line > 0);
@@ -80,7 +80,7 @@ impl Document {
         Ok(document)
     }
 
-    /// All of the JSON, known to us or not.
+    /// All of the JSON, including parts that the reader does not know.
     ///
     /// # Errors
     /// [`Error::Input`] when it is nested too deeply.
@@ -139,7 +139,7 @@ impl Document {
         Ok((bytes, file))
     }
 
-    /// The bytes of an image, and where it is if it is a file of its own.
+    /// The bytes of an image, and its path if it is a file of its own.
     pub fn image(&self, i: usize) -> std::result::Result<(Cow<'_, [u8]>, Option<PathBuf>), String> {
         let image = self.root.images.get(i).ok_or_else(|| format!("images[{i}] does not exist"))?;
         match (&image.uri, image.buffer_view) {
@@ -211,7 +211,7 @@ fn split(path: &Path, bytes: Vec<u8>) -> Result<(Vec<u8>, Option<Vec<u8>>, bool)
     Ok((json, binary, false))
 }
 
-/// The last of the text before a place, lines and columns counted from 1.
+/// The end of the text before a place. Lines and columns count from 1.
 fn before(json: &[u8], line: usize, column: usize) -> String {
     let line = json.split(|&b| b == b'\n').nth(line.saturating_sub(1)).unwrap_or_default();
     let end = column.min(line.len());

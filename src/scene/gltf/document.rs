@@ -1,7 +1,7 @@
-//! What a glTF file says, as far as light needs it: the JSON of glTF 2.0, with its extensions by name.
+//! The parts of the JSON of glTF 2.0 that light needs, with extensions by name.
 //!
-//! Fields are those of the specification (Khronos Group, "glTF 2.0 Specification", 2021, section 5); what is left out has no
-//! say here. Nothing is checked yet but types.
+//! Fields are those of the specification (Khronos Group, "glTF 2.0 Specification", 2021, section 5). Parsing checks types
+//! only.
 
 use serde::Deserialize;
 

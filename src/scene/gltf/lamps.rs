@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use crate::scene::{Scene, Triangle};
 
-/// Adds the backs of the triangles that emit from both sides, where they are not the skin of a closed body; how many there are.
+/// Adds the backs of triangles that emit from both sides, unless they belong to a closed body. Returns their number.
 pub fn double(scene: &mut Scene, both_sides: &[u32]) -> usize {
     let open = open_parts(scene, both_sides);
     for &t in &open {
@@ -24,7 +24,7 @@ pub fn double(scene: &mut Scene, both_sides: &[u32]) -> usize {
     open.len()
 }
 
-/// Those of the triangles that belong to a connected part with an edge that is not run through once each way.
+/// The triangles that belong to an open part: a connected part with an edge that does not have one triangle in each direction.
 fn open_parts(scene: &Scene, triangles: &[u32]) -> Vec<u32> {
     let mut edges: HashMap<(u32, u32), Vec<usize>> = HashMap::new();
     let directed = |k: usize| {

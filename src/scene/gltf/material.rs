@@ -1,4 +1,4 @@
-//! Materials of glTF to ours: what reflects diffusely, what emits, and in words what is left out.
+//! Converts materials of glTF: reflectance and emission, with warnings about the rest.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ use crate::scene::{
     is_radiance, warnings::Warnings,
 };
 
-/// Texture coordinates that a map is looked up with.
+/// The texture coordinates of a map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lookup {
     /// The number of TEXCOORD.
@@ -32,7 +32,7 @@ impl Lookup {
         Lookup { set, transform: transform.map(|t| TextureTransform { tex_coord: None, ..t }) }
     }
 
-    /// Our texture coordinates, v upwards, of those in the file.
+    /// Converts texture coordinates of the file to ours, with v upwards.
     ///
     /// KHR_texture_transform scales, rotates and moves. Its text turns the other way than its example; viewers follow the
     /// example.
@@ -62,14 +62,14 @@ const LEAST_ALPHA: f64 = 1e-3;
 pub struct Made {
     /// Index into the scene's materials.
     pub index: u32,
-    /// How its textures are looked up.
+    /// The texture coordinates of its textures.
     pub reflectance: Option<Lookup>,
     pub emission: Option<Lookup>,
     /// Whether its backs emit too.
     pub both_sides_emit: bool,
 }
 
-/// How an image goes on outside 0..1.
+/// The continuation of an image outside 0..1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Wrap {
     Repeat,
@@ -111,7 +111,7 @@ pub struct Materials<'a> {
     pub files: Vec<PathBuf>,
     /// Names of images that could not be read.
     pub missing: Vec<String>,
-    /// By the file's index and the sets of texture coordinates that are not there.
+    /// Materials by the index in the file and the missing sets of texture coordinates.
     made: HashMap<(Option<usize>, Vec<u32>), Made>,
     images: HashMap<usize, Option<Rc<Image>>>,
     prepared: HashMap<Prepared, Option<usize>>,
@@ -136,7 +136,7 @@ impl<'a> Materials<'a> {
     /// Material `id` for a primitive that has some sets of texture coordinates.
     ///
     /// # Errors
-    /// [`Error::Input`](crate::Error::Input) when it is missing or demands what no surface can do.
+    /// [`Error::Input`](crate::Error::Input) when it is missing or has values that no surface can have.
     pub fn index(&mut self, id: Option<usize>, has: impl Fn(u32) -> bool) -> Result<Made> {
         let definition = match id {
             None => None,
@@ -234,7 +234,7 @@ impl<'a> Materials<'a> {
                     .map(|info| (info, self.map(info, Taken::Colour, &name, "it does not emit")));
                 match map {
                     Some((info, Some(map))) => Some((Lookup::of(info), map)),
-                    // What shines in parts is dark rather than bright all over.
+                    // Without its image the surface is dark rather than bright all over.
                     _ => {
                         emission = [0.0; 3];
                         None
@@ -258,7 +258,7 @@ impl<'a> Materials<'a> {
         Ok(self.push(material, [reflectance_lookup, emission_lookup], both))
     }
 
-    /// The diffuse part: base colour times the share that is no metal.
+    /// The diffuse part: base colour times the share that is not metal.
     fn reflectance(
         &mut self,
         name: &str,
@@ -277,7 +277,7 @@ impl<'a> Materials<'a> {
                 composed = Some(metal);
                 dielectric = 1.0;
             } else {
-                // Rare: two layouts on one surface. The mean keeps the energy.
+                // In the rare case of two layouts on one surface, the mean conserves energy.
                 let image = self.image_of(metal, name, "the metallic factor alone counts");
                 dielectric = 1.0 - surface.metallic * image.map_or(1.0, |image| image.mean_of(METAL));
                 self.warn(
@@ -368,7 +368,7 @@ impl<'a> Materials<'a> {
         }
     }
 
-    /// A texture of an image, prepared for the way in which `info` uses it.
+    /// A texture of an image, prepared for its use by `info`.
     fn prepare(
         &mut self,
         image: Option<usize>,
@@ -446,7 +446,7 @@ impl<'a> Materials<'a> {
         sampler.map_or([Wrap::Repeat; 2], |sampler| [wrap(sampler.wrap_s), wrap(sampler.wrap_t)])
     }
 
-    /// The image that a texture shows: WebP before what stands in for it.
+    /// The image of a texture: WebP is preferred to its replacement.
     fn source(&self, info: &TextureInfo) -> Option<usize> {
         let texture = self.document.root.textures.get(info.index)?;
         let webp = texture.extensions.webp.as_ref().and_then(|webp| webp.source);
@@ -457,7 +457,7 @@ impl<'a> Materials<'a> {
         self.source(info).and_then(|image| self.image(image, name, fallback))
     }
 
-    /// An image, which may have been read before; absent or broken ones are told once.
+    /// An image, which is read once. An absent or broken image causes one warning.
     fn image(&mut self, i: usize, name: &str, fallback: &str) -> Option<Rc<Image>> {
         if let Some(known) = self.images.get(&i) {
             return known.clone();
@@ -481,7 +481,7 @@ impl<'a> Materials<'a> {
         image
     }
 
-    /// Says what a material does beside reflecting diffusely and emitting.
+    /// Warns about properties of a material other than diffuse reflection and emission.
     fn warn_left_out(&mut self, name: &str, definition: &document::Material, surface: &Surface) {
         if surface.metallic > 0.0 {
             let share = if surface.metal_texture.is_some() {

@@ -1,15 +1,15 @@
 //! glTF 2.0, `.gltf` and `.glb`.
 //!
-//! The default scene counts, or all nodes where there is none. Meshes are placed by their nodes, copied by
-//! EXT_mesh_gpu_instancing, posed by skins and morph targets at rest. A material reflects its base colour, times its texture and
-//! COLOR_0, as far as it is no metal; it emits its emissive factor times KHR_materials_emissive_strength and its texture, in
-//! W/(m² sr).
+//! The reader takes the default scene, or all nodes if there is none. Nodes place meshes, EXT_mesh_gpu_instancing copies them,
+//! and skins and morph targets pose them at rest. The reflectance of a material is its base colour times its texture, COLOR_0
+//! and the share that is not metal. Its emission is the emissive factor times KHR_materials_emissive_strength and its texture,
+//! in W/(m² sr).
 //!
-//! A surface that is double-sided shines from both sides, as the specification has it: where its mesh is open, its triangles are
-//! in the scene a second time, turned round, behind all others. A closed mesh shines outward only: what its inside sends stays there.
+//! A double-sided surface emits from both sides, as the specification says. If its mesh is open, its triangles are in the scene a
+//! second time, turned round, after all others. A closed mesh emits outwards only, because light of its inside stays there.
 //!
-//! Nothing here trusts a number of the file: every index, length and offset is checked where it is used, nodes are walked without
-//! recursion, and nothing is allocated that the file has no bytes for.
+//! The reader trusts no number of the file. It checks every index, length and offset where it uses it, walks nodes without
+//! recursion, and allocates no more than the file has bytes for.
 
 pub(crate) mod accessor;
 pub(crate) mod container;
@@ -33,7 +33,7 @@ use self::primitive::Geometry;
 use super::{LoadOptions, Part, Scene, SceneBuilder};
 use crate::{Error, Result};
 
-/// Larger scenes are refused: a few copies of a few meshes could be any number of triangles.
+/// Scenes with more triangles are refused: a few nested copies of meshes could give any number.
 const MOST_TRIANGLES: usize = 1 << 27;
 
 /// Reads `path`.
@@ -81,11 +81,10 @@ impl Place<'_> {
 }
 
 impl Document {
-    /// Shows every primitive in the scene, in the order in which their triangles are numbered, and its geometry where it has
-    /// triangles.
+    /// Calls `show` with every primitive of the scene, in the order of their triangles, and with its geometry if it has triangles.
     ///
     /// # Errors
-    /// Those of reading geometry, and of `show`.
+    /// Errors of reading geometry, and of `show`.
     pub fn for_each_primitive(
         &self,
         show: impl FnMut(&Place<'_>, Option<&Geometry>) -> Result<()>,
@@ -98,7 +97,7 @@ impl Document {
         nodes: &Nodes,
         mut show: impl FnMut(&Place<'_>, Option<&Geometry>) -> Result<()>,
     ) -> Result<()> {
-        // Geometry is read once for all instances, unless each is posed by itself.
+        // Geometry is read once for all instances, unless each has a pose of its own.
         let mut known: HashMap<(usize, usize), Option<Geometry>> = HashMap::new();
         for instance in &nodes.instances {
             let node = &self.root.nodes[instance.node];
@@ -131,7 +130,7 @@ struct Assembly<'a> {
     /// Triangles whose backs emit.
     both_sides: Vec<u32>,
     parts: Vec<Part>,
-    /// Primitives of points and lines.
+    /// Number of primitives of points and lines.
     left_out: usize,
 }
 
@@ -163,7 +162,7 @@ impl Assembly<'_> {
         let coordinates = |lookup: &Option<Lookup>, or: Option<u32>| -> Result<Option<Vec<DVec2>>> {
             let Some(set) = lookup.as_ref().map(|l| l.set).or(or) else { return Ok(None) };
             let uv = document.texture_coordinates(primitive, set, geometry.positions.len())?;
-            // Without a texture these may still lay out a lightmap.
+            // Without a texture these coordinates may still serve a lightmap.
             let plain = |uv: DVec2| DVec2::new(uv.x, 1.0 - uv.y);
             Ok(uv.map(|uv| {
                 uv.into_iter().map(|uv| lookup.as_ref().map_or(plain(uv), |l| l.apply(uv))).collect()
@@ -174,7 +173,7 @@ impl Assembly<'_> {
             Some(_) if made.emission != made.reflectance => coordinates(&made.emission, None)?,
             _ => None,
         };
-        // Of two sets that are the same the second is not kept.
+        // If both sets are equal, the second is not kept.
         let (uv, uv_of_emission) = match (uv, uv_of_emission) {
             (None, Some(only)) => (Some(only), None),
             both => both,

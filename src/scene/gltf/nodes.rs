@@ -1,4 +1,4 @@
-//! Which meshes are where: the nodes of the scene, walked without recursion.
+//! The nodes of a scene and the places of its meshes, without recursion.
 
 use glam::{DMat4, DQuat, DVec3, DVec4};
 
@@ -10,7 +10,7 @@ use crate::Result;
 pub struct Instance {
     /// The node that places it.
     pub node: usize,
-    /// Which of the copies it is that EXT_mesh_gpu_instancing makes of the node's mesh; `None` without the extension.
+    /// The number of the copy that EXT_mesh_gpu_instancing makes of the node's mesh; `None` without the extension.
     pub copy: Option<usize>,
     /// The mesh.
     pub mesh: usize,
@@ -20,17 +20,17 @@ pub struct Instance {
 
 /// The meshes of a scene, and where its nodes are.
 pub struct Nodes {
-    /// In the order in which a walk meets them, parents first.
+    /// In the order of the walk, parents first.
     pub instances: Vec<Instance>,
     /// The matrix of each node that belongs to the scene.
     pub matrices: Vec<Option<DMat4>>,
 }
 
 impl Document {
-    /// Walks the default scene, or all nodes that no other has for a child where there is none.
+    /// Walks the default scene. If there is none, walks all nodes that are not children.
     ///
     /// # Errors
-    /// [`Error::Input`](crate::Error::Input) when a node is missing, met twice, or placed by numbers that place nothing.
+    /// [`Error::Input`](crate::Error::Input) when a node is missing, visited twice, or has a matrix that is not usable.
     pub fn nodes(&self) -> Result<Nodes> {
         let root = &self.root;
         let roots = match root.scene {
@@ -84,7 +84,7 @@ impl Document {
         (0..has_parent.len()).filter(|&i| !has_parent[i]).collect()
     }
 
-    /// Where EXT_mesh_gpu_instancing puts copies of node `i`, relative to it.
+    /// The places of the copies by EXT_mesh_gpu_instancing, relative to node `i`.
     ///
     /// # Errors
     /// [`Error::Input`](crate::Error::Input) when its accessors cannot be read or differ in length.

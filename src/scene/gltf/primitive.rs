@@ -14,12 +14,12 @@ pub struct Geometry {
     pub triangles: Vec<[u32; 3]>,
     /// Linear R G B and alpha.
     pub colours: Option<Vec<[f64; 4]>>,
-    /// Whether the positions are already those of the scene.
+    /// Whether the positions are already in the space of the scene.
     pub posed: bool,
 }
 
 impl Document {
-    /// Reads a primitive; `None` for points and lines, and where there are no positions.
+    /// Reads a primitive. `None` for points and lines, and without positions.
     ///
     /// # Errors
     /// [`Error::Input`](crate::Error::Input) when an accessor cannot be read, or an index has no vertex.
@@ -87,7 +87,7 @@ impl Document {
                 uv.len()
             )));
         }
-        // What is not finite means nothing; the same is done with such coordinates of OBJ files.
+        // Coordinates that are not finite become 0, as in OBJ files.
         let finite = |uv: [f64; 2]| if uv.iter().all(|x| x.is_finite()) { uv.into() } else { DVec2::ZERO };
         Ok(Some(uv.into_iter().map(finite).collect()))
     }
@@ -119,8 +119,8 @@ impl Document {
         Ok(())
     }
 
-    /// Puts vertices where the joints of the node's skin are at rest; whether there is one. The node's own place has no say
-    /// then (section 3.7.3.3 of the specification).
+    /// Poses vertices by the joints of the node's skin at rest. Returns whether there is a skin. The transform of the node itself
+    /// is ignored then (section 3.7.3.3 of the specification).
     fn skin(
         &self,
         nodes: &Nodes,
