@@ -12,13 +12,12 @@ use radiosity::{
         file::Pending,
         report::seconds,
     },
-    scene::surfaces::Surface,
-    view_factor::look,
+    scene::surfaces::{By, Surface},
 };
 
 use super::{
     Common, Outcome, outputs, summary,
-    surfaces::{ByName, SurfaceArgs, Told, compute, read},
+    surfaces::{Known, SurfaceArgs, Told, find, read},
     to_stdout,
     watch::Watch,
 };
@@ -67,17 +66,13 @@ pub fn run(args: &ExchangeArgs) -> Result<Outcome> {
 
     let watch = Watch::new(args.common.quiet);
     let mut told = Told::new(&watch);
-    let by = args.surfaces.by.unwrap_or(ByName::Group);
+    let by = args.surfaces.by.as_ref().unwrap_or(&By::Group);
     let ((_, surfaces), _) = watch.stage("reading", || read(&args.surfaces, by, &files, &mut told))?;
     let names: Vec<String> = surfaces.list.iter().map(|surface| surface.name.clone()).collect();
     let conditions = Conditions::load(&args.conditions, &names)?;
     let (parts, surface_of) = surfaces.parts();
-    args.common.limit().check_polygons(parts.list.len())?;
-    let (seen, _) = watch.stage("looking", || Ok(look(&parts.list, DVec3::Y)))?;
-    let ((found, enclosed), _) =
-        watch.stage("view factors", || compute(&args.surfaces, DVec3::Y, &parts, &seen, &mut told))?;
-    told.hidden(&args.surfaces, &parts, &found);
-    told.overfull(&args.surfaces, &parts, &found);
+    let Known { found, enclosed, .. } =
+        find(&args.surfaces, args.common.limit(), DVec3::Y, &parts, &mut told)?;
     if let Some(i) = (0..found.len()).find(|&i| found.areas()[i] <= 0.0) {
         let Surface { name, line, .. } = &parts.list[i];
         let message = format!("a face of `{name}` is wholly hidden by others in its plane");

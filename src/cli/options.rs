@@ -173,6 +173,15 @@ pub fn ignore(scene: &mut Scene, path: &Path, materials: &[String]) -> Radiosity
     Ok(())
 }
 
+/// The indices of materials of these names, which an option names.
+pub fn materials(scene: &Scene, path: &Path, option: &str, names: &[String]) -> RadiosityResult<Vec<u32>> {
+    let index = |name: &String| {
+        let found = scene.materials.iter().position(|m| m.name == *name);
+        found.map(|k| k as u32).ok_or_else(|| no_material(scene, path, option, name))
+    };
+    names.iter().map(index).collect()
+}
+
 /// The number of patches and rays: options of every command that solves for radiosity.
 #[derive(Args)]
 pub struct CastArgs {

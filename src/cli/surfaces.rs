@@ -1,6 +1,6 @@
 //! Surfaces and their view factors, for the commands that start with them.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
@@ -8,13 +8,13 @@ use radiosity::{
     Error, Result, Scene,
     output::file::OutputFile,
     scene::{
-        DEFAULT_REFLECTANCE, LoadOptions,
+        DEFAULT_REFLECTANCE, LoadOptions, Part,
         surfaces::{By, Side, Surface, Surfaces},
     },
-    view_factor::{Sight, ViewFactorOptions, ViewFactors, view_factors_of_surfaces},
+    view_factor::{Sight, ViewFactorOptions, ViewFactors, look, view_factors_among},
 };
 
-use super::{options, watch::Watch};
+use super::{forecast::Limit, options, watch::Watch};
 
 /// Which surfaces, and how accurate their view factors are wanted.
 #[derive(Args)]
@@ -28,9 +28,13 @@ pub struct SurfaceArgs {
     /// Cast rays until the RMS standard error of the view factors that are not zero is below this
     #[arg(long, value_name = "E", default_value_t = ViewFactorOptions::default().error, value_parser = error)]
     pub error: f64,
-    /// What one surface is [default: face; group in `exchange`]
-    #[arg(long, value_enum)]
-    pub by: Option<ByName>,
+    /// Let all faces of a material block, without being surfaces. May be repeated
+    #[arg(long, value_name = "MATERIAL")]
+    pub obstruct: Vec<String>,
+    /// What one surface is: face (named by its number in the file from 0), group (`g` in an .obj), object (`o`), material, or
+    /// property:NAME (all faces of a .ply with the same value) [default: face; group in `exchange`]
+    #[arg(long, value_parser = by)]
+    pub by: Option<By>,
     /// The sides of faces that are surfaces
     #[arg(long, value_enum, default_value_t = SideName::Front)]
     pub side: SideName,
@@ -45,19 +49,6 @@ pub struct SurfaceArgs {
     pub seed: u64,
 }
 
-/// What one surface is.
-#[derive(Clone, Copy, ValueEnum)]
-pub enum ByName {
-    /// A face, named by its number in the file from 0
-    Face,
-    /// All faces of a group (`g` in an .obj)
-    Group,
-    /// All faces of an object (`o` in an .obj)
-    Object,
-    /// All faces of a material
-    Material,
-}
-
 /// Which sides of faces are surfaces.
 #[derive(Clone, Copy, ValueEnum)]
 pub enum SideName {
@@ -69,15 +60,28 @@ pub enum SideName {
     Both,
 }
 
-impl ByName {
-    /// As the library knows it, and its name.
-    pub fn by(self) -> (By, &'static str) {
-        match self {
-            ByName::Face => (By::Face, "face"),
-            ByName::Group => (By::Group, "group"),
-            ByName::Object => (By::Object, "object"),
-            ByName::Material => (By::Material, "material"),
-        }
+/// What one surface is, by the word for it.
+fn by(text: &str) -> std::result::Result<By, String> {
+    match text {
+        "face" => Ok(By::Face),
+        "group" => Ok(By::Group),
+        "object" => Ok(By::Object),
+        "material" => Ok(By::Material),
+        _ => match text.strip_prefix("property:") {
+            Some(name) if !name.is_empty() => Ok(By::Property(name.into())),
+            _ => Err("face, group, object, material or property:NAME is wanted".into()),
+        },
+    }
+}
+
+/// The word for it.
+pub fn name(by: &By) -> String {
+    match by {
+        By::Face => "face".into(),
+        By::Group => "group".into(),
+        By::Object => "object".into(),
+        By::Material => "material".into(),
+        By::Property(name) => format!("property:{name}"),
     }
 }
 
@@ -113,6 +117,27 @@ impl<'a> Told<'a> {
     pub fn warn(&mut self, warning: String) {
         self.watch.warn(&warning);
         self.warnings.push(warning);
+    }
+
+    /// Warns of faces that may not be what was meant.
+    fn odd(&mut self, path: &Path, surfaces: &Surfaces) {
+        for (faces, what) in [
+            (&surfaces.odd.bent, "has corners out of its plane: its triangles are taken as they are"),
+            (
+                &surfaces.odd.turned,
+                "runs along an edge the same way as its neighbour: one of the two shows its back",
+            ),
+        ] {
+            let Some(&(first, line)) = faces.first() else { continue };
+            let line = line.map_or(String::new(), |line| format!(":{line}"));
+            let more = match faces.len() - 1 {
+                0 => String::new(),
+                n => {
+                    format!("; the same of {n} more: {}", list(faces[1..].iter().map(|(k, _)| k.to_string())))
+                }
+            };
+            self.warn(format!("{}{line}: face {first} {what}{more}", path.display()));
+        }
     }
 
     /// Warns of surfaces that are hidden by others in their plane.
@@ -179,7 +204,7 @@ fn place(args: &SurfaceArgs, surfaces: &Surfaces, i: usize) -> String {
 /// The scene and its surfaces.
 pub fn read(
     args: &SurfaceArgs,
-    by: ByName,
+    by: &By,
     outputs: &[&OutputFile],
     told: &mut Told,
 ) -> Result<(Scene, Surfaces)> {
@@ -190,23 +215,30 @@ pub fn read(
         LoadOptions::default().with_reflectance(reflectance).with_faces(true).with_keep_overlaps(true);
     let mut scene = Scene::load_with(path, &options)?;
     options::ignore(&mut scene, path, &args.ignore)?;
+    let obstacles = options::materials(&scene, path, "--obstruct", &args.obstruct)?;
     scene.cut_overlaps();
     outputs.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
     scene.warnings.iter().for_each(|warning| told.warn(warning.clone()));
     if scene.degenerate > 0 {
         told.warn(format!("{}: left out {} triangles without area", path.display(), scene.degenerate));
     }
-    let (by, name) = by.by();
-    let is_named = match by {
-        By::Group => scene.parts.iter().any(|part| part.group.is_some()),
-        By::Object => scene.parts.iter().any(|part| part.object.is_some()),
-        By::Face | By::Material => true,
+    let (is_named, what) = match by {
+        By::Group => {
+            (scene.parts.iter().any(|part| part.group.is_some()), "no face belongs to a named group".into())
+        }
+        By::Object => {
+            (scene.parts.iter().any(|part| part.object.is_some()), "no face belongs to a named object".into())
+        }
+        By::Property(name) => {
+            let has = |part: &Part| part.properties.iter().any(|(property, _)| property == name);
+            (scene.parts.iter().any(has), format!("no face has a property `{name}`"))
+        }
+        By::Face | By::Material => (true, String::new()),
     };
     if !is_named {
-        return Err(Error::input(path, None, format!("no face belongs to a named {name}"))
-            .with_hint("choose another kind of surface with --by"));
+        return Err(Error::input(path, None, what).with_hint("choose another kind of surface with --by"));
     }
-    let surfaces = Surfaces::of(&scene, by, args.side.side().0);
+    let surfaces = Surfaces::among(&scene, by, args.side.side().0, &obstacles);
     if surfaces.list.is_empty() {
         return Err(Error::input(path, None, "every face is too small beside the whole scene"));
     }
@@ -224,23 +256,70 @@ pub fn read(
             surfaces.tiny
         ));
     }
+    told.odd(path, &surfaces);
     Ok((scene, surfaces))
+}
+
+/// The first of some names, and how many more there are.
+fn list(names: impl ExactSizeIterator<Item = String>) -> String {
+    const MOST: usize = 4;
+    let more = names.len().saturating_sub(MOST);
+    let first: Vec<String> = names.take(MOST).collect();
+    first.join(", ") + &if more > 0 { format!(" and {more} more") } else { String::new() }
 }
 
 /// The surfaces that lose most rays, with the lost share.
 fn open_faces(surfaces: &Surfaces, seen: &[Sight]) -> String {
-    const MOST: usize = 4;
     let share = |i: usize| seen[i].lost() as f64 / seen[i].rays.max(1) as f64;
     let mut open: Vec<usize> = (0..seen.len()).filter(|&i| seen[i].lost() > 0).collect();
     open.sort_by(|&i, &j| share(j).total_cmp(&share(i)));
-    let name = |&i: &usize| format!("`{}` ({:.3} %)", surfaces.list[i].name, 100.0 * share(i));
-    let names: Vec<String> = open.iter().take(MOST).map(name).collect();
-    let more = open.len().saturating_sub(MOST);
-    names.join(", ") + &if more > 0 { format!(" and {more} more") } else { String::new() }
+    list(open.iter().map(|&i| format!("`{}` ({:.3} %)", surfaces.list[i].name, 100.0 * share(i))))
+}
+
+/// The surface that loses the largest share of its rays, where that is more than cracks between faces let through and than chance
+/// explains. What sampling leaves open of rows is no reason to close such a room.
+fn most_open(seen: &[Sight]) -> Option<usize> {
+    /// What polygons that adjoin but for rounding leave open, and standard errors of a count.
+    const CRACKS: f64 = 1e-4;
+    const STANDARD_ERRORS: f64 = 3.0;
+    let share = |i: usize| seen[i].lost() as f64 / seen[i].rays.max(1) as f64;
+    let is_open = |&i: &usize| {
+        let lost = seen[i].lost() as f64;
+        lost - STANDARD_ERRORS * lost.sqrt() > CRACKS * seen[i].rays as f64
+    };
+    (0..seen.len()).filter(is_open).max_by(|&i, &j| share(i).total_cmp(&share(j)))
+}
+
+/// What is known of the surfaces of a scene.
+pub struct Known {
+    pub seen: Vec<Sight>,
+    pub found: ViewFactors,
+    pub enclosed: bool,
+    /// Seconds that looking round and view factors took.
+    pub seconds: [f64; 2],
+}
+
+/// Looks round, computes the view factors, and warns of what is odd about them.
+pub fn find(
+    args: &SurfaceArgs,
+    limit: Limit,
+    up: DVec3,
+    surfaces: &Surfaces,
+    told: &mut Told,
+) -> Result<Known> {
+    let watch = told.watch;
+    limit.check_polygons(surfaces.polygons())?;
+    let (seen, look) = watch.stage("looking", || Ok(look(&surfaces.list, &surfaces.obstacles, up)))?;
+    let ((found, enclosed), view_factors) =
+        watch.stage("view factors", || compute(args, up, surfaces, &seen, told))?;
+    told.hidden(args, surfaces, &found);
+    told.overfull(args, surfaces, &found);
+    told.unclosed(args, surfaces, &found);
+    Ok(Known { seen, found, enclosed, seconds: [look, view_factors] })
 }
 
 /// The view factors, and whether the surfaces enclose a room.
-pub fn compute(
+fn compute(
     args: &SurfaceArgs,
     up: DVec3,
     surfaces: &Surfaces,
@@ -254,7 +333,7 @@ pub fn compute(
             .with_enclosed(enclosed)
             .with_up(up)
             .with_seed(args.seed);
-        view_factors_of_surfaces(&surfaces.list, &options, watch.progress())
+        view_factors_among(&surfaces.list, &surfaces.obstacles, &options, watch.progress())
     };
     let all = seen.iter().fold(Sight::default(), |all, sight| all.and(*sight));
     let (lost, scene) = (all.lost(), args.scene.display());
@@ -270,6 +349,23 @@ pub fn compute(
     if args.open || !args.enclosed && lost > 0 {
         return Ok((run(false)?, false));
     }
+    let refused = |i: usize, message: String| {
+        let Surface { line, .. } = &surfaces.list[i];
+        let hint = match lost {
+            0 => "leave --enclosed out; `inspect` reports open edges and backs".into(),
+            _ => format!("leave --enclosed out; it is open where rays leave {}", open_faces(surfaces, seen)),
+        };
+        Err(Error::input(&args.scene, *line, message).with_hint(hint))
+    };
+    if let Some(i) = most_open(seen) {
+        let Sight { rays, .. } = seen[i];
+        let message = format!(
+            "no room is enclosed: {} of {rays} rays left the room or met backs from surface `{}`",
+            seen[i].lost(),
+            surfaces.list[i].name
+        );
+        return refused(i, message);
+    }
     if lost > 0 {
         told.warn(format!(
             "{scene}: {lost} of {} rays left the room or met backs, most from {}; --enclosed shares out what they carry",
@@ -279,17 +375,11 @@ pub fn compute(
     }
     match run(true) {
         Err(Error::NotEnclosed { surface, sum }) if args.enclosed => {
-            let Surface { name, line, .. } = &surfaces.list[surface];
-            let message =
-                format!("the view factors of surface `{name}` sum to {sum:.6}: no room is enclosed");
-            let hint = match lost {
-                0 => "leave --enclosed out; `inspect` reports open edges and backs".into(),
-                _ => format!(
-                    "leave --enclosed out; it is open where rays leave {}",
-                    open_faces(surfaces, seen)
-                ),
-            };
-            Err(Error::input(&args.scene, *line, message).with_hint(hint))
+            let name = &surfaces.list[surface].name;
+            refused(
+                surface,
+                format!("the view factors of surface `{name}` sum to {sum:.6}: no room is enclosed"),
+            )
         }
         // No ray was lost, but a row sum deviates by more than chance explains.
         Err(Error::NotEnclosed { surface, sum }) => {

@@ -18,12 +18,12 @@ use radiosity::{
             ViewFactorSeconds, ViewFactorsReport,
         },
     },
-    view_factor::look,
+    scene::surfaces::By,
 };
 
 use super::{
     Common, Outcome, outputs, summary,
-    surfaces::{ByName, SurfaceArgs, Told, compute, read},
+    surfaces::{Known, SurfaceArgs, Told, find, name, read},
     to_stdout,
     watch::Watch,
 };
@@ -90,7 +90,7 @@ impl UpName {
 /// Runs the command.
 pub fn run(args: &ViewFactorsArgs) -> Result<Outcome> {
     let start = Instant::now();
-    let by = args.surfaces.by.unwrap_or(ByName::Face);
+    let by = args.surfaces.by.as_ref().unwrap_or(&By::Face);
     let text = |path: &PathBuf, what| outputs::text(path, &[args.surfaces.scene.as_path()], what);
     let matrix = args.output.as_ref().map(|path| Ok((text(path, "a table")?, format(path)?))).transpose()?;
     let pairs = args.pairs.as_ref().map(|path| text(path, "a table")).transpose()?;
@@ -106,16 +106,9 @@ pub fn run(args: &ViewFactorsArgs) -> Result<Outcome> {
     let (scene, surfaces);
     ((scene, surfaces), times.load) =
         watch.stage("reading", || read(&args.surfaces, by, &files, &mut told))?;
-    args.common.limit().check_polygons(surfaces.polygons())?;
-    let seen;
-    (seen, times.look) = watch.stage("looking", || Ok(look(&surfaces.list, args.up.direction())))?;
-    let (found, enclosed);
-    ((found, enclosed), times.view_factors) = watch.stage("view factors", || {
-        compute(&args.surfaces, args.up.direction(), &surfaces, &seen, &mut told)
-    })?;
-    told.hidden(&args.surfaces, &surfaces, &found);
-    told.overfull(&args.surfaces, &surfaces, &found);
-    told.unclosed(&args.surfaces, &surfaces, &found);
+    let Known { seen, found, enclosed, seconds: [looking, computing] } =
+        find(&args.surfaces, args.common.limit(), args.up.direction(), &surfaces, &mut told)?;
+    (times.look, times.view_factors) = (looking, computing);
 
     watch.begin_writing();
     let mut pending = Vec::new();
@@ -144,7 +137,7 @@ pub fn run(args: &ViewFactorsArgs) -> Result<Outcome> {
         seconds: times,
         peak_bytes: peak_bytes(),
         options: ViewFactorOptionsReport {
-            by: by.by().1,
+            by: name(by),
             side: args.surfaces.side.side().1,
             seed: args.surfaces.seed,
             threads: rayon::current_num_threads(),

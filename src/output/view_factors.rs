@@ -326,10 +326,10 @@ pub struct ViewFactorSeconds {
 }
 
 /// What was asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ViewFactorOptionsReport {
-    /// What one surface is: a face, group, object or material.
-    pub by: &'static str,
+    /// What one surface is: a face, group, object, material or property.
+    pub by: String,
     /// The sides of faces that are surfaces.
     pub side: &'static str,
     /// The seed.

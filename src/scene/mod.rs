@@ -104,13 +104,15 @@ pub struct Face {
     pub part: u32,
 }
 
-/// The object and the group that faces of an OBJ file belong to.
+/// What groups faces: the object and the group that they belong to, and properties that they have in common.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
 pub struct Part {
     /// The name after `o`.
     pub object: Option<String>,
     /// The names after `g`. Several names together form one group.
     pub group: Option<String>,
+    /// Numbers that the faces of a PLY file have beside their corners and colours: names and values.
+    pub properties: Vec<(String, String)>,
 }
 
 /// Triangles with materials. Make one with [`Scene::load`], [`Scene::from_indexed`] or [`Scene::new`].

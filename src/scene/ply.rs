@@ -53,6 +53,7 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
         builder: SceneBuilder::default(),
         materials: Vec::new(),
         known: HashMap::new(),
+        parts: HashMap::new(),
         warnings: Warnings::default(),
         plain: 0,
         short: None,
@@ -266,6 +267,8 @@ struct Mesh<'a> {
     materials: Vec<Material>,
     /// Materials by reflectance and emission.
     known: HashMap<(Option<[u64; 3]>, [u64; 3]), u32>,
+    /// What faces have in common beside these, by the order in which it came.
+    parts: HashMap<Part, u32>,
     warnings: Warnings,
     /// Faces without a reflectance.
     plain: usize,
@@ -332,7 +335,10 @@ impl Mesh<'_> {
         let triangles = triangulate::polygon(&points).ok_or_else(|| error(triangulate::TOO_MANY.into()))?;
         let material = self.material(reflectance, emission);
         if self.options.faces {
-            self.builder.face(at.line, 0);
+            let properties = face.others.into_iter().map(|(name, value)| (name, value.to_string())).collect();
+            let part = Part { properties, ..Part::default() };
+            let next = self.parts.len() as u32;
+            self.builder.face(at.line, *self.parts.entry(part).or_insert(next));
         }
         for triangle in triangles {
             self.builder.push(triangle.map(|i| points[i]), material, None);
@@ -379,7 +385,9 @@ impl Mesh<'_> {
         }
         scene.materials = self.materials;
         if self.options.faces {
-            scene.parts = vec![Part::default()];
+            let mut parts: Vec<(Part, u32)> = self.parts.into_iter().collect();
+            parts.sort_unstable_by_key(|&(_, index)| index);
+            scene.parts = parts.into_iter().map(|(part, _)| part).collect();
         }
         scene.warnings = self.warnings.into_sentences();
         scene.files = vec![self.path.to_owned()];

@@ -53,7 +53,7 @@ struct Mesh<'a> {
 impl Mesh<'_> {
     fn begin(&mut self, name: &str) {
         let object = (!name.is_empty()).then(|| name.to_owned());
-        self.parts.push(Part { object, group: None });
+        self.parts.push(Part { object, ..Part::default() });
     }
 
     fn push(&mut self, corners: [DVec3; 3], line: Option<usize>) {

@@ -10,7 +10,7 @@ use glam::DVec3;
 use super::{Material, Part, Scene, Triangle, centre_and_extent};
 
 /// What one surface is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum By {
     /// A face. Its name is its number in the file, from 0.
     Face,
@@ -20,6 +20,8 @@ pub enum By {
     Object,
     /// All faces of a material.
     Material,
+    /// All faces of a PLY file with the same value of this property; the name is the value.
+    Property(String),
 }
 
 /// The sides of faces that are surfaces.
@@ -63,6 +65,20 @@ pub struct Surfaces {
     pub doubled: usize,
     /// Number of triangles that were left out because they are smaller than [`SMALLEST`].
     pub tiny: usize,
+    /// Polygons that block and are no surfaces.
+    pub obstacles: Vec<Vec<DVec3>>,
+    /// Faces that may not be what was meant.
+    pub odd: OddFaces,
+}
+
+/// Faces that may not be what was meant, each by its number in the file from 0 and its line.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct OddFaces {
+    /// They have corners out of one plane: their triangles are taken as they are.
+    pub bent: Vec<(usize, Option<usize>)>,
+    /// They run along an edge the same way as the only neighbour there: one of both shows its back.
+    pub turned: Vec<(usize, Option<usize>)>,
 }
 
 /// The name of faces without a group, object or material.
@@ -79,8 +95,19 @@ const SKEW: (f64, f64) = (5e-6, 2e-7);
 impl Surfaces {
     /// The surfaces of `scene`. Read it with [`LoadOptions::faces`](super::LoadOptions::faces), otherwise each triangle is a
     /// face.
-    pub fn of(scene: &Scene, by: By, side: Side) -> Surfaces {
-        let mut surfaces = Surfaces { list: Vec::new(), doubled: 0, tiny: 0 };
+    pub fn of(scene: &Scene, by: &By, side: Side) -> Surfaces {
+        Surfaces::among(scene, by, side, &[])
+    }
+
+    /// As [`Surfaces::of`], where the faces of some materials block and are no surfaces.
+    pub fn among(scene: &Scene, by: &By, side: Side, obstacles: &[u32]) -> Surfaces {
+        let mut surfaces = Surfaces {
+            list: Vec::new(),
+            doubled: 0,
+            tiny: 0,
+            obstacles: Vec::new(),
+            odd: OddFaces { bent: Vec::new(), turned: turned(scene) },
+        };
         let (_, extent) = centre_and_extent(scene.vertices.iter().copied());
         let (mut known, mut seen): (HashMap<String, usize>, HashSet<Vec<u32>>) = Default::default();
         // Added backs of emitters are not faces of the file.
@@ -94,7 +121,16 @@ impl Surfaces {
             let large = |t: &&Triangle| is_large(scene, t, extent);
             let all: Vec<&Triangle> = triangles.iter().filter(large).collect();
             surfaces.tiny += triangles.len() - all.len();
+            let corners = |p: Vec<u32>| p.into_iter().map(|v| scene.vertices[v as usize]).collect();
             let mut polygons = polygons(scene, &all, extent);
+            if obstacles.contains(&triangle.material) {
+                surfaces.obstacles.extend(polygons.into_iter().map(corners));
+                continue;
+            }
+            if !is_flat(scene, &all, extent) {
+                let line = after.checked_sub(1).and_then(|k| scene.faces[k].line);
+                surfaces.odd.bent.push((after.saturating_sub(1), line));
+            }
             let before = polygons.len();
             polygons.retain(|polygon| seen.insert(cycle(polygon)));
             surfaces.doubled += before - polygons.len();
@@ -108,6 +144,10 @@ impl Surfaces {
                 By::Face => Some(after.checked_sub(1).map_or(triangle.source as usize, |k| k).to_string()),
                 By::Group => named(|part| &part.group),
                 By::Object => named(|part| &part.object),
+                By::Property(property) => part.and_then(|part| {
+                    let found = part.properties.iter().find(|(name, _)| name == property);
+                    found.map(|(_, value)| value.clone())
+                }),
                 By::Material => Some(scene.materials[triangle.material as usize].name.clone()),
             };
             let name = name.unwrap_or_else(|| NONE.into());
@@ -118,7 +158,6 @@ impl Surfaces {
             }
             let surface = &mut surfaces.list[at];
             surface.faces += 1;
-            let corners = |p: Vec<u32>| p.into_iter().map(|v| scene.vertices[v as usize]).collect();
             surface.polygons.extend(polygons.into_iter().map(corners));
         }
         surfaces.turned(side)
@@ -151,7 +190,8 @@ impl Surfaces {
             surface.polygons.iter().map(part).collect::<Vec<_>>()
         };
         let (list, surface_of) = self.list.iter().enumerate().flat_map(of).unzip();
-        (Surfaces { list, doubled: self.doubled, tiny: self.tiny }, surface_of)
+        let (obstacles, odd) = (self.obstacles.clone(), self.odd.clone());
+        (Surfaces { list, doubled: self.doubled, tiny: self.tiny, obstacles, odd }, surface_of)
     }
 
     /// Number of triangles and parallelograms of all surfaces.
@@ -166,6 +206,61 @@ impl Surfaces {
             polygons.flat_map(|p| (2..p.len()).map(|k| ([p[0], p[k - 1], p[k]], 0))).collect();
         Scene::new(&triangles, vec![Material::new("surfaces", [0.0; 3], [0.0; 3])])
     }
+}
+
+/// What a corner may be out of the plane of a face by, as a share of the scene's extent and of the face's: files round to six digits.
+const BENT: (f64, f64) = (2e-6, 1e-4);
+
+/// Whether the triangles of a face lie in one plane.
+fn is_flat(scene: &Scene, triangles: &[&Triangle], extent: f64) -> bool {
+    let at = |v: u32| scene.vertices[v as usize] / extent;
+    let corners = || triangles.iter().flat_map(|t| t.vertices).map(at);
+    let vector = |t: &&Triangle| {
+        let [a, b, c] = t.vertices.map(at);
+        (b - a).cross(c - a)
+    };
+    let Some(origin) = corners().next() else { return true };
+    let normal = triangles.iter().map(vector).sum::<DVec3>().normalize_or_zero();
+    let size = corners().map(|p| p.distance(origin)).fold(0.0, f64::max);
+    corners().all(|p| (p - origin).dot(normal).abs() <= BENT.0 + BENT.1 * size)
+}
+
+/// The faces that run along an edge the same way as the only other face there: one of the two shows its back. Of each two the one
+/// with fewer neighbours that agree with it.
+fn turned(scene: &Scene) -> Vec<(usize, Option<usize>)> {
+    let triangles = &scene.triangles[..scene.triangles.len() - scene.backs_of_lamps];
+    let face = |t: &Triangle| scene.faces.partition_point(|face| face.first <= t.source).saturating_sub(1);
+    let mut edges: Vec<(u32, u32, bool, usize)> = Vec::with_capacity(3 * triangles.len());
+    for triangle in triangles {
+        let own = if scene.faces.is_empty() { triangle.source as usize } else { face(triangle) };
+        for k in 0..3 {
+            let (a, b) = (triangle.vertices[k], triangle.vertices[(k + 1) % 3]);
+            edges.push((a.min(b), a.max(b), a > b, own));
+        }
+    }
+    edges.sort_unstable();
+    // Of each face the edges at which it agrees with its neighbour, and those at which it does not.
+    let mut counts: HashMap<usize, [i32; 2]> = HashMap::new();
+    let mut against = Vec::new();
+    for edge in edges.chunk_by(|e, f| (e.0, e.1) == (f.0, f.1)) {
+        if let [e, f] = edge
+            && e.3 != f.3
+        {
+            let agrees = e.2 != f.2;
+            for of in [e.3, f.3] {
+                counts.entry(of).or_default()[usize::from(agrees)] += 1;
+            }
+            if !agrees {
+                against.push([e.3, f.3]);
+            }
+        }
+    }
+    let agreement = |of: usize| counts[&of][1] - counts[&of][0];
+    let mut faces: Vec<usize> =
+        against.into_iter().map(|[e, f]| if agreement(f) < agreement(e) { f } else { e }).collect();
+    faces.sort_unstable();
+    faces.dedup();
+    faces.into_iter().map(|k| (k, scene.faces.get(k).and_then(|face| face.line))).collect()
 }
 
 fn is_large(scene: &Scene, triangle: &Triangle, extent: f64) -> bool {

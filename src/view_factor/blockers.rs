@@ -3,7 +3,7 @@
 //! Points on polygons need no offset here. A polygon whose plane holds an end of a path does not block it, and rounding is 10⁻¹⁶ of
 //! the scene, so that gaps of a millionth of it are as open as they are drawn.
 
-use std::collections::HashMap;
+use std::{cell::Cell, collections::HashMap};
 
 use glam::DVec3;
 
@@ -80,6 +80,8 @@ struct Node {
     at: u32,
     /// Blockers of a leaf, else 0.
     count: u32,
+    /// The axis along which the first child lies before the second.
+    axis: usize,
 }
 
 /// All blockers.
@@ -95,14 +97,16 @@ pub(super) struct Blockers {
 }
 
 impl Blockers {
-    /// Of whole polygons, in order of their `source`.
-    pub(super) fn new(polygons: &[Polygon]) -> Blockers {
+    /// Of whole polygons, in order of their `source`, and of obstacles, which have no side that anybody sees.
+    pub(super) fn new(polygons: &[Polygon], obstacles: &[Polygon]) -> Blockers {
         let mut known: HashMap<Vec<[u64; 3]>, u32> = HashMap::new();
         let (mut list, mut names, mut sides): (Vec<Blocker>, Vec<u32>, Vec<[Option<u32>; 2]>) =
             Default::default();
         let mut normals: Vec<DVec3> = Vec::new();
         let mut sources: Vec<Vec<u32>> = Vec::new();
-        for polygon in polygons {
+        for (polygon, is_seen) in
+            polygons.iter().map(|p| (p, true)).chain(obstacles.iter().map(|p| (p, false)))
+        {
             let next = sides.len() as u32;
             let name = *known.entry(sorted(&polygon.corners)).or_insert(next);
             names.push(name);
@@ -117,6 +121,9 @@ impl Blockers {
                     let triangles = (2..corners.len()).map(|k| [corners[0], corners[k - 1], corners[k]]);
                     list.extend(triangles.map(|t| Blocker::new(&t, true, name)));
                 }
+            }
+            if !is_seen {
+                continue;
             }
             sources[name as usize].push(polygon.source);
             let turned = polygon.normal.dot(normals[name as usize]) < 0.0;
@@ -139,15 +146,25 @@ impl Blockers {
         if sides[mine] == Some(source) { sides[1 - mine] } else { None }
     }
 
-    /// Whether nothing but blockers of these two names stands between two points.
-    pub(super) fn free(&self, from: DVec3, to: DVec3, except: [u32; 2]) -> bool {
-        let direction = to - from;
-        let mut free = true;
-        self.visit(from, direction, 1.0, |blocker, _| {
-            free &= except.contains(&blocker.name) || !blocker.blocks(from, to);
-            if free { 1.0 } else { -1.0 }
-        });
-        free
+    /// Whether nothing but blockers of these two names stands between two points. `last` is the blocker that was found last: it often
+    /// blocks the next path as well, and is asked first.
+    pub(super) fn free(&self, from: DVec3, to: DVec3, except: [u32; 2], last: &Cell<u32>) -> bool {
+        let blocks = |blocker: &Blocker| !except.contains(&blocker.name) && blocker.blocks(from, to);
+        if self.list.get(last.get() as usize).is_some_and(blocks) {
+            return false;
+        }
+        let ray = Ray::new(from, to - from);
+        self.walk(
+            &ray,
+            |node| ray.enters(node, 1.0),
+            |first, blockers| match blockers.iter().position(blocks) {
+                Some(k) => {
+                    last.set((first + k) as u32);
+                    false
+                }
+                None => true,
+            },
+        )
     }
 
     /// Whether none of these blockers stands between two points.
@@ -157,83 +174,76 @@ impl Blockers {
 
     /// Whether what a ray meets first, but for the blockers of a name, is a front. One that is at the same place as a back counts.
     pub(super) fn first(&self, from: DVec3, direction: DVec3, except: u32) -> Option<bool> {
-        let mut met: Option<(f64, u32, bool)> = None;
-        self.visit(from, direction, f64::INFINITY, |blocker, limit| {
-            let found = if blocker.name == except { None } else { blocker.met(from, direction) };
-            match found {
-                Some((t, front)) if t < limit => {
-                    met = Some((t, blocker.name, front));
-                    t
+        let met: Cell<Option<(f64, u32, bool)>> = Cell::new(None);
+        let limit = || met.get().map_or(f64::INFINITY, |(t, ..)| t);
+        let ray = Ray::new(from, direction);
+        self.walk(
+            &ray,
+            |node| ray.enters(node, limit()),
+            |_, blockers| {
+                for blocker in blockers.iter().filter(|blocker| blocker.name != except) {
+                    if let Some((t, front)) = blocker.met(from, direction).filter(|&(t, _)| t < limit()) {
+                        met.set(Some((t, blocker.name, front)));
+                    }
                 }
-                _ => limit,
-            }
-        });
-        met.map(|(_, name, front)| self.sides[name as usize][usize::from(!front)].is_some())
+                true
+            },
+        );
+        met.get().map(|(_, name, front)| self.sides[name as usize][usize::from(!front)].is_some())
     }
 
-    /// Calls `meet` for the blockers of the leaves that a ray passes before a limit, which it returns anew each time.
-    fn visit(
+    /// Walks through the nodes that `enters` accepts, in the order in which a ray comes to them, and gives `meet` the blockers of each
+    /// leaf with the index of the first. `meet` returns whether to go on. Returns whether the walk came to its end.
+    fn walk(
         &self,
-        from: DVec3,
-        direction: DVec3,
-        mut limit: f64,
-        mut meet: impl FnMut(&Blocker, f64) -> f64,
-    ) {
-        let inverse = direction.recip();
-        let enters = |node: &Node, limit: f64| {
-            let (a, b) = ((node.low - from) * inverse, (node.high - from) * inverse);
-            // `min` and `max` leave out what is not a number: a ray in the plane of a side.
-            let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
-            near.max(0.0) <= far * (1.0 + 4.0 * f64::EPSILON) && near <= limit
-        };
+        ray: &Ray,
+        enters: impl Fn(&Node) -> bool,
+        mut meet: impl FnMut(usize, &[Blocker]) -> bool,
+    ) -> bool {
+        // The hierarchy is balanced: its depth is the logarithm of the number of blockers.
         let mut stack = [0u32; 64];
         let mut depth = usize::from(!self.nodes.is_empty());
         while depth > 0 {
             depth -= 1;
             let at = stack[depth];
             let node = &self.nodes[at as usize];
-            if !enters(node, limit) {
+            if !enters(node) {
                 continue;
             }
             if node.count == 0 {
-                (stack[depth], stack[depth + 1]) = (node.at, at + 1);
+                let (first, second) = (at + 1, node.at);
+                let is_backward = ray.inverse[node.axis] < 0.0;
+                (stack[depth], stack[depth + 1]) =
+                    if is_backward { (first, second) } else { (second, first) };
                 depth += 2;
                 continue;
             }
-            for blocker in &self.list[node.at as usize..(node.at + node.count) as usize] {
-                limit = meet(blocker, limit);
-            }
-            if limit < 0.0 {
-                return;
+            let first = node.at as usize;
+            if !meet(first, &self.list[first..first + node.count as usize]) {
+                return false;
             }
         }
+        true
     }
 
     /// The polygons whose bounds come as near to those of some corners as this, in order.
     pub(super) fn near(&self, corners: &[DVec3], margin: f64) -> Vec<u32> {
-        let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        let (low, high) = corners.iter().fold(none, |(low, high), p| (low.min(*p), high.max(*p)));
+        let (low, high) = bounds(corners);
         let (low, high) = (low - margin, high + margin);
         let apart = |from: DVec3, to: DVec3| from.cmpgt(high).any() || to.cmplt(low).any();
         let mut names = Vec::new();
-        let mut stack: Vec<u32> = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
-        while let Some(at) = stack.pop() {
-            let node = &self.nodes[at as usize];
-            if apart(node.low, node.high) {
-                continue;
-            }
-            if node.count == 0 {
-                stack.extend([node.at, at + 1]);
-                continue;
-            }
-            for blocker in &self.list[node.at as usize..(node.at + node.count) as usize] {
-                let bounds =
-                    blocker.corners().iter().fold(none, |(low, high), p| (low.min(*p), high.max(*p)));
-                if !apart(bounds.0, bounds.1) {
-                    names.push(blocker.name);
-                }
-            }
-        }
+        self.walk(
+            &Ray::NONE,
+            |node| !apart(node.low, node.high),
+            |_, blockers| {
+                let is_near = |blocker: &&Blocker| {
+                    let (low, high) = bounds(blocker.corners());
+                    !apart(low, high)
+                };
+                names.extend(blockers.iter().filter(is_near).map(|blocker| blocker.name));
+                true
+            },
+        );
         names.sort_unstable();
         names.dedup();
         let mut sources: Vec<u32> =
@@ -244,32 +254,51 @@ impl Blockers {
 
     /// Appends the blockers in a shaft but for those of two names, up to `most`. Whether that is all of them.
     pub(super) fn within(&self, shaft: &Shaft, except: [u32; 2], most: usize, found: &mut Vec<u32>) -> bool {
-        let mut stack = [0u32; 64];
-        let mut depth = usize::from(!self.nodes.is_empty());
-        while depth > 0 {
-            depth -= 1;
-            let at = stack[depth];
-            let node = &self.nodes[at as usize];
-            if !shaft.may_meet_box(node.low, node.high) {
-                continue;
-            }
-            if node.count == 0 {
-                (stack[depth], stack[depth + 1]) = (node.at, at + 1);
-                depth += 2;
-                continue;
-            }
-            for k in node.at..node.at + node.count {
-                let blocker = &self.list[k as usize];
-                if !except.contains(&blocker.name) && shaft.meets(blocker.corners()) {
-                    if found.len() == most {
-                        return false;
+        self.walk(
+            &Ray::NONE,
+            |node| shaft.may_meet_box(node.low, node.high),
+            |first, blockers| {
+                for (k, blocker) in (first as u32..).zip(blockers) {
+                    if !except.contains(&blocker.name) && shaft.meets(blocker.corners()) {
+                        if found.len() == most {
+                            return false;
+                        }
+                        found.push(k);
                     }
-                    found.push(k);
                 }
-            }
-        }
-        true
+                true
+            },
+        )
     }
+}
+
+/// A ray, prepared for boxes.
+struct Ray {
+    from: DVec3,
+    inverse: DVec3,
+}
+
+impl Ray {
+    /// For walks that have no direction.
+    const NONE: Ray = Ray { from: DVec3::ZERO, inverse: DVec3::ZERO };
+
+    fn new(from: DVec3, direction: DVec3) -> Ray {
+        Ray { from, inverse: direction.recip() }
+    }
+
+    /// Whether it enters the box of a node before a limit.
+    fn enters(&self, node: &Node, limit: f64) -> bool {
+        let (a, b) = ((node.low - self.from) * self.inverse, (node.high - self.from) * self.inverse);
+        // `min` and `max` leave out what is not a number: a ray in the plane of a side.
+        let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
+        near.max(0.0) <= far * (1.0 + 4.0 * f64::EPSILON) && near <= limit
+    }
+}
+
+/// The lowest and highest coordinates of some points.
+fn bounds<'a>(points: impl IntoIterator<Item = &'a DVec3>) -> (DVec3, DVec3) {
+    let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    points.into_iter().fold(none, |(low, high), p| (low.min(*p), high.max(*p)))
 }
 
 /// The corners in an order that does not depend on where they begin and which way they run.
@@ -293,24 +322,16 @@ fn build(list: &mut [Blocker], first: usize, nodes: &mut Vec<Node>) {
     if list.is_empty() {
         return;
     }
-    let corners = list.iter().flat_map(Blocker::corners);
-    let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    let (low, high) = corners.fold(none, |(low, high), p| (low.min(*p), high.max(*p)));
+    let (low, high) = bounds(list.iter().flat_map(Blocker::corners));
     let at = nodes.len();
     // As large as rounding may ask for.
     let margin = DVec3::splat(4.0 * f64::EPSILON);
-    nodes.push(Node { low: low - margin, high: high + margin, at: first as u32, count: list.len() as u32 });
+    let axis = (high - low).max_position();
+    let count = list.len() as u32;
+    nodes.push(Node { low: low - margin, high: high + margin, at: first as u32, count, axis });
     if list.len() <= LEAF {
         return;
     }
-    let size = high - low;
-    let axis = if size.x >= size.max_element() {
-        0
-    } else if size.y >= size.max_element() {
-        1
-    } else {
-        2
-    };
     let middle = |b: &Blocker| b.corners().iter().map(|p| p[axis]).sum::<f64>() / b.corners().len() as f64;
     let half = list.len() / 2;
     list.select_nth_unstable_by(half, |a, b| middle(a).total_cmp(&middle(b)));

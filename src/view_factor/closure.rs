@@ -166,8 +166,8 @@ fn tighten(cells: &mut [Vec<Cell>], variances: &[Vec<f64>]) {
             let j = cell.column as usize;
             let known = if i == j { z(i, i) } else { z(i, i) + 2.0 * z(i, j) + z(j, j) };
             let share = (1.0 - v * known).clamp(0.0, 1.0);
-            cell.variance *= share;
-            cell.doubt *= share;
+            cell.spread *= share.sqrt() as f32;
+            cell.doubt *= share.sqrt() as f32;
         }
     }
 }

@@ -16,6 +16,10 @@ pub(super) const REPLICATES: u32 = 16;
 /// 1998): n = 16 rays that are all blocked have a standard error of 0.066 G.
 pub(super) const DOUBT: f64 = 1.12;
 
+/// Sixteen replicates tell their variance by 15 degrees of freedom: 95 % of means lie within t = 2.131 of their standard errors, where it
+/// is 1.960 of those that are known. Variances are told larger by the square of that, so that 1.96 standard errors are an interval of 95 %.
+const STUDENT: f64 = (2.131 / 1.960) * (2.131 / 1.960);
+
 /// Points of a sequence before a new one begins.
 const SEQUENCE: u32 = 1 << 12;
 
@@ -44,31 +48,24 @@ impl Sequence {
     }
 }
 
-/// What paths told of a pair.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Estimate {
-    /// A_i F_ij. May be a little below zero.
-    pub(super) exchange: f64,
-    /// Its variance, by the spread of the replicates: right on the average.
-    pub(super) variance: f64,
-    /// What is added to that of a single pair, since replicates may agree by chance.
-    pub(super) doubt: f64,
-    pub(super) rays: u32,
+/// Paths of a pair, by replicates: mean weights, and those of free paths alone.
+pub(super) struct Sample {
+    sums: [(f64, f64); REPLICATES as usize],
+    replicates: u32,
+    rays: u32,
 }
 
-impl Estimate {
-    /// By about as many rays as told, at least two.
-    pub(super) fn new(
+impl Sample {
+    /// About as many rays as told, at least two.
+    pub(super) fn cast(
         paths: &Paths,
-        unoccluded: f64,
         rays: u32,
         is_free: impl Fn(glam::DVec3, glam::DVec3) -> bool,
         sequence: &Sequence,
         seed: [u64; 3],
-    ) -> Estimate {
+    ) -> Sample {
         let replicates = rays.clamp(2, REPLICATES);
         let each = rays.div_ceil(replicates).max(1);
-        let rays = each * replicates;
         let mut sums = [(0.0, 0.0); REPLICATES as usize];
         for (k, sum) in (0u64..).zip(&mut sums[..replicates as usize]) {
             for point in sequence.points([seed[0], seed[1], seed[2], k], each) {
@@ -80,24 +77,54 @@ impl Estimate {
             }
             *sum = (sum.0 / f64::from(each), sum.1 / f64::from(each));
         }
-        let sums = &sums[..replicates as usize];
+        Sample { sums, replicates, rays: each * replicates }
+    }
+
+    pub(super) fn rays(&self) -> u32 {
+        self.rays
+    }
+
+    /// Whether no path was free. Then the estimate is zero.
+    pub(super) fn is_blocked(&self) -> bool {
+        self.sums.iter().all(|sum| sum.1 == 0.0)
+    }
+
+    /// What it tells, given what the two would exchange with nothing between them.
+    pub(super) fn estimate(&self, unoccluded: f64) -> Estimate {
+        let sums = &self.sums[..self.replicates as usize];
         let all = sums.iter().fold((0.0, 0.0), |all, sum| (all.0 + sum.0, all.1 + sum.1));
         let estimate = |&(weight, free): &(f64, f64)| {
             let others = (all.0 - weight, all.1 - free);
             let share = if others.0 > 0.0 { (others.1 / others.0).clamp(0.0, 1.0) } else { 0.0 };
             free + share * (unoccluded - weight)
         };
-        let count = f64::from(replicates);
+        let count = f64::from(self.replicates);
         let mean = sums.iter().map(estimate).sum::<f64>() / count;
         let squares: f64 = sums.iter().map(|sum| (estimate(sum) - mean).powi(2)).sum();
         Estimate {
             exchange: mean,
-            variance: squares / (count * (count - 1.0)),
-            doubt: DOUBT * (unoccluded / f64::from(rays)).powi(2),
-            rays,
+            // Fewer than sixteen are cast where single pairs do not matter: of sums over many the variance itself is right.
+            variance: squares / (count * (count - 1.0))
+                * if self.replicates == REPLICATES { STUDENT } else { 1.0 },
+            doubt: DOUBT.sqrt() * unoccluded / f64::from(self.rays),
+            rays: self.rays,
         }
     }
+}
 
+/// What paths told of a pair.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Estimate {
+    /// A_i F_ij. May be a little below zero.
+    pub(super) exchange: f64,
+    /// Its variance, by the spread of the replicates.
+    pub(super) variance: f64,
+    /// The standard error that is added to that of a single pair, since replicates may agree by chance.
+    pub(super) doubt: f64,
+    pub(super) rays: u32,
+}
+
+impl Estimate {
     /// The standard deviation by one ray, as far as few rays tell it.
     pub(super) fn deviation(&self, unoccluded: f64) -> f64 {
         let rays = f64::from(self.rays);

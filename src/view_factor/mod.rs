@@ -191,12 +191,13 @@ pub fn view_factors(
 }
 
 /// What rays from each surface meet, which tells whether the surfaces enclose a room and where they do not. Each polygon casts some.
+/// Obstacles block from both sides and count as backs.
 ///
 /// # Panics
 /// As [`view_factors`].
-pub fn look(surfaces: &[impl AsRef<[Vec<DVec3>]>], up: DVec3) -> Vec<Sight> {
-    let (polygons, _) = in_unit_space(surfaces);
-    let blockers = Blockers::new(&polygons);
+pub fn look(surfaces: &[impl AsRef<[Vec<DVec3>]>], obstacles: &[Vec<DVec3>], up: DVec3) -> Vec<Sight> {
+    let (polygons, hindrances, _) = in_unit_space(surfaces, obstacles);
+    let blockers = Blockers::new(&polygons, &hindrances);
     let Parts { pieces, .. } = separate(polygons, &blockers);
     let mut seen = vec![Sight::default(); surfaces.len()];
     for (piece, sight) in pieces.iter().zip(lost::look(&pieces, &blockers, up)) {
@@ -218,13 +219,30 @@ pub fn view_factors_of_surfaces(
     options: &ViewFactorOptions,
     progress: &Progress,
 ) -> Result<ViewFactors> {
+    view_factors_among(surfaces, &[], options, progress)
+}
+
+/// View factors between surfaces as by [`view_factors_of_surfaces`], where obstacles stand among them: polygons that block from both sides
+/// and have no view factors of their own. What meets them escapes, as what meets backs does.
+///
+/// # Errors
+/// Those of [`view_factors`].
+///
+/// # Panics
+/// As [`view_factors_of_surfaces`].
+pub fn view_factors_among(
+    surfaces: &[impl AsRef<[Vec<DVec3>]>],
+    obstacles: &[Vec<DVec3>],
+    options: &ViewFactorOptions,
+    progress: &Progress,
+) -> Result<ViewFactors> {
     assert!(options.error > 0.0, "the error must be positive");
     let n = surfaces.len();
-    let (polygons, scale) = in_unit_space(surfaces);
+    let (polygons, hindrances, scale) = in_unit_space(surfaces, obstacles);
     let (mut areas, mut hidden) = (vec![0.0; n], vec![0.0; n]);
     polygons.iter().for_each(|p| areas[p.surface as usize] += p.area);
     assert!(areas.iter().all(|&area| area > 0.0), "a surface has no polygon");
-    let blockers = Blockers::new(&polygons);
+    let blockers = Blockers::new(&polygons, &hindrances);
     let owners: Vec<u32> = polygons.iter().map(|p| p.surface).collect();
     let parts = separate(polygons, &blockers);
     owners.iter().zip(&parts.hidden).for_each(|(&owner, area)| hidden[owner as usize] += area);
@@ -238,7 +256,7 @@ pub fn view_factors_of_surfaces(
     let row_sums = sums(&found.cells, |cell| cell.exchange);
     let errors = row_errors(&found.cells, &areas);
     // Rays that agree may be wrong of all pairs of a row in the same way: along an edge that few reach.
-    let doubts = sums(&found.cells, |cell| cell.doubt.sqrt());
+    let doubts = sums(&found.cells, |cell| f64::from(cell.doubt));
     let allowed: Vec<f64> = errors
         .iter()
         .zip(&doubts)
@@ -271,7 +289,7 @@ pub fn view_factors_of_surfaces(
 
     // In units of the mean area no standard error leaves the range of single precision.
     let unit = (areas.iter().sum::<f64>() / n.max(1) as f64).max(f64::MIN_POSITIVE);
-    let (starts, columns, exchange, errors) = both_triangles(&found.cells, n, unit);
+    let (starts, columns, exchange, errors) = both_triangles(found.cells, n, unit);
     let square = scale * scale;
     Ok(ViewFactors {
         rays: found.rays,
@@ -298,13 +316,13 @@ const ROUNDING: f64 = 2e-5;
 /// The standard errors of the sums of rows: variances add up, and the formula's errors may all have one sign.
 fn row_errors(cells: &[Vec<Cell>], areas: &[f64]) -> Vec<f64> {
     let n = areas.len();
-    let variances = closure::sums(cells, n, |cell| cell.variance);
+    let variances = closure::sums(cells, n, |cell| f64::from(cell.spread).powi(2));
     let exchange = closure::sums(cells, n, |cell| cell.exchange);
     let mut doubts = vec![0f64; n];
     for (i, row) in cells.iter().enumerate() {
         for cell in row {
             for k in [i, cell.column as usize] {
-                doubts[k] = doubts[k].max(cell.doubt);
+                doubts[k] = doubts[k].max(f64::from(cell.doubt).powi(2));
             }
         }
     }
@@ -321,7 +339,7 @@ fn row_errors(cells: &[Vec<Cell>], areas: &[f64]) -> Vec<f64> {
 }
 
 /// Rows of a symmetric matrix, of which these are the upper triangle.
-fn both_triangles(cells: &[Vec<Cell>], n: usize, unit: f64) -> (Vec<usize>, Vec<u32>, Vec<f64>, Vec<f32>) {
+fn both_triangles(cells: Vec<Vec<Cell>>, n: usize, unit: f64) -> (Vec<usize>, Vec<u32>, Vec<f64>, Vec<f32>) {
     let mut starts = vec![0; n + 1];
     for (i, row) in cells.iter().enumerate() {
         starts[i + 1] += row.len();
@@ -337,9 +355,9 @@ fn both_triangles(cells: &[Vec<Cell>], n: usize, unit: f64) -> (Vec<usize>, Vec<
         (columns[k], exchange[k], errors[k]) =
             (column as u32, cell.exchange.max(0.0) / unit, (cell.error() / unit) as f32);
     };
-    // Row by row, so that the columns of every row come in order.
-    for (i, row) in cells.iter().enumerate() {
-        for cell in row {
+    // Row by row, so that the columns of every row come in order, and the memory of each is free once it is there.
+    for (i, row) in cells.into_iter().enumerate() {
+        for cell in &row {
             let j = cell.column as usize;
             put(i, j, cell);
             if i != j {

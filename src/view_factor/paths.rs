@@ -1,6 +1,6 @@
 //! Paths between two polygons, chosen nearly in proportion to what they carry.
 
-use std::f64::consts::PI;
+use std::{borrow::Cow, f64::consts::PI};
 
 use glam::DVec3;
 
@@ -11,16 +11,16 @@ use super::polygon::Area;
 const APART: f64 = 3.0;
 
 /// How paths are chosen. Each has a weight, whose mean over all paths is what the two exchange with nothing between them.
-pub(super) enum Paths {
+pub(super) enum Paths<'a> {
     /// Points evenly on both.
-    Apart(Area, Area),
+    Apart(Cow<'a, Area>, Cow<'a, Area>),
     /// A point evenly on the first, and from it a direction evenly by solid angle to the second: the weight has a bound.
-    Near(Area, Area),
+    Near(Cow<'a, Area>, Cow<'a, Area>),
 }
 
-impl Paths {
+impl<'a> Paths<'a> {
     /// Between the parts of two polygons that are in front of each other.
-    pub(super) fn between(p: Area, q: Area) -> Paths {
+    pub(super) fn between(p: Cow<'a, Area>, q: Cow<'a, Area>) -> Paths<'a> {
         let ball = |area: &Area| {
             let corners = area.corners();
             let centre = corners.iter().sum::<DVec3>() / corners.len() as f64;
@@ -118,7 +118,10 @@ mod tests {
             (vec![dvec3(0.0, 50.0, 0.0), dvec3(0.0, 50.0, 1.0), dvec3(0.0, 52.0, 1.5)], false),
         ] {
             let exact = exchange_area_to(&wall, &floor, 3.0, f64::EPSILON);
-            let paths = Paths::between(Area::new(wall, -DVec3::X), Area::new(floor.clone(), DVec3::Z));
+            let paths = Paths::between(
+                Cow::Owned(Area::new(wall, -DVec3::X)),
+                Cow::Owned(Area::new(floor.clone(), DVec3::Z)),
+            );
             assert_eq!(matches!(paths, Paths::Near(..)), near);
             let n = 1 << 18;
             let (mut sum, mut most) = (0.0, 0f64);

@@ -45,6 +45,8 @@ pub(super) struct Polygon {
     nodes: [Vec<(Vec3A, f32)>; RULES.len()],
     /// The normal in single precision.
     facing: Vec3A,
+    /// Its corners, for points on it.
+    pub(super) whole: Area,
 }
 
 impl Polygon {
@@ -70,7 +72,9 @@ impl Polygon {
         let offsets =
             |n| nodes(&corners, n).iter().map(|&(p, w)| ((p - centre).as_vec3a(), w as f32)).collect();
         let nodes = RULES.map(|(n, _)| offsets(n));
-        Polygon { surface, source, corners, normal, area, centre, radius, nodes, facing: normal.as_vec3a() }
+        let whole = Area::new(corners.clone(), normal);
+        let facing = normal.as_vec3a();
+        Polygon { surface, source, corners, normal, area, centre, radius, nodes, facing, whole }
     }
 
     /// The height of a point above its plane.
@@ -136,6 +140,7 @@ fn is_convex(corners: &[DVec3], normal: DVec3) -> bool {
 }
 
 /// Corners that points are chosen on.
+#[derive(Clone)]
 pub(super) struct Area {
     corners: Vec<DVec3>,
     normal: DVec3,
@@ -168,6 +173,11 @@ impl Area {
         &self.corners
     }
 
+    /// A point inside: the mean of the corners.
+    pub(super) fn middle(&self) -> DVec3 {
+        self.corners.iter().sum::<DVec3>() / self.corners.len() as f64
+    }
+
     /// A point by one of the unit square, uniform by area.
     pub(super) fn point(&self, u: f64, v: f64) -> DVec3 {
         let at = u * self.area();
@@ -179,14 +189,22 @@ impl Area {
     }
 }
 
-/// The polygons recentred and rescaled so that their largest coordinate is 1, and how many of their lengths that is.
-pub(super) fn in_unit_space(surfaces: &[impl AsRef<[Vec<DVec3>]>]) -> (Vec<Polygon>, f64) {
-    let all = || (0..).zip(surfaces).flat_map(|(k, s)| s.as_ref().iter().map(move |polygon| (k, polygon)));
-    let (centre, scale) = centre_and_extent(all().flat_map(|(_, polygon)| polygon).copied());
+/// The polygons of surfaces and those of obstacles, recentred and rescaled so that their largest coordinate is 1, and how many of their
+/// lengths that is.
+pub(super) fn in_unit_space(
+    surfaces: &[impl AsRef<[Vec<DVec3>]>],
+    obstacles: &[Vec<DVec3>],
+) -> (Vec<Polygon>, Vec<Polygon>, f64) {
+    let own = || (0..).zip(surfaces).flat_map(|(k, s)| s.as_ref().iter().map(move |polygon| (k, polygon)));
+    let all = || own().map(|(_, polygon)| polygon).chain(obstacles);
+    let (centre, scale) = centre_and_extent(all().flatten().copied());
     let polygon = |(source, (surface, corners)): (u32, (u32, &Vec<DVec3>))| {
         Polygon::new(corners.iter().map(|&v| (v - centre) / scale).collect(), surface, source)
     };
-    ((0..).zip(all()).map(polygon).collect(), scale)
+    let polygons: Vec<Polygon> = (0..).zip(own()).map(polygon).collect();
+    let others = (polygons.len() as u32..).zip(obstacles.iter().map(|corners| (u32::MAX, corners)));
+    let hindrances = others.map(polygon).collect();
+    (polygons, hindrances, scale)
 }
 
 #[cfg(test)]

@@ -305,6 +305,9 @@ fn what_a_room_is_is_told_by_rays_or_by_the_user() {
     let here = Here::new(&open, "");
     let errors = here.fails("view-factors scene.obj -o out.csv --enclosed", 2);
     assert!(errors.contains("error: scene.obj:") && errors.contains("no room is enclosed"), "{errors}");
+    // However much sampling leaves open.
+    let errors = here.fails("view-factors scene.obj -o out.csv --enclosed --error 0.1", 2);
+    assert!(errors.contains("no room is enclosed"), "{errors}");
     assert!(errors.contains("hint: ") && errors.contains("rays left the room"), "{errors}");
 }
 
@@ -314,6 +317,7 @@ fn a_turned_wall_and_faces_at_one_place_are_told() {
     faces[5].1.reverse();
     let (_, said) = run(&obj(faces.clone()), "");
     assert!(said.contains("% of what surfaces see are backs"), "{said}");
+    assert!(said.contains("face 5 runs along an edge the same way as its neighbour"), "{said}");
     faces[5].1.reverse();
     // Once more from another corner: the same face.
     let mut again = faces[4].clone();
@@ -483,4 +487,56 @@ fn what_cannot_be_done_is_refused_with_nothing_left_behind() {
         let errors = here.fails(&format!("view-factors {arguments}"), 2);
         assert!(errors.contains(said), "{arguments}: {errors}");
     }
+}
+
+/// Faces of a PLY by a number that each has; what has no such number is refused.
+#[test]
+fn faces_of_a_ply_are_grouped_by_a_property() {
+    let here = Here::new("", "");
+    let mut ply = String::from(
+        "ply\nformat ascii 1.0\nelement vertex 24\nproperty double x\nproperty double y\nproperty double z\n\
+         element face 6\nproperty list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\n\
+         property uchar blue\nproperty int zone\nend_header\n",
+    );
+    let walls = cube(1, |_| "");
+    walls.iter().flat_map(|(_, wall)| wall).for_each(|[x, y, z]| ply += &format!("{x} {y} {z}\n"));
+    for k in 0..6 {
+        ply += &format!("4 {} {} {} {} 9 9 9 {}\n", 4 * k, 4 * k + 1, 4 * k + 2, 4 * k + 3, 7 + k / 2);
+    }
+    fs::write(here.path("room.ply"), ply).unwrap();
+    let output = here.run("view-factors room.ply -o out.csv --quiet --by property:zone");
+    assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
+    let found = Table::read(&here, "out.csv");
+    assert_eq!((found.names, found.areas), (vec!["7".into(), "8".into(), "9".into()], vec![2.0; 3]));
+    // Two walls across from each other are one surface.
+    assert!((found.rows[0][0] - of_cube(0, 1)).abs() < STORED);
+    let errors = here.fails("view-factors room.ply --by property:colour", 2);
+    assert!(errors.contains("no face has a property `colour`"), "{errors}");
+    assert!(here.fails("view-factors room.ply --by zone", 2).contains("property:NAME"));
+}
+
+/// A material that blocks only: the floor sees the ceiling past it, and it has no row.
+#[test]
+fn an_obstruction_has_no_row() {
+    let mut faces =
+        vec![("usemtl plate", flat(1.0, 1.0, 0.0, true)), ("usemtl plate", flat(1.0, 1.0, 1.0, false))];
+    let middle = |z: f64| vec![[0.2, 0.2, z], [0.8, 0.2, z], [0.8, 0.8, z], [0.2, 0.8, z]];
+    faces.push(("usemtl tree", middle(0.5)));
+    let text = format!("mtllib scene.mtl\n{}", obj(faces));
+    let here = Here::new(&text, "newmtl plate\nnewmtl tree\n");
+    let output = here.run("view-factors scene.obj -o out.csv --quiet --obstruct tree --error 1e-3");
+    assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
+    let found = Table::read(&here, "out.csv");
+    assert_eq!(found.names, ["0", "1"]);
+    assert!((found.rows[0][1] - opposed_squares_with_blocker(1.0, 1.0, 0.6)).abs() < 5e-3);
+    let errors = here.fails("view-factors scene.obj --obstruct hedge", 2);
+    assert!(errors.contains("--obstruct") && errors.contains("hedge"), "{errors}");
+}
+
+#[test]
+fn faces_that_are_not_flat_are_named() {
+    let mut faces = cube(1, |_| "");
+    faces[2].1[1][1] -= 0.01;
+    let (_, said) = run(&obj(faces), "--open");
+    assert!(said.contains("face 2 has corners out of its plane"), "{said}");
 }

@@ -386,7 +386,7 @@ fn faces_and_what_they_belong_to_are_kept_for_who_asks() {
     assert_eq!(parts, [(None, None), (Some("a"), Some("b c")), (Some("a"), None)]);
     // The one without area is no surface, and the others keep their numbers.
     let names =
-        |by| Surfaces::of(&scene, by, Side::Front).list.into_iter().map(|s| s.name).collect::<Vec<_>>();
+        |by: By| Surfaces::of(&scene, &by, Side::Front).list.into_iter().map(|s| s.name).collect::<Vec<_>>();
     assert_eq!(names(By::Face), ["0", "2", "3", "4"]);
     assert_eq!(names(By::Group), ["(none)", "b c"]);
     assert_eq!(names(By::Object), ["(none)", "a"]);

@@ -51,7 +51,7 @@ fn text_and_bytes_say_the_same() {
         let scene = load(&binary(header)).unwrap();
         assert_eq!((&scene.vertices, &scene.triangles), (&ascii.vertices, &ascii.triangles));
     }
-    let surfaces = Surfaces::of(&ascii, By::Object, Side::Front);
+    let surfaces = Surfaces::of(&ascii, &By::Object, Side::Front);
     let names: Vec<&str> = surfaces.list.iter().map(|s| s.name.as_str()).collect();
     assert_eq!(names, ["lower part", "upper"]);
     assert_eq!(surfaces.list[1].line, Some(17));

@@ -10,7 +10,9 @@ use radiosity::{
     patch::{Patches, Subdivision},
     scene::Material,
     trace::Tracer,
-    view_factor::{ViewFactorOptions, ViewFactors, view_factors, view_factors_of_surfaces},
+    view_factor::{
+        ViewFactorOptions, ViewFactors, look, view_factors, view_factors_among, view_factors_of_surfaces,
+    },
 };
 
 /// The six sides of a box, cut into n × n each; outwards with side 1, inwards with side -1.
@@ -457,4 +459,104 @@ fn a_street_sees_the_sky() {
         assert!((sky.value - exact).abs() < 4.5 * sky.error + 1e-3, "{i}: {sky:?}, not {exact}");
         assert!(sky.error < 2e-3 && found.lost[i].backs.value == 0.0);
     }
+}
+
+/// A crater, the cap of a sphere below the ground: every point of it sees the same share 1 - h / (2 R) of the sky, where h is its depth, since
+/// F from any element of a sphere to a part of it is the part's share of the sphere's area. Of a crater of facets all together see the area
+/// of the opening over their own, which is exact for any hollow that is open at one plane.
+#[test]
+fn a_crater_sees_the_sky() {
+    let (radius, rim, n, m) = (2.0, 60f64.to_radians(), 24u32, 8u32);
+    let at = |i: u32, j: u32| {
+        let (theta, phi) =
+            (rim * f64::from(i) / f64::from(m), std::f64::consts::TAU * f64::from(j % n) / f64::from(n));
+        radius * dvec3(theta.sin() * phi.cos(), theta.sin() * phi.sin(), -theta.cos())
+    };
+    let mut facets = Vec::new();
+    for (i, j) in (0..n * m).map(|k| (k / n, k % n)) {
+        let quad = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+        match i {
+            0 => facets.push(vec![quad[0], quad[1], quad[2]]),
+            _ => facets.push(quad.to_vec()),
+        }
+    }
+    let options = ViewFactorOptions::default().with_error(1e-3).with_enclosed(false).with_up(DVec3::Z);
+    let found = view_factors(&facets, &options, &Progress::new()).unwrap();
+    // Nothing blocks: the facets see each other over the hollow.
+    assert_eq!(found.rays, 0);
+    let opening =
+        0.5 * f64::from(n) * (radius * rim.sin()).powi(2) * (std::f64::consts::TAU / f64::from(n)).sin();
+    let area: f64 = found.areas().iter().sum();
+    let sky: f64 = (0..found.len()).map(|i| found.areas()[i] * found.lost[i].up.value).sum();
+    assert!((sky / opening - 1.0).abs() < 1e-4, "{} not {opening}", sky);
+    let exact = 1.0 - (1.0 - rim.cos()) / 2.0;
+    assert!((opening / area / exact - 1.0).abs() < 0.01);
+    for i in 0..found.len() {
+        // A flat facet lies above the sphere and sees a little more: by half its angle at most.
+        let up = found.lost[i].up;
+        assert!((up.value - exact).abs() < 0.03, "facet {i} sees {}, not {exact}", up.value);
+    }
+}
+
+/// An obstacle between two squares takes what a pair of surfaces there takes, has no row, and what meets it escapes.
+#[test]
+fn obstacles_block_and_have_no_row() {
+    let surfaces = [vec![square(1.0, 0.0, true)], vec![square(1.0, 1.0, false)]];
+    let options = ViewFactorOptions::default().with_error(1e-3).with_enclosed(false).with_up(DVec3::Z);
+    let found = view_factors_among(&surfaces, &[square(0.6, 0.5, true)], &options, &Progress::new()).unwrap();
+    let (exact, error) = (opposed_squares_with_blocker(1.0, 1.0, 0.6), found.standard_error(0, 1));
+    assert_eq!(found.len(), 2);
+    assert!((found.get(0, 1) - exact).abs() < 4.5 * error && error < 2e-3, "{} ± {error}", found.get(0, 1));
+    let to_obstacle = opposed_squares(1.0, 0.6, 0.5);
+    let backs = found.lost[0].backs;
+    assert!((backs.value - to_obstacle).abs() < 4.5 * backs.error, "{backs:?}, not {to_obstacle}");
+    let seen = look(&surfaces, &[square(0.6, 0.5, true)], DVec3::Z);
+    assert!(seen.iter().all(|sight| sight.backs > 0));
+}
+
+/// From a square to a smaller one above its middle, with nothing between them.
+fn opposed_squares(large: f64, small: f64, height: f64) -> f64 {
+    let polygons = [square(large, 0.0, true), square(small, height, false)];
+    compute(&polygons, 1e-3, false).get(0, 1)
+}
+
+/// Pairs that do not matter by themselves get two rays each. Their sums have no bias: plates of 256 facets each, with a grid of bars between
+/// them, exchange what two whole plates do.
+#[test]
+fn sums_of_what_two_rays_tell_are_right() {
+    const HEIGHT: f64 = 6.0;
+    let bar =
+        |k: u32| rectangle(dvec3(-0.5 + 0.2 * f64::from(k), -0.5, 0.5 * HEIGHT), DVec3::X * 0.1, DVec3::Y);
+    let bars: Vec<Vec<DVec3>> = (0..5).map(bar).collect();
+    let plate = |height: f64, up: bool, n: u32| -> Vec<Vec<DVec3>> {
+        let side = 1.0 / f64::from(n);
+        let cell = |k: u32| {
+            let corner = dvec3(f64::from(k % n) * side - 0.5, f64::from(k / n) * side - 0.5, height);
+            let (a, b) = (DVec3::X * side, DVec3::Y * side);
+            if up { rectangle(corner, a, b) } else { rectangle(corner, b, a) }
+        };
+        (0..n * n).map(cell).collect()
+    };
+    let run = |n: u32, error: f64| {
+        let polygons: Vec<_> = [plate(0.0, true, n), plate(HEIGHT, false, n)].concat();
+        let surfaces: Vec<_> = polygons.into_iter().map(|p| vec![p]).collect();
+        let options = ViewFactorOptions::default().with_error(error).with_enclosed(false).with_seed(7);
+        let found = view_factors_among(&surfaces, &bars, &options, &Progress::new()).unwrap();
+        let half = found.len() / 2;
+        let (mut sum, mut variance) = (0.0, 0.0);
+        for i in 0..half {
+            let area = found.areas()[i];
+            for (_, f, error) in found.entries(i) {
+                sum += area * f;
+                variance += (area * error).powi(2);
+            }
+        }
+        (sum, variance.sqrt(), found.rays)
+    };
+    let (whole, error, _) = run(1, 2e-5);
+    // A facet sees one of the other plate by 1 / (256 π 6²) = 3.5e-5 at most.
+    let (parts, sigma, rays) = run(16, 1e-3);
+    assert!(rays < 2 * 256 * 256, "{rays} rays");
+    assert!((whole - parts).abs() < 4.0 * error.hypot(sigma), "{whole} ± {error}, {parts} ± {sigma}");
+    assert!(whole > 2e-3 && sigma < 0.01 * whole, "{whole} {sigma}");
 }

@@ -145,6 +145,7 @@ impl Assembly<'_> {
             self.parts.push(Part {
                 object: name(&document.root.nodes[instance.node].name, "node", instance.node),
                 group: name(&mesh.name, "mesh", instance.mesh),
+                ..Part::default()
             });
         }
         let Some(geometry) = geometry else {

@@ -12,11 +12,13 @@ pub(super) const INDICES: [&str; 2] = ["vertex_indices", "vertex_index"];
 pub(super) struct Channels([Option<f64>; 3]);
 
 impl Channels {
-    /// Takes `value` if `name` is one of `names`.
-    fn take(&mut self, names: [&str; 3], name: &str, value: f64) {
-        if let Some(c) = names.iter().position(|&n| n == name) {
+    /// Takes `value` if `name` is one of `names`, and returns whether it is.
+    fn take(&mut self, names: [&str; 3], name: &str, value: f64) -> bool {
+        let channel = names.iter().position(|&n| n == name);
+        if let Some(c) = channel {
             self.0[c] = Some(value);
         }
+        channel.is_some()
     }
 
     pub(super) fn given(&self) -> Option<[f64; 3]> {
@@ -57,7 +59,9 @@ impl PropertyAccess for Vertex {
             ("x", Some(x)) => self.position[0] = x,
             ("y", Some(y)) => self.position[1] = y,
             ("z", Some(z)) => self.position[2] = z,
-            (_, Some(value)) => self.colour.take(COLOUR, name, value / full(&property)),
+            (_, Some(value)) => {
+                self.colour.take(COLOUR, name, value / full(&property));
+            }
             _ => return PropertyAccessResult::Ignored,
         }
         PropertyAccessResult::Set
@@ -73,6 +77,8 @@ pub(super) struct Face {
     pub(super) emission: Channels,
     /// In files of this program: not 0 for a back.
     pub(super) side: f64,
+    /// Other numbers, by which faces may be grouped.
+    pub(super) others: Vec<(String, f64)>,
 }
 
 impl PropertyAccess for Face {
@@ -91,11 +97,13 @@ impl PropertyAccess for Face {
             };
         }
         if let Some(value) = number(&property) {
-            self.colour.take(COLOUR, name, value / full(&property));
-            self.reflectance.take(["reflectance_r", "reflectance_g", "reflectance_b"], name, value);
-            self.emission.take(["emission_r", "emission_g", "emission_b"], name, value);
-            if name == "side" {
-                self.side = value;
+            let known = self.colour.take(COLOUR, name, value / full(&property))
+                || self.reflectance.take(["reflectance_r", "reflectance_g", "reflectance_b"], name, value)
+                || self.emission.take(["emission_r", "emission_g", "emission_b"], name, value);
+            match name {
+                _ if known => {}
+                "side" => self.side = value,
+                _ => self.others.push((name.into(), value)),
             }
         }
         PropertyAccessResult::Set
