@@ -488,13 +488,13 @@ fn a_crater_sees_the_sky() {
         0.5 * f64::from(n) * (radius * rim.sin()).powi(2) * (std::f64::consts::TAU / f64::from(n)).sin();
     let area: f64 = found.areas().iter().sum();
     let sky: f64 = (0..found.len()).map(|i| found.areas()[i] * found.lost[i].up.value).sum();
-    assert!((sky / opening - 1.0).abs() < 1e-4, "{} not {opening}", sky);
+    assert!((sky / opening - 1.0).abs() < 2e-5, "{sky} not {opening}");
     let exact = 1.0 - (1.0 - rim.cos()) / 2.0;
-    assert!((opening / area / exact - 1.0).abs() < 0.01);
+    // Facets of 7.5 by 15 degrees differ from the sphere by the square of half of that.
+    assert!((opening / area / exact - 1.0).abs() < 3e-3);
     for i in 0..found.len() {
-        // A flat facet lies above the sphere and sees a little more: by half its angle at most.
         let up = found.lost[i].up;
-        assert!((up.value - exact).abs() < 0.03, "facet {i} sees {}, not {exact}", up.value);
+        assert!((up.value - exact).abs() < 3e-3, "facet {i} sees {}, not {exact}", up.value);
     }
 }
 
