@@ -339,7 +339,8 @@ fn compute(
     let (lost, scene) = (all.lost(), args.scene.display());
     let met = (all.rays - all.up - all.down).max(1);
     let backs = all.backs as f64 / met as f64;
-    if backs > MANY_BACKS {
+    // Obstacles count as backs, and are meant.
+    if backs > MANY_BACKS && surfaces.obstacles.is_empty() {
         told.warn(format!(
             "{scene}: {:.1} % of what surfaces see are backs, from which nothing comes; --side back turns all faces, \
              --side both takes both sides",
