@@ -146,7 +146,7 @@ pub struct Scene {
     pub backs_of_lamps: usize,
     /// Number of triangles that were left out because their area is zero.
     pub degenerate: usize,
-    /// The surfaces that [`Scene::cut_overlaps`] has cut away.
+    /// The surfaces that [`Scene::cut_overlaps`] and [`Scene::cut_contacts`] left out because nobody sees them.
     pub hidden: Vec<Hidden>,
     /// What [`Scene::cut_contacts`] has cut.
     pub contacts: Contacts,
@@ -306,17 +306,22 @@ impl Scene {
     /// [`Scene::load`] does this. For scenes made in memory, call it yourself. [`Scene::hidden`] and [`Scene::warnings`] list
     /// what was cut away.
     pub fn cut_overlaps(&mut self) {
-        for hidden in overlaps::resolve(self) {
-            self.warnings.push(hidden.to_string());
-            self.hidden.push(hidden);
-        }
+        let hidden = overlaps::resolve(self);
+        self.tell(hidden);
+    }
+
+    fn tell(&mut self, hidden: Vec<Hidden>) {
+        self.warnings.extend(hidden.iter().map(Hidden::to_string));
+        self.hidden.extend(hidden);
     }
 
     /// Cuts triangles along the lines where other surface touches or crosses them, by the rule of [`Contacts`], so that no patch
     /// lies on both sides of a wall. [`Scene::load`] does so; scenes made in memory are left as they are until this is called. Call it
     /// after [`Scene::cut_overlaps`]. Tells what it cut in [`Scene::contacts`].
     pub fn cut_contacts(&mut self) {
-        self.contacts = contacts::cut(self);
+        let hidden;
+        (self.contacts, hidden) = contacts::cut(self);
+        self.tell(hidden);
         if self.contacts.uncut > 0 {
             self.warnings.push(format!(
                 "surfaces touch or cross along {} more lines than the program cuts along: light may leak there",

@@ -1,6 +1,6 @@
 //! Triangles that other surface touches or crosses: they are cut along the line, and nothing else changes.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::{DQuat, DVec2, DVec3, dvec2, dvec3};
 use radiosity::{Scene, scene::Material};
@@ -235,4 +235,55 @@ fn nothing_is_cut_where_nothing_touches() {
     let joint = quad(WALL, [dvec3(1., 0., 0.), dvec3(1., 0., 2.), dvec3(1., 1., 2.), dvec3(1., 1., 0.)]);
     let on_joint = scene(&tiles.iter().cloned().chain(joint).collect::<Vec<_>>(), |p| p);
     assert_eq!((on_joint.triangles.len(), on_joint.contacts), (10, Default::default()));
+    // The tiles on the two sides have no vertex in common, nor has the wall one with them.
+    let vertices = |range: std::ops::Range<usize>| {
+        on_joint.triangles[range].iter().flat_map(|t| t.vertices).collect::<HashSet<u32>>()
+    };
+    let tiles_on = |x: f64| {
+        (0..8).filter(|&t| on_joint.corners(t).iter().all(|p| (p.x - x).abs() <= 0.5)).collect::<Vec<_>>()
+    };
+    let of = |tiles: Vec<usize>| tiles.into_iter().flat_map(|t| vertices(t..t + 1)).collect::<HashSet<u32>>();
+    let (left, right) = (of(tiles_on(0.5)), of(tiles_on(1.5)));
+    assert_eq!((left.len(), right.len()), (6, 6));
+    assert!(left.is_disjoint(&right) && vertices(8..10).is_disjoint(&left));
+}
+
+/// The part of a lamp behind a block is left out. A lamp that lies altogether in the ceiling of a room whose walls are turned round is
+/// seen from inside, and stays.
+#[test]
+fn only_a_part_of_a_lamp_is_hidden_by_a_solid() {
+    let solid = |low: DVec3, high: DVec3| {
+        let (l, h) = (dvec2(low.x, low.z), dvec2(high.x, high.z));
+        let floor = level(GROUND, l, h, low.y).into_iter().map(|([a, b, c], m)| ([a, c, b], m));
+        walls(l, h, low.y, high.y)
+            .into_iter()
+            .chain(level(GROUND, l, h, high.y))
+            .chain(floor)
+            .collect::<Vec<_>>()
+    };
+    let lamp = |y: f64, up: bool| {
+        let all = level(2, dvec2(0.0, 0.0), dvec2(2.0, 2.0), y);
+        all.into_iter().map(move |([a, b, c], m)| (if up { [a, b, c] } else { [a, c, b] }, m))
+    };
+    let load = |all: Vec<([DVec3; 3], u32)>| {
+        let mut materials = ["ground", "wall"].map(|name| Material::new(name, [0.5; 3], [0.0; 3])).to_vec();
+        materials.push(Material::new("lamp", [0.0; 3], [1.0; 3]));
+        let mut scene = Scene::new(&all, materials);
+        scene.cut_overlaps();
+        scene.cut_contacts();
+        scene
+    };
+    let of_lamp = |scene: &Scene| -> f64 {
+        (0..scene.triangles.len()).filter(|&t| scene.emits(t)).map(|t| scene.area(t)).sum()
+    };
+    // A shining floor under a block, which may reach beyond it.
+    for (x, hidden) in [(0.5, 1.0), (1.5, 0.5)] {
+        let block = solid(dvec3(x, 0.0, 0.5), dvec3(x + 1.0, 1.0, 1.5));
+        let scene = load(block.into_iter().chain(lamp(0.0, true)).collect());
+        assert!((of_lamp(&scene) - (4.0 - hidden)).abs() < 1e-12, "{}", of_lamp(&scene));
+        assert!((scene.hidden[0].area - hidden).abs() < 1e-12, "{:?}", scene.hidden);
+    }
+    let turned_room = solid(dvec3(-1.0, 0.0, -1.0), dvec3(3.0, 3.0, 3.0));
+    let scene = load(turned_room.into_iter().chain(lamp(3.0, false)).collect());
+    assert!((of_lamp(&scene) - 4.0).abs() < 1e-12 && scene.hidden.is_empty(), "{:?}", scene.hidden);
 }

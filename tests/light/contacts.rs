@@ -112,3 +112,46 @@ fn sealed_rooms_on_a_large_ground_are_dark_inside() {
         assert!(outside > 1.0 && inside < 1e-3 * outside, "{what}: {inside} inside, {outside} outside");
     }
 }
+
+/// A block stands on a black ground and against a wall that shines. What the ground gets is the form factor of the whole ground to the
+/// wall with the block in between, 0.1552, by an independent integral; the ground under the block gets nothing, nor does the
+/// inside of the block from the part of the wall behind it.
+#[test]
+fn a_block_against_a_wall_keeps_the_light_out() {
+    let mut parts: Vec<(Corners, u32)> = Vec::new();
+    let wall = rectangle(DVec3::ZERO, 10.0 * DVec3::Y, 10.0 * DVec3::Z);
+    let ground = rectangle(DVec3::ZERO, 10.0 * DVec3::X, 10.0 * DVec3::Y);
+    let block = flipped(room(dvec3(0.0, 4.0, 0.0), dvec3(2.0, 6.0, 2.0)));
+    parts.extend(wall.into_iter().map(|t| (t, LAMP)));
+    parts.extend(ground.into_iter().map(|t| (t, GROUND)));
+    parts.extend(block.into_iter().map(|t| (t, WALL)));
+    let material = |name, emission| Material::new(name, [0.0; 3], [emission; 3]);
+    let materials =
+        vec![material("ground", 0.0), material("block", 0.0), material("wall", 1.0 / std::f64::consts::PI)];
+    let mut scene = Scene::new(&parts, materials);
+    scene.cut_overlaps();
+    scene.cut_contacts();
+    assert!((scene.hidden[0].area - 4.0).abs() < 1e-9, "{:?}", scene.hidden);
+    let (cast, progress) = (CastOptions::default().with_rays(256.0), Progress::new());
+    let Solved { patches, solution, .. } = Solved::new(
+        &scene,
+        &Tracer::new(&scene),
+        &Subdivision::Count(3000),
+        &cast,
+        &SolveOptions::default(),
+        &progress,
+    )
+    .unwrap();
+    let (mut flux, mut under): (f64, f64) = (0.0, 0.0);
+    for i in (0..patches.len()).filter(|&i| patches.is_front(i)) {
+        if scene.triangles[patches.triangle(i)].material == GROUND {
+            let p = patches.centroid(&scene, i);
+            flux += patches.area(i) * solution.irradiance[i];
+            if p.x < 2.0 && (p.y - 5.0).abs() < 1.0 {
+                under = under.max(solution.irradiance[i]);
+            }
+        }
+    }
+    assert!((flux / 100.0 - 0.1552).abs() < 0.001, "{}", flux / 100.0);
+    assert_eq!(under, 0.0);
+}

@@ -4,7 +4,10 @@ use std::collections::HashMap;
 
 use glam::DVec3;
 
-use super::grading::{Grading, Surface};
+use super::{
+    find::{Line, SAME},
+    grading::{Grading, Surface},
+};
 use crate::scene::{Scene, cutting::Chain};
 
 /// An edge is halved where it is longer than this many times the size that pieces next to it should have.
@@ -25,6 +28,28 @@ impl EdgeVertices {
                 }
             }
         }
+    }
+
+    /// Adds the ends of a line along an edge.
+    pub(super) fn end_joint(&mut self, scene: &mut Scene, joint: &Line) {
+        if let Some([a, b]) = ends(scene, joint) {
+            for end in joint.ends {
+                self.add(scene, [a, b], end, SAME * joint.size);
+            }
+        }
+    }
+
+    /// The parts of an edge that a line runs along.
+    pub(super) fn parts(&self, scene: &Scene, joint: &Line) -> Vec<[u32; 2]> {
+        let Some([a, b]) = ends(scene, joint) else { return Vec::new() };
+        let vertices: Vec<u32> = [a].into_iter().chain(self.between(a, b)).chain([b]).collect();
+        let along = joint.ends[1] - joint.ends[0];
+        let is_on = |v: &u32| {
+            let at = along.normalize().dot(scene.vertices[*v as usize] - joint.ends[0]);
+            (-2.0 * SAME * joint.size..=along.length() + 2.0 * SAME * joint.size).contains(&at)
+        };
+        let on = |pair: &[u32]| pair.iter().all(is_on).then(|| [pair[0].min(pair[1]), pair[0].max(pair[1])]);
+        vertices.windows(2).filter_map(on).collect()
     }
 
     /// Adds a point to an edge that it lies on, unless a vertex is there.
@@ -48,12 +73,16 @@ impl EdgeVertices {
 
     /// Halves the edges of a surface where they are too long for what is near.
     pub(super) fn grade(&mut self, scene: &mut Scene, surface: &Surface, grading: &Grading) {
+        let least = LONG * grading.least();
         for &t in &surface.triangles {
             let v = scene.triangles[t as usize].vertices;
             for k in 0..3 {
                 let ends = [v[k].min(v[(k + 1) % 3]), v[k].max(v[(k + 1) % 3])];
                 let [from, to] = ends.map(|v| scene.vertices[v as usize]);
                 let length = from.distance(to);
+                if length <= least {
+                    continue;
+                }
                 let known = self.0.entry(ends).or_default();
                 let mut i = 0;
                 // The part of the edge before its vertex `i`.
@@ -92,4 +121,10 @@ impl EdgeVertices {
         };
         edges.into_iter().map(chain).collect()
     }
+}
+
+/// The vertices of the edge that a line runs along.
+fn ends(scene: &Scene, joint: &Line) -> Option<[u32; 2]> {
+    let vertices = scene.triangles[joint.triangle as usize].vertices;
+    joint.edge.map(|k| [vertices[k], vertices[(k + 1) % 3]])
 }

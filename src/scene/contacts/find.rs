@@ -15,6 +15,10 @@ pub(super) struct Line {
     pub(super) ends: [DVec3; 2],
     /// Longest side of the triangle that meets it.
     pub(super) size: f64,
+    /// That triangle, where all of it lies in the plane.
+    pub(super) of: Option<u32>,
+    /// The edge of the triangle that it runs along, from this corner to the next, if any.
+    pub(super) edge: Option<usize>,
 }
 
 impl Line {
@@ -25,14 +29,15 @@ impl Line {
 
 /// An edge that comes closer to a plane than this share of the smaller triangle touches it: the light that such a gap lets
 /// through is that share of what the triangle gets.
-const TOUCHING: f64 = 1e-3;
+pub(super) const TOUCHING: f64 = 1e-3;
 /// Lines that end closer to each other than this share of what meets there end at one point.
 pub(super) const SAME: f64 = 1e-6;
 
 /// Cosine of the angle by which neighbours in one plane may differ, as coordinates are rounded.
-const FLAT: f64 = 1.0 - 1e-6;
+pub(super) const FLAT: f64 = 1.0 - 1e-6;
 
-/// All lines inside triangles, by triangle. Lines along the edges of a triangle need no cut and are left out.
+/// All lines inside triangles and along the edges that they share with triangles of the same flat surface, by triangle. Lines along other
+/// edges change nothing and are left out.
 pub(super) fn find(scene: &Scene) -> Vec<Line> {
     let (centre, half) = centre_and_extent(scene.vertices.iter().copied());
     let count = scene.triangles.len();
@@ -55,13 +60,13 @@ pub(super) fn find(scene: &Scene) -> Vec<Line> {
         found
     };
     let found: Vec<Found> = (0..count).into_par_iter().with_min_len(256).flat_map_iter(of_one).collect();
-    let mut lines = search.without_inner_edges(found);
+    let mut lines = search.of_surfaces(found);
     lines.sort_by_cached_key(|line| (line.triangle, line.ends.map(|p| p.to_array().map(f64::to_bits))));
     lines
 }
 
 /// A line, and the triangle and edge that it is where all of that triangle lies in the plane.
-type Found = (Line, Option<(usize, [u32; 2])>);
+type Found = (Line, Option<(u32, usize)>);
 
 /// A triangle with its plane.
 struct Flat {
@@ -92,9 +97,9 @@ impl Flat {
         })
     }
 
-    /// The part of a line in the plane that lies inside the triangle, unless it runs along an edge.
-    fn clip(&self, [p, q]: [DVec3; 2], same: f64) -> Option<[DVec3; 2]> {
-        let (mut from, mut to) = (0.0, 1.0);
+    /// The part of a line in the plane that lies inside the triangle or on its rim, and the edge that it runs along, if any.
+    fn clip(&self, [p, q]: [DVec3; 2], same: f64) -> Option<([DVec3; 2], Option<usize>)> {
+        let (mut from, mut to, mut edge) = (0.0, 1.0, None);
         let inward = |k: usize| {
             let (a, b) = (self.corners[k], self.corners[(k + 1) % 3]);
             (a, self.normal.cross((b - a).normalize_or_zero()))
@@ -102,6 +107,10 @@ impl Flat {
         for k in 0..3 {
             let (a, inward) = inward(k);
             let (d, e) = (inward.dot(p - a), inward.dot(q - a));
+            if d.abs() <= same && e.abs() <= same {
+                edge = Some(k);
+                continue;
+            }
             if d <= same && e <= same {
                 return None;
             }
@@ -113,11 +122,12 @@ impl Flat {
             }
         }
         let ends = [from, to].map(|x| p + (q - p) * x);
-        let along_edge = (0..3).any(|k| {
+        let near_edge = |k: usize| {
             let (a, inward) = inward(k);
             ends.iter().all(|&end| inward.dot(end - a) <= same)
-        });
-        (from < to && !along_edge && ends[0].distance(ends[1]) > same).then_some(ends)
+        };
+        let is_inside = from < to && ends[0].distance(ends[1]) > same;
+        (is_inside && (edge.is_some() || !(0..3).any(near_edge))).then_some((ends, edge))
     }
 }
 
@@ -152,36 +162,37 @@ impl Search<'_> {
             for (k, line) in lines(other, heights).into_iter().enumerate() {
                 let Some(line) = line else { continue };
                 let flattened = line.map(|p| p - on.normal * on.normal.dot(p - on.corners[0]));
-                if let Some(ends) = on.clip(flattened, same) {
-                    let v = self.scene.triangles[of].vertices;
-                    let edge = in_plane.then(|| (of, ends_of(v[k], v[(k + 1) % 3])));
-                    found.push((Line { triangle: t as u32, ends, size: other.longest }, edge));
+                if let Some((ends, edge)) = on.clip(flattened, same) {
+                    let in_plane = in_plane.then_some((of as u32, k));
+                    let (triangle, size, of) = (t as u32, other.longest, in_plane.map(|(of, _)| of));
+                    found.push((Line { triangle, ends, size, of, edge }, in_plane));
                 }
             }
         }
     }
 
-    /// Leaves out edges that have the same flat surface on both sides.
-    fn without_inner_edges(&self, found: Vec<Found>) -> Vec<Line> {
-        let mut sharing: HashMap<[u32; 2], Vec<usize>> =
-            found.iter().filter_map(|(_, edge)| Some((edge.as_ref()?.1, Vec::new()))).collect();
+    /// Leaves out lines that are edges with the same flat surface on both sides, and those along edges without it on both sides.
+    fn of_surfaces(&self, found: Vec<Found>) -> Vec<Line> {
+        let edge = |t: u32, k: usize| {
+            let v = self.scene.triangles[t as usize].vertices;
+            [v[k].min(v[(k + 1) % 3]), v[k].max(v[(k + 1) % 3])]
+        };
+        let along = |(line, _): &Found| line.edge.map(|k| (line.triangle, k));
+        let asked = found.iter().flat_map(|found| [along(found), found.1]).flatten();
+        let mut sharing: HashMap<[u32; 2], Vec<u32>> = asked.map(|(t, k)| (edge(t, k), Vec::new())).collect();
         if !sharing.is_empty() {
-            for (t, triangle) in self.scene.triangles.iter().enumerate() {
-                let [a, b, c] = triangle.vertices;
-                for edge in [ends_of(a, b), ends_of(b, c), ends_of(c, a)] {
-                    sharing.entry(edge).and_modify(|sharing| sharing.push(t));
+            for t in 0..self.scene.triangles.len() as u32 {
+                for k in 0..3 {
+                    sharing.entry(edge(t, k)).and_modify(|sharing| sharing.push(t));
                 }
             }
         }
-        let is_inner = |&(of, edge): &(usize, [u32; 2])| {
-            let continues = |t: usize| t != of && self.flat[t].normal.dot(self.flat[of].normal) > FLAT;
-            sharing[&edge].iter().any(|&t| continues(t))
+        let is_inner = |(of, k): (u32, usize)| {
+            let normal = |t: u32| self.flat[t as usize].normal;
+            sharing[&edge(of, k)].iter().any(|&t| t != of && normal(t).dot(normal(of)) > FLAT)
         };
-        found
-            .into_iter()
-            .filter(|(_, edge)| !edge.as_ref().is_some_and(is_inner))
-            .map(|(line, _)| line)
-            .collect()
+        let is_wanted = |found: &Found| along(found).is_none_or(is_inner) && !found.1.is_some_and(is_inner);
+        found.into_iter().filter(is_wanted).map(|(line, _)| line).collect()
     }
 }
 
@@ -208,9 +219,4 @@ fn lines(of: &Flat, heights: [f64; 3]) -> [Option<[DVec3; 2]>; 3] {
             }
         }
     }
-}
-
-/// An edge, the lower vertex first.
-fn ends_of(a: u32, b: u32) -> [u32; 2] {
-    [a.min(b), a.max(b)]
 }

@@ -33,6 +33,9 @@ impl Surface {
 
 /// The surfaces that lines are on.
 pub(super) fn surfaces(scene: &Scene, lines: Vec<Line>) -> Vec<Surface> {
+    if lines.is_empty() {
+        return Vec::new();
+    }
     let of = overlaps::surfaces(scene, |_| true);
     let mut known: HashMap<u32, usize> = HashMap::new();
     let mut surfaces: Vec<Surface> = Vec::new();
@@ -122,6 +125,11 @@ impl Grading {
         let first = self.points.partition_point(|(p, _)| p.x < from);
         let rest = &self.points[first..];
         &rest[..rest.partition_point(|(p, _)| p.x <= to)]
+    }
+
+    /// The least size that is wanted anywhere.
+    pub(super) fn least(&self) -> f64 {
+        self.lines.iter().map(|line| line.size).fold(f64::INFINITY, f64::min)
     }
 
     /// The least size that is wanted anywhere on an edge.

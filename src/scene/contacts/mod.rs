@@ -9,6 +9,7 @@
 //! triangles get, `pieces` triangulates one triangle, and `sides` parts the vertices. Every triangle whose edge got a vertex
 //! gets it too, so that no crack opens between neighbours.
 
+mod covered;
 mod edges;
 mod find;
 mod grading;
@@ -20,7 +21,7 @@ use std::collections::{HashMap, HashSet};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{Scene, cutting};
+use super::{Scene, cutting, overlaps::Hidden};
 use edges::EdgeVertices;
 use find::Line;
 use grading::{Grading, Surface};
@@ -28,7 +29,7 @@ use pieces::Pieces;
 
 /// Most lines that are cut along in a small scene, and for each triangle of a large one: a line makes about four pieces, and
 /// each of these is a patch at least. Lines on large triangles come first, for a patch may be as large as its triangle.
-const MOST_LINES: usize = 2_000;
+const MOST_LINES: usize = 5_000;
 const MOST_LINES_EACH: f64 = 0.125;
 
 /// What was cut where surfaces touch or cross.
@@ -47,16 +48,21 @@ pub struct Contacts {
 
 /// Cuts all triangles that other surface touches or crosses. The triangles keep their order; the pieces of one stand in its
 /// place.
-pub(super) fn cut(scene: &mut Scene) -> Contacts {
-    let mut lines = find::find(scene);
+pub(super) fn cut(scene: &mut Scene) -> (Contacts, Vec<Hidden>) {
+    // Along the joints of tiles there is nothing to cut: the two sides need vertices of their own only.
+    let (joints, mut lines): (Vec<Line>, Vec<Line>) =
+        find::find(scene).into_iter().partition(|line| line.edge.is_some());
     let uncut = limit(scene, &mut lines);
-    if lines.is_empty() {
-        return Contacts { uncut, ..Contacts::default() };
+    if lines.is_empty() && joints.is_empty() {
+        return (Contacts { uncut, ..Contacts::default() }, Vec::new());
     }
     let surfaces = grading::surfaces(scene, lines);
     let mut edges = EdgeVertices::default();
     for surface in &surfaces {
         edges.end_lines(scene, surface);
+    }
+    for joint in &joints {
+        edges.end_joint(scene, joint);
     }
     let gradings: Vec<Grading> = surfaces.par_iter().map(|surface| Grading::new(scene, surface)).collect();
     for (surface, grading) in surfaces.iter().zip(&gradings) {
@@ -85,9 +91,15 @@ pub(super) fn cut(scene: &mut Scene) -> Contacts {
         marked.extend(contacts);
         left.insert(surface.triangles[k], triangles);
     }
+    marked.extend(joints.iter().flat_map(|joint| edges.parts(scene, joint)));
+    let hidden = covered::leave_out(scene, &surfaces, &mut left);
+    if !hidden.is_empty() {
+        // What is left of a face is no face of the file.
+        scene.face_corners.clear();
+    }
     cutting::replace(scene, &left, &cutting::cuts(scene, edges.into_chains(), Vec::new()));
     sides::part(scene, &marked);
-    told
+    (told, hidden)
 }
 
 /// Leaves out lines beyond the most, those on the smallest triangles, and tells how many.
