@@ -1,8 +1,7 @@
 //! View factors of a model of streets: `cargo bench --bench streets -- PLOTS CELLS [ERROR]`, by default 6 6 1e-4, which has 22,176
 //! triangles. `--write FILE.stl` writes the model instead, for the command line and for other programs.
 //!
-//! uDALES (Owens et al., "uDALES v1.0.0", Geosci. Model Dev. 17, 2024) reports 1,280 s for a model of 22,176 facets by View3D on 8
-//! threads.
+//! The authors of uDALES, a model of city climate, report 1,280 s for a model of 22,176 facets by View3D on 8 threads.
 
 mod scenes;
 

@@ -151,7 +151,7 @@ impl Limit {
     /// Refuses view factors between a number of polygons if they need too much memory.
     pub fn check_polygons(self, polygons: usize) -> Result<()> {
         // Polygons with their points; pairs that see each other while they are collected, then both view factors and their
-        // standard errors. In streets of 22,176 polygons each sees 1,300 others.
+        // standard errors. In streets of 22,176 polygons each sees 1,700 others.
         let count = polygons as f64;
         let need = 2e3 * count + 60.0 * count * (0.5 * count).min(1.5e3);
         match self.objection(need) {
