@@ -94,6 +94,7 @@
 mod setters;
 
 pub mod accuracy;
+pub mod daylight;
 mod direct;
 pub mod energy;
 mod error;

@@ -1,7 +1,7 @@
 //! Feeds the readers and the command line damaged input: good files with bytes, numbers, words and lines changed at random.
 //! Each must load, or be refused with one line, within bounds of time and memory.
 //!
-//!     cargo test --test fuzz -- obj|mtl|ply|gltf|glb|cli|checkpoint SECONDS [FIRST]
+//!     cargo test --test fuzz -- obj|mtl|ply|gltf|glb|ies|ldt|toml|epw|cli|checkpoint SECONDS [FIRST]
 //!
 //! Case `k` depends on `k` alone. The file of a case that fails is kept and named; `FIRST` begins there again. `cargo test`
 //! alone does not run this program. Test builds check integer overflow.
@@ -28,7 +28,10 @@ use radiosity::{
     accuracy::survey::Survey,
     form_factor::{CastOptions, Checkpoint, FormFactors},
     patch::{Patches, Subdivision},
-    scene::inspection::Inspection,
+    scene::{
+        inspection::Inspection,
+        light::{self, Photometry, Weather},
+    },
     trace::{Tracer, sampling::mix},
 };
 
@@ -235,6 +238,10 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             vec![json.to_string().into(), format!("{json:#}").into()]
         }
         "glb" => vec![odd_gltf().glb()],
+        "ies" => vec![ODD_IES.into(), ODD_IES.replace("TILT=NONE", "TILT=INCLUDE\n1\n2\n0 90\n1 0.9").into()],
+        "ldt" => vec![odd_ldt(1, 1).into(), odd_ldt(0, 4).into(), odd_ldt(4, 2).into()],
+        "toml" => vec![ODD_LIGHTS.into()],
+        "epw" => vec![odd_epw().into()],
         _ => {
             let load = |name: &str| Scene::load(format!("{}/meshes/{name}.obj", env!("CARGO_MANIFEST_DIR")));
             let scenes = MESHES.map(|name| load(name).expect("the repository's meshes load"));
@@ -242,6 +249,42 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
             scenes.iter().flat_map(|scene| encodings.map(|e| to_ply(scene, e))).collect()
         }
     }
+}
+
+const ODD_IES: &str = "IESNA:LM-63-1995\n[TEST] made\nTILT=NONE\n2 1000 1.5 3 3\n1 2 0.1 -0.2 0\n0.9 0.5 40\n0 45 90\n\
+    0 90 180\n100 70.71 0\n90 60, 0\n80 50 0\n";
+
+/// A light file with something of everything.
+const ODD_LIGHTS: &str = "up = \"z\"\n[[sun]]\nplace = [48.1, 11.6]\nat = \"2026-06-21T12:00+02:00\"\nirradiance = [3, 2, 1]\n\
+    [[directional]]\nname = \"d\"\ndirection = [0, 0, -2]\nirradiance = 5\n[[point]]\nposition = [1, 2, 3]\nintensity = 4\n\
+    [[spot]]\nposition = [1, 2, 3]\ndirection = [0, 0, -1]\nintensity = 4\ninner = 10\nouter = 20\n\
+    [[luminaire]]\nfile = \"s.ies\"\nposition = [0, 0, 2]\nrotation = 30\ndimming = 0.5\n\
+    [sky]\nkind = \"perez\"\ndirect = 700\ndiffuse = 120\ncolour = [1, 0.5, 2]\n";
+
+/// A EULUMDAT file of this symmetry, with intensities of so many planes.
+fn odd_ldt(symmetry: u32, planes: usize) -> String {
+    let mut text = format!("maker\n1\n{symmetry}\n4\n90\n3\n90\nreport\nname\nnumber\nfile\ndate\n");
+    text += "600\n600\n50\n500\n0\n0\n0\n0\n0\n100\n80\n1.0\n0\n1\n2\nLED\n3000\n3000\n80\n20\n";
+    text += &"0.5\n".repeat(10);
+    text += "0\n90\n180\n270\n0\n90\n180\n";
+    text + &"200\n100,5\n0\n".repeat(planes)
+}
+
+/// A weather file of a day.
+fn odd_epw() -> String {
+    let mut text = String::from("LOCATION,Munich,-,DEU,made,108660,48.1,11.6,1.0,520\n");
+    for name in ["DESIGN CONDITIONS", "TYPICAL/EXTREME PERIODS", "GROUND TEMPERATURES"] {
+        text += &format!("{name},0\n");
+    }
+    text += "HOLIDAYS/DAYLIGHT SAVINGS,No,0,0,0\nCOMMENTS 1,made\nCOMMENTS 2,made\n";
+    text += "DATA PERIODS,1,1,Data,Sunday,6/21,6/21\n";
+    for hour in 1..=24 {
+        let light = if (6..20).contains(&hour) { 100 + 10 * hour } else { 0 };
+        text += &format!(
+            "2026,6,21,{hour},60,?9,20,10,50,95000,0,0,300,{light},{light},{light},0,0,0,0,180,2,5,5\n"
+        );
+    }
+    text
 }
 
 /// A glTF file with something of everything.
@@ -300,6 +343,40 @@ fn objection(path: &Path) -> Option<String> {
 
 fn look(path: &Path) -> Option<String> {
     let lines = |text: &str| (text.contains('\n')).then(|| format!("more than one line: {text:?}"));
+    match path.extension().and_then(|e| e.to_str()) {
+        Some("ies" | "ldt") => {
+            return match Photometry::load(path) {
+                Ok(found) => {
+                    LOADED.fetch_add(1, Ordering::Relaxed);
+                    let flux = found.flux();
+                    (!(flux.is_finite() && flux >= 0.0)).then(|| format!("a flux of {flux}"))
+                }
+                Err(error) => lines(&error.to_string()),
+            };
+        }
+        Some("toml") => {
+            let mut scene = Scene::default();
+            return match light::file::add(&mut scene, path, None) {
+                Ok(_) => {
+                    LOADED.fetch_add(1, Ordering::Relaxed);
+                    let seen = scene.lights.seen(glam::DVec3::Z);
+                    seen.iter().any(|x| !(x.is_finite() && *x >= 0.0)).then(|| format!("seen {seen:?}"))
+                }
+                Err(error) => lines(&error.to_string()),
+            };
+        }
+        Some("epw") => {
+            return match Weather::load(path) {
+                Ok(weather) => {
+                    LOADED.fetch_add(1, Ordering::Relaxed);
+                    let sane = |hour: &light::Hour| hour.direct >= 0.0 && hour.diffuse >= 0.0;
+                    (!weather.hours.iter().all(sane)).then(|| "an hour with negative light".into())
+                }
+                Err(error) => lines(&error.to_string()),
+            };
+        }
+        _ => {}
+    }
     let scene = match Scene::load(path) {
         Ok(scene) => scene,
         Err(error) => return lines(&error.to_string()),
@@ -638,7 +715,7 @@ fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let number = |i: usize| words.get(i).and_then(|w| w.parse::<u64>().ok());
     let (Some(target), Some(seconds)) = (words.first().map(String::as_str), number(1)) else {
-        eprintln!("usage: fuzz obj|mtl|ply|gltf|glb|cli|checkpoint SECONDS [FIRST]");
+        eprintln!("usage: fuzz obj|mtl|ply|gltf|glb|ies|ldt|toml|epw|cli|checkpoint SECONDS [FIRST]");
         return ExitCode::from(2);
     };
     let folder = tempfile::tempdir().expect("a temporary folder can be made").keep();
@@ -653,6 +730,7 @@ fn main() -> ExitCode {
             .expect("a temporary folder can be written to");
         fs::write(folder.join("s.bin"), odd_gltf().bytes).expect("a temporary folder can be written to");
         fs::write(folder.join("s.mtl"), ODD_MTL).expect("a temporary folder can be written to");
+        fs::write(folder.join("s.ies"), ODD_IES).expect("a temporary folder can be written to");
         fs::write(folder.join("s.obj"), ODD_OBJ).expect("a temporary folder can be written to");
     }
     let seeds = if ["cli", "checkpoint"].contains(&target) { Vec::new() } else { seeds(target) };

@@ -31,14 +31,20 @@ pub struct CameraArgs {
 }
 
 impl CameraArgs {
-    /// The camera as given, with the direction that is upwards in the picture. Missing values are taken from the camera that frames the
-    /// scene.
-    pub fn camera(&self, up: Option<DVec3>, scene: &Scene, tracer: &Tracer) -> Result<Camera> {
+    /// The camera as given, with the direction that is upwards in the picture for a direction of view. Missing values are taken from the
+    /// camera that frames the scene.
+    pub fn camera(
+        &self,
+        up: impl Fn(DVec3) -> Option<DVec3>,
+        scene: &Scene,
+        tracer: &Tracer,
+    ) -> Result<Camera> {
         let framed = Camera::frame(scene, tracer, self.width, self.height)?;
+        let (eye, look_at) = (self.eye.unwrap_or(framed.eye()), self.look_at.unwrap_or(framed.look_at()));
         Camera::new(
-            self.eye.unwrap_or(framed.eye()),
-            self.look_at.unwrap_or(framed.look_at()),
-            up.unwrap_or(framed.up()),
+            eye,
+            look_at,
+            up(look_at - eye).unwrap_or(framed.up()),
             self.fov.unwrap_or(framed.fov()),
             self.width,
             self.height,

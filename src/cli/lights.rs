@@ -1,6 +1,9 @@
 //! Lights that are no surfaces: options of every command that computes light.
 
-use std::str::FromStr;
+use std::{
+    path::{Path, PathBuf},
+    str::FromStr,
+};
 
 use clap::Args;
 use glam::DVec3;
@@ -8,7 +11,12 @@ use radiosity::{
     Error, Result as RadiosityResult, Scene,
     scene::{
         is_radiance,
-        light::{Distant, Light, LightKind, SUN_DIAMETER, Sky, SkyModel, Up},
+        light::{
+            Distant, LUMINOUS_EFFICACY, Light, LightKind, Moment, Mounting, Photometry, Place, SUN_DIAMETER,
+            Sky, SkyImage, SkyModel, Units, Up,
+            file::{self, SunAt, sun_at},
+            luminaire,
+        },
     },
 };
 
@@ -25,10 +33,36 @@ pub struct LightArgs {
     /// of the sky is
     #[arg(long, value_name = "AZIMUTH,ALTITUDE[,W/M2]", value_parser = sun, allow_hyphen_values = true)]
     sun: Option<SunArg>,
-    /// Add a sky, which is dark below the horizon: uniform:RADIANCE in W/(m2 sr), or overcast:E, clear:E or intermediate:E (CIE) with
-    /// the irradiance E in W/m2 on an unobstructed horizontal plane
+    /// Add a sky: uniform:RADIANCE in W/(m2 sr); overcast:E, clear:E or intermediate:E (CIE) with the irradiance E in W/m2 on an
+    /// unobstructed horizontal plane; perez:DIRECT,DIFFUSE with the direct normal and the diffuse horizontal irradiance, which adds
+    /// the sun too; or an image of all directions, FILE.hdr or FILE.exr, perhaps with :STRENGTH. All but images are dark below the
+    /// horizon
     #[arg(long, value_name = "KIND:VALUE", value_parser = SkyArg::from_str)]
     sky: Option<SkyArg>,
+    /// Turn the image of the sky clockwise as seen from above
+    #[arg(long, value_name = "DEGREES", requires = "sky", allow_hyphen_values = true)]
+    sky_rotation: Option<f64>,
+    /// Where the sun of the sky is, by a place: degrees north and east
+    #[arg(long, value_name = "LAT,LON", value_parser = Place::from_str, requires = "at", conflicts_with = "sun",
+        allow_hyphen_values = true)]
+    place: Option<Place>,
+    /// and a time with its offset from UTC, for example 2026-06-21T12:00+02:00
+    #[arg(long, value_name = "TIME", value_parser = Moment::from_str, requires = "place")]
+    at: Option<Moment>,
+    /// Add a luminaire by its photometric file, .ies or .ldt, at a point. It hangs as in the file: 0 degrees looks down, C0 is along
+    /// +x. May be repeated
+    #[arg(long, value_name = "FILE@X,Y,Z", value_parser = luminaire_at)]
+    light: Vec<(PathBuf, DVec3)>,
+    /// Add the lights of this file [default: lights.toml beside the scene, if there is one]
+    #[arg(long, value_name = "FILE.toml")]
+    lights: Option<PathBuf>,
+    /// Read and write lm, cd, lx and cd/m2 instead of W, W/sr, W/m2 and W/(m2 sr)
+    #[arg(long)]
+    photometric: bool,
+    /// Without --photometric: the lumens of a watt, by which the candela of photometric files are divided
+    #[arg(long, value_name = "LM/W", default_value_t = LUMINOUS_EFFICACY, value_parser = efficacy,
+        conflicts_with = "photometric")]
+    luminous_efficacy: f64,
     /// Which axis points up for sun and sky: y or z. `render` also takes the direction that points upwards in the picture, x,y,z; sun
     /// and sky then follow the nearer axis [default: y]
     #[arg(long, value_name = "y|z", value_parser = UpArg::from_str, allow_hyphen_values = true)]
@@ -49,6 +83,17 @@ enum SkyArg {
     Overcast(f64),
     Clear(f64),
     Intermediate(f64),
+    Perez([f64; 2]),
+    Image(PathBuf, f64),
+}
+
+fn efficacy(text: &str) -> Result<f64, String> {
+    super::options::parse(text, |x| (1e-3..=1e6).contains(&x), "expected a number of lumens above 0")
+}
+
+fn luminaire_at(text: &str) -> Result<(PathBuf, DVec3), String> {
+    let (file, at) = text.rsplit_once('@').ok_or("expected FILE@X,Y,Z")?;
+    Ok((file.into(), point(at)?))
 }
 
 /// An axis, or the direction that is upwards in a picture.
@@ -79,7 +124,21 @@ impl FromStr for SkyArg {
     type Err = String;
 
     fn from_str(text: &str) -> Result<SkyArg, String> {
-        const WANTED: &str = "expected uniform:RADIANCE, overcast:E, clear:E or intermediate:E";
+        const WANTED: &str = "expected uniform:RADIANCE, overcast:E, clear:E, intermediate:E, perez:DIRECT,DIFFUSE or an image in .hdr or .exr";
+        let is_image = |file: &str| {
+            let extension = Path::new(file).extension().map(|e| e.to_ascii_lowercase());
+            extension.is_some_and(|e| e == "hdr" || e == "exr")
+        };
+        if is_image(text) {
+            return Ok(SkyArg::Image(text.into(), 1.0));
+        }
+        if let Some((file, strength)) = text.rsplit_once(':').filter(|(file, _)| is_image(file)) {
+            let strength = strength.parse().ok().filter(|&x| is_radiance(x));
+            return Ok(SkyArg::Image(
+                file.into(),
+                strength.ok_or("the strength of the image is a number from 0 on")?,
+            ));
+        }
         let (kind, value) = text.split_once(':').ok_or(WANTED)?;
         let number = || {
             let number = value.parse().ok().filter(|&x| is_radiance(x));
@@ -90,6 +149,14 @@ impl FromStr for SkyArg {
             "overcast" => SkyArg::Overcast(number()?),
             "clear" => SkyArg::Clear(number()?),
             "intermediate" => SkyArg::Intermediate(number()?),
+            "perez" => {
+                let numbers: Option<Vec<f64>> =
+                    value.split(',').map(|x| x.trim().parse().ok().filter(|&x| is_radiance(x))).collect();
+                match numbers.as_deref() {
+                    Some(&[direct, diffuse]) => SkyArg::Perez([direct, diffuse]),
+                    _ => return Err("expected perez:DIRECT,DIFFUSE, two numbers from 0 on".into()),
+                }
+            }
             _ => return Err(WANTED.into()),
         })
     }
@@ -120,47 +187,123 @@ impl LightArgs {
         }
     }
 
-    /// The direction that is upwards in a picture, if one was given.
-    pub fn upwards(&self) -> Option<DVec3> {
+    /// The direction that is upwards in a picture with this direction of view, if an option says so: of an axis, where the view follows it,
+    /// north instead.
+    pub fn upwards(&self, view: DVec3) -> Option<DVec3> {
         self.up.map(|up| match up {
-            UpArg::Axis(up) => up.to_scene([0.0, 0.0, 1.0]),
+            UpArg::Axis(up) => {
+                let axis = up.to_scene([0.0, 0.0, 1.0]);
+                let across = view.cross(axis).length() > 1e-6 * view.length();
+                if across { axis } else { up.to_scene([0.0, 1.0, 0.0]) }
+            }
             UpArg::Direction(direction) => direction,
         })
     }
 
-    /// Adds the lights to a scene.
-    pub fn add(&self, scene: &mut Scene) -> RadiosityResult<()> {
-        let up = self.up();
-        let towards = self.sun.map(|sun| up.direction(sun.azimuth.to_radians(), sun.altitude.to_radians()));
-        if let (Some(SunArg { irradiance: Some(e), .. }), Some(towards)) = (self.sun, towards) {
-            let sun = Distant::new(towards, [e; 3], SUN_DIAMETER.to_radians());
-            scene.lights.list.push(Light::new(SUN, LightKind::Distant(sun)));
+    /// What the numbers of the scene mean.
+    pub fn units(&self) -> Units {
+        match self.photometric {
+            true => Units::Photometric,
+            false => Units::Radiometric { efficacy: self.luminous_efficacy },
+        }
+    }
+
+    /// Where the options say that the sun is.
+    fn given_sun(&self) -> RadiosityResult<Option<SunAt>> {
+        if let Some(sun) = self.sun {
+            return Ok(Some((self.up().direction(sun.azimuth.to_radians(), sun.altitude.to_radians()), 1.0)));
+        }
+        let (Some(place), Some(at)) = (self.place, &self.at) else { return Ok(None) };
+        sun_at(self.up(), place, at)
+            .map(Some)
+            .map_err(|message| Error::Usage { message: format!("--at: {message}"), hint: None })
+    }
+
+    /// Adds the lights to a scene that was read from `path`.
+    pub fn add(&self, scene: &mut Scene, path: &Path) -> RadiosityResult<()> {
+        scene.units = self.units();
+        let beside = path.with_file_name("lights.toml");
+        let file = self.lights.clone().or_else(|| beside.is_file().then_some(beside));
+        let given_up = self.up.map(|_| self.up());
+        let of_file = file.map(|file| file::add(scene, &file, given_up)).transpose()?.flatten();
+        let sun = self.given_sun()?;
+        if let (Some(SunArg { irradiance: Some(e), .. }), Some((towards, _))) = (self.sun, sun) {
+            add_sun(scene, towards, e);
+        }
+        for (file, position) in &self.light {
+            let photometry = Photometry::load(file)?;
+            scene.files.push(file.clone());
+            scene.warnings.extend(photometry.warnings.iter().cloned());
+            let mounting = Mounting { position: *position, aim: None, rotation: 0.0, dimming: 1.0 };
+            let light = luminaire(photometry, self.up(), &mounting, self.units().efficacy());
+            let name = file.file_stem().map_or(String::new(), |name| name.to_string_lossy().into_owned());
+            scene.lights.list.push(Light::new(&name, LightKind::Point(light)));
         }
         let Some(sky) = &self.sky else {
-            return match self.sun {
-                Some(SunArg { irradiance: None, .. }) => Err(Error::Usage {
+            let needless = matches!(self.sun, Some(SunArg { irradiance: None, .. })) || self.place.is_some();
+            return match needless && scene.lights.sky.is_none() {
+                true => Err(Error::Usage {
                     message: "--sun has no irradiance, and there is no sky whose sun it could be".into(),
-                    hint: Some("add it in W/m2, as in --sun 220,40,800".into()),
+                    hint: Some(
+                        "add it in W/m2, as in --sun 220,40,800, or a sky, as in --sky perez:700,120".into(),
+                    ),
                 }),
-                _ => Ok(()),
+                false => Ok(()),
             };
         };
-        let towards = |kind: &str| {
-            towards.ok_or_else(|| Error::Usage {
-                message: format!("--sky {kind} needs to know where the sun is"),
-                hint: Some("add --sun AZIMUTH,ALTITUDE".into()),
-            })
-        };
-        scene.lights.sky = Some(match *sky {
-            SkyArg::Uniform(radiance) => Sky::uniform(up, [radiance; 3]),
-            SkyArg::Overcast(e) => Sky::with_irradiance(SkyModel::Overcast, up, [e; 3]),
-            SkyArg::Clear(e) => Sky::with_irradiance(SkyModel::Clear(towards("clear")?), up, [e; 3]),
-            SkyArg::Intermediate(e) => {
-                Sky::with_irradiance(SkyModel::Intermediate(towards("intermediate")?), up, [e; 3])
-            }
-        });
+        let sky = self.make_sky(sky, scene, sun.or(of_file))?;
+        scene.lights.sky = Some(sky);
         Ok(())
     }
+
+    /// The sky of the options; adds its image to the files, and the sun of an all-weather sky to the lights.
+    fn make_sky(&self, sky: &SkyArg, scene: &mut Scene, sun: Option<SunAt>) -> RadiosityResult<Sky> {
+        let up = self.up();
+        if self.sky_rotation.is_some() && !matches!(sky, SkyArg::Image(..)) {
+            return Err(Error::Usage {
+                message: "--sky-rotation turns images only".into(),
+                hint: Some("leave it out".into()),
+            });
+        }
+        let sun = |kind: &str| {
+            sun.ok_or_else(|| Error::Usage {
+                message: format!("--sky {kind} needs to know where the sun is"),
+                hint: Some("add --sun AZIMUTH,ALTITUDE, or --place LAT,LON --at TIME".into()),
+            })
+        };
+        Ok(match sky {
+            SkyArg::Uniform(radiance) => Sky::uniform(up, [*radiance; 3]),
+            SkyArg::Overcast(e) => Sky::with_irradiance(SkyModel::Overcast, up, [*e; 3]),
+            SkyArg::Clear(e) => Sky::with_irradiance(SkyModel::Clear(sun("clear")?.0), up, [*e; 3]),
+            SkyArg::Intermediate(e) => {
+                Sky::with_irradiance(SkyModel::Intermediate(sun("intermediate")?.0), up, [*e; 3])
+            }
+            SkyArg::Perez(of) => {
+                if let Some(SunArg { irradiance: Some(_), .. }) = self.sun {
+                    return Err(Error::Usage {
+                        message:
+                            "--sky perez brings the sun with its direct irradiance: --sun must not have one"
+                                .into(),
+                        hint: Some("give --sun AZIMUTH,ALTITUDE alone".into()),
+                    });
+                }
+                let (towards, eccentricity) = sun("perez")?;
+                add_sun(scene, towards, of[0]);
+                Sky::all_weather(up, *of, towards, eccentricity * self.units().extraterrestrial())
+            }
+            SkyArg::Image(file, strength) => {
+                let image = SkyImage::load(file)?;
+                scene.files.push(file.clone());
+                let rotation = self.sky_rotation.unwrap_or_default().to_radians();
+                Sky::image(image.turned(rotation), up, *strength)
+            }
+        })
+    }
+}
+
+fn add_sun(scene: &mut Scene, towards: DVec3, irradiance: f64) {
+    let sun = Distant::new(towards, [irradiance; 3], SUN_DIAMETER.to_radians());
+    scene.lights.list.push(Light::new(SUN, LightKind::Distant(sun)));
 }
 
 #[cfg(test)]
@@ -181,6 +324,10 @@ mod tests {
     fn skies_have_a_kind_and_a_number() {
         assert_eq!("uniform:0.5".parse(), Ok(SkyArg::Uniform(0.5)));
         assert_eq!("overcast:120".parse(), Ok(SkyArg::Overcast(120.0)));
+        assert_eq!("perez:700,120".parse(), Ok(SkyArg::Perez([700.0, 120.0])));
+        assert_eq!("a/b:c.HDR".parse(), Ok(SkyArg::Image("a/b:c.HDR".into(), 1.0)));
+        assert_eq!("sky.exr:2.5".parse(), Ok(SkyArg::Image("sky.exr".into(), 2.5)));
+        assert!("sky.exr:x".parse::<SkyArg>().is_err() && "perez:1".parse::<SkyArg>().is_err());
         for wrong in ["", "uniform", "uniform:", "uniform:-1", "overcast:x", "blue:3", "clear:nan"] {
             assert!(wrong.parse::<SkyArg>().is_err(), "{wrong}");
         }

@@ -5,6 +5,7 @@
 
 mod bake;
 mod camera;
+mod daylight;
 mod exchange;
 mod forecast;
 mod inspect;
@@ -64,6 +65,7 @@ enum Command {
     Probe(probe::ProbeArgs),
     Inspect(inspect::InspectArgs),
     Tradeoff(tradeoff::TradeoffArgs),
+    Daylight(daylight::DaylightArgs),
     ViewFactors(view_factors::ViewFactorsArgs),
     Exchange(exchange::ExchangeArgs),
 }
@@ -135,6 +137,7 @@ pub fn run() -> ExitCode {
         Command::Probe(args) => probe::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Tradeoff(args) => tradeoff::run(&args),
+        Command::Daylight(args) => daylight::run(&args),
         Command::ViewFactors(args) => view_factors::run(&args),
         Command::Exchange(args) => exchange::run(&args),
     };

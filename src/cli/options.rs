@@ -89,7 +89,8 @@ impl SceneArgs {
                 .with_reflectance(plain)
                 .with_unlit_emits(self.unlit_emits)
                 .with_faces(true)
-                .with_keep_overlaps(true),
+                .with_keep_overlaps(true)
+                .with_units(self.lights.units()),
         )?;
         ignore(&mut scene, &self.path, &self.ignore)?;
         for Reflectance { share, material } in &self.reflectance {
@@ -109,7 +110,7 @@ impl SceneArgs {
                 return Err(self.no_material(&scene, "--model", &model.material));
             }
         }
-        self.lights.add(&mut scene)?;
+        self.lights.add(&mut scene, &self.path)?;
         self.keep_emitters(&mut scene)?;
         scene.cut_overlaps();
         Ok(scene)

@@ -135,6 +135,7 @@ pub fn run(args: &ProbeArgs) -> Result<Outcome> {
         final_gather: patches.map(|_| GATHER),
         patches,
         seed: args.seed,
+        units: scene.units.names(),
         picture: None,
         probes: Some(ProbesReport::new(&estimates)),
         seconds: times,

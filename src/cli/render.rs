@@ -10,6 +10,7 @@ use radiosity::{
         reflection::Surfaces,
     },
     output::{
+        false_colour::{self, FalseColour},
         file::Pending,
         picture,
         report::{peak_bytes, seconds},
@@ -55,6 +56,15 @@ pub struct RenderArgs {
     /// With --method radiosity: gather the last bounce with N rays per sample, instead of interpolating between patches
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65536))]
     final_gather: Option<u32>,
+    /// With --method radiosity: show the irradiance in false colours with a scale, and lines at the steps of the scale. Only as .png
+    #[arg(long)]
+    false_colour: bool,
+    /// With --false-colour: the irradiance at the top of the scale [default: automatic]
+    #[arg(long, value_name = "IRRADIANCE", value_parser = white, requires = "false_colour")]
+    scale: Option<f64>,
+    /// With --false-colour: no lines
+    #[arg(long, requires = "false_colour")]
+    no_isolines: bool,
     #[command(flatten)]
     camera: CameraArgs,
     /// Make the picture brighter by this number of stops. Negative is darker
@@ -106,7 +116,10 @@ impl RenderArgs {
         }
         let foreign = match self.method {
             Method::Radiosity => self.no_next_event.then_some("--no-next-event"),
-            _ => self.final_gather.map(|_| "--final-gather").or(self.cast.given()),
+            _ => {
+                let false_colour = self.false_colour.then_some("--false-colour");
+                self.final_gather.map(|_| "--final-gather").or(false_colour).or(self.cast.given())
+            }
         };
         if let Some(option) = foreign {
             let message = format!("{option} has no effect with --method {}", self.method.name());
@@ -119,6 +132,12 @@ impl RenderArgs {
     /// Refuses an exposure for a picture that holds radiance.
     fn check_exposure(&self, format: PictureFormat) -> Result<()> {
         let given = self.white.map(|_| "--white").or((self.exposure != 0.0).then_some("--exposure"));
+        if self.false_colour && (format != PictureFormat::Png || given.is_some()) {
+            return Err(Error::Usage {
+                message: "--false-colour makes a .png, in which colours mean irradiance".into(),
+                hint: Some("end the name in .png, and give --scale instead of --white or --exposure".into()),
+            });
+        }
         match given.filter(|_| format != PictureFormat::Png) {
             None => Ok(()),
             Some(option) => Err(Error::Usage {
@@ -180,15 +199,23 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
         }
         (scene, tracer)
     };
-    let camera = args.camera.camera(args.scene.lights.upwards(), &scene, &tracer)?;
+    let camera = args.camera.camera(|view| args.scene.lights.upwards(view), &scene, &tracer)?;
     args.check_size(&camera)?;
     camera::check(&args.camera, &camera, &scene, &tracer, &watch)?;
     let (film, patches) = picture(args, &scene, &tracer, &camera, &watch, &mut times)?;
     let exposure = args.exposure(&film);
 
     watch.begin_writing();
-    let (written, seconds_writing) =
-        watch.stage("writing", || file.write(|out| film.encode(out, format, exposure)))?;
+    let (written, seconds_writing) = watch.stage("writing", || {
+        file.write(|out| match args.false_colour {
+            true => {
+                let lines = !args.no_isolines;
+                let options = FalseColour::default().with_most(args.scale).with_isolines(lines);
+                false_colour::encode(out, &film, &options, scene.units.names().irradiance)
+            }
+            false => film.encode(out, format, exposure),
+        })
+    })?;
     let mut pending = vec![written];
     times.stages.output = seconds_writing;
     times.stages.total = seconds(start.elapsed());
@@ -202,6 +229,7 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
         final_gather: args.final_gather,
         patches,
         seed: args.seed,
+        units: scene.units.names(),
         picture: Some(PictureReport::new(&camera, &film, exposure.white())),
         probes: None,
         seconds: times,
@@ -256,15 +284,8 @@ fn picture(
                 job.solve(scene, tracer, watch, &mut times.stages)?;
             (film, times.sampling) = watch.stage("picture", || {
                 let solution = (&solved, &solution);
-                picture::render(
-                    scene,
-                    tracer,
-                    solution,
-                    camera,
-                    args.final_gather,
-                    &options,
-                    watch.progress(),
-                )
+                let make = if args.false_colour { picture::irradiance } else { picture::render };
+                make(scene, tracer, solution, camera, args.final_gather, &options, watch.progress())
             })?;
             patches = Some(solved.len());
         }

@@ -27,6 +27,7 @@ pub fn table(
     written: &str,
 ) -> String {
     let SolveReport { scene, form_factors: factors, solve, energy, seconds, .. } = report;
+    let units = &scene.units;
     let mut text = String::new();
     let mut row = |name: &str, value: String| row(&mut text, name, &value);
     row("scene", format!("{}: {}", scene.file, count(scene.triangles, "triangle")));
@@ -51,8 +52,9 @@ pub fn table(
             let estimator = report.options.estimator;
             let non_zeros = factors.non_zeros;
             row("form factors", format!("{non_zeros} non-zeros, {bytes}, {estimator}, {rate:.2e} rays/s"));
-            let bound =
-                solve.error_bound.map_or("no error bound".into(), |b| format!("error below {b:.1e} W/m2"));
+            let bound = solve
+                .error_bound
+                .map_or("no error bound".into(), |b| format!("error below {b:.1e} {}", units.radiosity));
             row(
                 "solver",
                 format!(
@@ -69,16 +71,17 @@ pub fn table(
     }
     let channels =
         if scene.channels == 1 { vec![("", 0)] } else { vec![(" red", 0), (" green", 1), (" blue", 2)] };
+    let power = units.power;
     for (name, c) in channels {
         let (emitted, absorbed, escaped) = (energy.emitted[c], energy.absorbed[c], energy.escaped[c]);
         let entered = match energy.entered[c] {
             0.0 => String::new(),
-            entered => format!(" entered {} W,", figure(entered, 6)),
+            entered => format!(" entered {} {power},", figure(entered, 6)),
         };
         row(
             &format!("power{name}"),
             format!(
-                "emitted {} W,{} absorbed {} W, escaped {} W",
+                "emitted {} {power},{} absorbed {} {power}, escaped {} {power}",
                 figure(emitted, 6),
                 entered,
                 figure(absorbed, 6),
@@ -119,7 +122,14 @@ pub fn table(
         let largest = parts.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
         largest.into_iter().for_each(|(_, what)| row("largest error", what));
     }
-    row("exposure", format!("white is {} W/m2 (automatic {stops:+} stops)", figure(report.options.white, 4)));
+    row(
+        "exposure",
+        format!(
+            "white is {} {} (automatic {stops:+} stops)",
+            figure(report.options.white, 4),
+            units.radiosity
+        ),
+    );
     row("seconds", times(seconds));
     row("wrote", written.into());
     text
@@ -162,9 +172,10 @@ pub fn probes(report: &SamplingReport, written: &str) -> String {
             &mut text,
             "irradiance",
             &format!(
-                "{}, mean {} W/m2",
+                "{}, mean {} {}",
                 count(probes.points, "point"),
-                [r, g, b].map(|x| figure(x, 4)).join(" ")
+                [r, g, b].map(|x| figure(x, 4)).join(" "),
+                report.units.irradiance
             ),
         );
         row(&mut text, "error", &format!("{error:.3} % RMS standard error"));

@@ -262,6 +262,10 @@ impl Scratch {
                     shared
                 };
             }
+            // Nothing is told of lights of which it is not known what arrives unblocked.
+            for piece in rays.lamps.pieces.iter().filter(|piece| !piece.is_known()) {
+                self.free[half][piece.lamp] = 0.0;
+            }
         }
     }
 }

@@ -147,6 +147,14 @@ impl Piece {
         matches!(self.source, Source::Remote(..))
     }
 
+    /// Whether it is known exactly what of its light arrives at a patch if nothing stands between.
+    pub(super) fn is_known(&self) -> bool {
+        match &self.source {
+            Source::Surface(_) => true,
+            Source::Remote(remote, _) => remote.is_known(),
+        }
+    }
+
     /// The share of its light that arrives at a patch if nothing stands between.
     fn unoccluded(&self, patch: &Facing) -> f64 {
         match &self.source {
@@ -258,16 +266,21 @@ impl Lamps {
         shines: impl Fn(usize) -> bool + Sync,
     ) -> Lamps {
         let mut lamps = Lamps::of_surfaces(tracer, patches, shines);
-        for light in &lights.list {
-            let colour = light.kind.colour();
+        let of_list = lights.list.iter().map(|light| (Remote::new(&light.kind, tracer), light.kind.colour()));
+        let (bright, dim) = lights.sky.as_ref().map(Sky::split).unzip();
+        let bright = bright.into_iter().flatten().map(|(cell, radiance)| (Remote::Cell(cell), radiance));
+        for (remote, colour) in of_list.chain(bright) {
             let brightness = colour[..patches.channels()].iter().sum();
             if brightness > 0.0 {
-                let source = Source::Remote(Remote::new(&light.kind, tracer), colour);
-                lamps.pieces.push(Piece { source, brightness, lamp: lamps.count });
+                lamps.pieces.push(Piece {
+                    source: Source::Remote(remote, colour),
+                    brightness,
+                    lamp: lamps.count,
+                });
                 lamps.count += 1;
             }
         }
-        lamps.sky.clone_from(&lights.sky);
+        lamps.sky = dim;
         lamps
     }
 

@@ -1,10 +1,10 @@
-//! Lights that are no surfaces, as lamps: distant discs and points.
+//! Lights that are no surfaces, as lamps: distant discs, bright parts of images of the sky, and points.
 
 use glam::{DVec3, Vec3A};
 
 use super::{Constants, footprint::Footprint, solid_angle, unoccluded::Facing};
 use crate::{
-    scene::light::{Distant, Distribution, LightKind},
+    scene::light::{Area, Cell, Distant, Distribution, LightKind},
     trace::{Tracer, sampling::square_to_triangle},
 };
 
@@ -18,14 +18,19 @@ const WIDE: f64 = 0.1;
 const EVEN: f64 = 1e-4;
 /// Cuts at most.
 const MOST_CUTS: u32 = 7;
+/// Points of a shining area, in each of two dimensions, of which what arrives unblocked is the mean.
+const POINTS: usize = 4;
 
 /// A light that is no surface, in unit space. All it tells is relative to its colour, irradiance or intensity.
 #[derive(Debug, Clone)]
 pub(super) enum Remote {
     Distant(Distant),
+    /// A part of an image of the sky.
+    Cell(Cell),
     Point {
         at: DVec3,
         distribution: Distribution,
+        area: Option<Area>,
         /// Area in the unit of the file over that in unit space.
         unit: f64,
     },
@@ -38,6 +43,11 @@ impl Remote {
             LightKind::Point(point) => Remote::Point {
                 at: tracer.to_unit_exactly(point.position),
                 distribution: point.distribution.clone(),
+                area: point.area.map(|area| Area {
+                    first: area.first / tracer.scale(),
+                    second: area.second / tracer.scale(),
+                    ..area
+                }),
                 unit: tracer.scale() * tracer.scale(),
             },
         }
@@ -47,15 +57,30 @@ impl Remote {
     pub(super) fn unblocked(&self, patch: &Facing) -> f64 {
         match self {
             Remote::Distant(distant) => distant.unblocked(patch.normal),
-            Remote::Point { at, distribution, unit } => {
-                if (*at - patch.corners[0]).dot(patch.normal) <= 0.0 {
-                    return 0.0;
-                }
-                let flux = flux(distribution, *at, patch.corners, 0);
+            Remote::Cell(cell) => cell.unblocked(patch.normal),
+            Remote::Point { at, distribution, area: shining, unit } => {
+                let from = |at: DVec3| match (at - patch.corners[0]).dot(patch.normal) > 0.0 {
+                    true => flux(distribution, at, patch.corners, 0),
+                    false => 0.0,
+                };
+                let cell = |k: usize| (k as f64 + 0.5) / POINTS as f64;
+                let flux = shining.map_or_else(
+                    || from(*at),
+                    |shining| {
+                        let point =
+                            |k: usize| from(*at + shining.sample([cell(k / POINTS), cell(k % POINTS)]));
+                        (0..POINTS * POINTS).map(point).sum::<f64>() / (POINTS * POINTS) as f64
+                    },
+                );
                 let area = area(patch.corners);
                 if area > 0.0 { flux / (area * unit) } else { 0.0 }
             }
         }
+    }
+
+    /// Whether [`Remote::unblocked`] is exact: not from a shining area, of which only some points are asked.
+    pub(super) fn is_known(&self) -> bool {
+        !matches!(self, Remote::Point { area: Some(_), .. })
     }
 
     /// A path from a point of a patch to the light, and the irradiance that arrives, were all paths like it; `None` where the light is
@@ -77,7 +102,16 @@ impl Remote {
                 };
                 Some((p, p + direction.as_vec3a() * FAR_AWAY, cos * weight))
             }
-            Remote::Point { at, distribution, unit } => {
+            Remote::Cell(cell) => {
+                let direction = cell.sample([u, v].map(f64::from));
+                let cos = direction.dot(from.normal.as_dvec3());
+                let p = from.at(square_to_triangle(x, y));
+                let weight = cos * cell.solid_angle();
+                (cos > 0.0).then(|| (p, p + direction.as_vec3a() * FAR_AWAY, weight))
+            }
+            Remote::Point { at, distribution, area: shining, unit } => {
+                let at = *at + shining.map_or(DVec3::ZERO, |area| area.sample([u, v].map(f64::from)));
+                let at = &at;
                 let corners = from.corners.map(|corner| corner.as_dvec3());
                 let normal = from.normal.as_dvec3();
                 let height = (*at - corners[0]).dot(normal);
@@ -108,11 +142,13 @@ impl Remote {
             Remote::Distant(d) => {
                 d.direction.to_array().into_iter().chain([d.radius]).map(f64::to_bits).collect()
             }
-            Remote::Point { at, distribution, unit } => {
+            Remote::Cell(cell) => cell.words(),
+            Remote::Point { at, distribution, area, unit } => {
+                let size = area.map_or(0.0, |area| area.first.length() + area.second.length());
                 let some =
                     [DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z, DVec3::splat(-1.0)];
                 let towards = some.map(|d| distribution.towards(d.normalize()));
-                at.to_array().into_iter().chain([*unit]).chain(towards).map(f64::to_bits).collect()
+                at.to_array().into_iter().chain([*unit, size]).chain(towards).map(f64::to_bits).collect()
             }
         }
     }
@@ -165,6 +201,7 @@ mod tests {
                 let light = Remote::Point {
                     at: dvec3(0.1, 0.2, height),
                     distribution: distribution.clone(),
+                    area: None,
                     unit: 4.0,
                 };
                 let corners = [DVec3::ZERO, dvec3(size, 0.0, 0.0), dvec3(0.0, size, 0.0)];

@@ -112,7 +112,7 @@ impl Default for CastOptions {
 impl CastOptions {
     /// The same with shadow rays where lights that are no surfaces need them.
     fn for_lights(&self, scene: &Scene) -> CastOptions {
-        let needed = !scene.lights.list.is_empty() && !(self.shadow_share > 0.0);
+        let needed = scene.lights.need_shadow_rays() && !(self.shadow_share > 0.0);
         CastOptions {
             shadow_share: if needed { CastOptions::default().shadow_share } else { self.shadow_share },
             ..*self
@@ -209,7 +209,7 @@ impl FormFactors {
             let mut set = RaySet::none();
             set.checkpoint = checkpoint.map(|file| Section::new(file, digest(patches), options.seed));
             let emits = apart && patches.emission().iter().any(|&b| b > 0.0);
-            let mut share = allocation::even(options, rays, emits || !scene.lights.list.is_empty());
+            let mut share = allocation::even(options, rays, emits || scene.lights.need_shadow_rays());
             set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
             let shines = match emits {
                 true => brightness::above_what_is_seen(&set, patches),

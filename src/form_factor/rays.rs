@@ -123,6 +123,11 @@ impl RaySet {
         (0..self.len()).into_par_iter().with_min_len(128).map(share).collect()
     }
 
+    /// Whether patch `i` is hidden by another face at the same place.
+    pub(crate) fn is_hidden(&self, i: usize) -> bool {
+        self.is_withdrawn(i)
+    }
+
     /// Whether patch `i` was made to lose all light.
     pub(super) fn is_withdrawn(&self, i: usize) -> bool {
         self.withdrawn.binary_search(&i).is_ok()

@@ -8,7 +8,7 @@ use super::Samples;
 use crate::{
     scene::{
         Scene,
-        light::{Distant, Distribution, LightKind, PointLight, Sky},
+        light::{Area, Distant, Distribution, LightKind, PointLight, Sky},
     },
     trace::Tracer,
 };
@@ -17,6 +17,8 @@ use crate::{
 const FAR_AWAY: f32 = 4.0;
 /// A ray to a point ends before it by this, in unit space: what it is mounted on does not hide it.
 const MOUNTED: f32 = 1e-5;
+/// Share of the looks that go to an image of the sky where there are other lights.
+const OF_IMAGE: f64 = 0.5;
 /// Directions in which the power of the sky is summed to share out particles, in each of two dimensions.
 const DIRECTIONS: usize = 16;
 
@@ -26,6 +28,17 @@ struct Point {
     at: Vec3A,
     intensity: DVec3,
     distribution: Distribution,
+    area: Option<Area>,
+}
+
+impl Point {
+    /// A point of what it shines from.
+    fn at(&self, samples: &mut Samples) -> Vec3A {
+        match &self.area {
+            Some(area) => self.at + area.sample(samples.square().map(f64::from)).as_vec3a(),
+            None => self.at,
+        }
+    }
 }
 
 /// Sky, discs and points.
@@ -68,11 +81,16 @@ impl Outside {
         for light in &scene.lights.list {
             match &light.kind {
                 LightKind::Distant(distant) => outside.distant.push(*distant),
-                LightKind::Point(PointLight { position, intensity, distribution }) => {
+                LightKind::Point(PointLight { position, intensity, distribution, area }) => {
                     outside.points.push(Point {
                         at: tracer.to_unit(*position),
                         intensity: DVec3::from(*intensity),
                         distribution: distribution.clone(),
+                        area: area.map(|area| Area {
+                            first: area.first / tracer.scale(),
+                            second: area.second / tracer.scale(),
+                            ..area
+                        }),
                     });
                 }
             }
@@ -153,19 +171,35 @@ impl Outside {
     ) -> DVec3 {
         let towards = direction.as_dvec3();
         let mut light = self.sky_seen(towards);
+        let chosen = self.density_of_image(towards);
+        if next_event && chosen > 0.0 {
+            let share = if self.has_lights() { OF_IMAGE } else { 1.0 };
+            light *= weight_of_bounce(share * chosen, density);
+        }
         if self.distant.iter().any(|d| d.contains(towards)) {
             let shares = self.shares(origin, normal, next_event);
             let sum: f64 = shares.iter().sum();
             for (disc, share) in self.distant.iter().zip(&shares).filter(|(d, _)| d.contains(towards)) {
-                let chosen = if next_event { share / sum * density_of_disc(disc, towards) } else { 0.0 };
-                let weight = match density > 0.0 {
-                    true => 1.0 / (1.0 + (chosen / density).powi(2)),
-                    false => 0.0,
-                };
-                light += weight * DVec3::from(disc.radiance());
+                let others = if self.image().is_some() { 1.0 - OF_IMAGE } else { 1.0 };
+                let of_disc = others * share / sum * density_of_disc(disc, towards);
+                let chosen = if next_event { of_disc } else { 0.0 };
+                light += weight_of_bounce(chosen, density) * DVec3::from(disc.radiance());
             }
         }
         light
+    }
+
+    /// The sky, if it is an image: looked for by its bright parts.
+    fn image(&self) -> Option<&Sky> {
+        self.sky.as_ref().filter(|sky| sky.as_image().is_some())
+    }
+
+    fn has_lights(&self) -> bool {
+        !self.distant.is_empty() || !self.points.is_empty()
+    }
+
+    fn density_of_image(&self, direction: DVec3) -> f64 {
+        self.image().and_then(|sky| sky.density_of_image(direction)).unwrap_or_default()
     }
 
     /// How much each disc and each point may send to a place, all channels together. Without next event estimation those that no bounce
@@ -195,7 +229,18 @@ impl Outside {
         next_event: bool,
         samples: &mut Samples,
     ) -> Option<Look> {
-        if self.distant.is_empty() && self.points.is_empty() {
+        let mut others = 1.0;
+        if let Some(sky) = self.image().filter(|_| next_event) {
+            let share = if self.has_lights() { OF_IMAGE } else { 1.0 };
+            if share == 1.0 || f64::from(samples.number()) < share {
+                let (direction, density) = sky.sample_image(samples.square().map(f64::from))?;
+                let density = share * density;
+                let light = DVec3::from(sky.radiance(direction)) / density;
+                return Some(Look { target: origin + direction.as_vec3a() * FAR_AWAY, light, density });
+            }
+            others = 1.0 - share;
+        }
+        if !self.has_lights() {
             return None;
         }
         let shares = self.shares(origin, normal, next_event);
@@ -209,17 +254,18 @@ impl Outside {
             rest -= shares[k];
             k += 1;
         }
-        let probability = shares[k] / sum;
+        let probability = others * shares[k] / sum;
         if probability == 0.0 {
             return None;
         }
         let Some(disc) = self.distant.get(k) else {
             let point = &self.points[k - self.distant.len()];
-            let path = origin - point.at;
+            let at = point.at(samples);
+            let path = origin - at;
             let squared = f64::from(path.length_squared());
             let towards = point.distribution.towards((path / squared.sqrt() as f32).as_dvec3().normalize());
             return Some(Look {
-                target: point.at + path.normalize_or_zero() * MOUNTED,
+                target: at + path.normalize_or_zero() * MOUNTED,
                 light: point.intensity * (towards / (squared * self.scale * self.scale * probability)),
                 density: f64::INFINITY,
             });
@@ -246,7 +292,7 @@ impl Outside {
             let point = &self.points[k - 1 - self.distant.len()];
             let (direction, density) = of_point(&point.distribution, at);
             let flux = point.intensity * (point.distribution.towards(direction) / (density * probability));
-            return Ray { origin: point.at, direction: direction.as_vec3a(), flux };
+            return Ray { origin: point.at(samples), direction: direction.as_vec3a(), flux };
         }
         let (towards, light) = match k.checked_sub(1) {
             None => {
@@ -288,6 +334,12 @@ impl Outside {
     }
 }
 
+/// The weight of what a bounce of this density met, where it could also have been chosen with the other.
+fn weight_of_bounce(chosen: f64, density: f64) -> f64 {
+    // A mirror's density is infinite.
+    if density > 0.0 { 1.0 / (1.0 + (chosen / density).powi(2)) } else { 0.0 }
+}
+
 /// A direction into a disc: evenly over its projection onto the plane that it faces.
 fn in_disc(disc: &Distant, [u, v]: [f64; 2]) -> DVec3 {
     let sin = disc.radius.sin() * u.sqrt();
@@ -301,8 +353,11 @@ fn density_of_disc(disc: &Distant, direction: DVec3) -> f64 {
     direction.dot(disc.direction).max(0.0) / (PI * disc.radius.sin().powi(2))
 }
 
-/// A direction into the sky, and its density: evenly over the half of the sphere above the horizon.
+/// A direction into the sky, and its density: evenly over the half of the sphere above the horizon, or as an image shines.
 fn of_sky(sky: &Sky, [u, v]: [f64; 2]) -> (DVec3, f64) {
+    if let Some(sample) = sky.sample_image([u, v]) {
+        return sample;
+    }
     (sky.up().direction(TAU * u, v.asin()), 1.0 / TAU)
 }
 
@@ -310,7 +365,7 @@ fn of_sky(sky: &Sky, [u, v]: [f64; 2]) -> (DVec3, f64) {
 fn of_point(distribution: &Distribution, [u, v]: [f64; 2]) -> (DVec3, f64) {
     let (axis, outer) = match distribution {
         Distribution::Spot { axis, outer, .. } => (*axis, *outer),
-        Distribution::Isotropic => (DVec3::Z, -1.0),
+        Distribution::Isotropic | Distribution::Web(_) => (DVec3::Z, -1.0),
     };
     let cos = 1.0 - u * (1.0 - outer);
     let sin = (1.0 - cos * cos).max(0.0).sqrt();

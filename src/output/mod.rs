@@ -3,8 +3,10 @@
 //! A file is written whole or not at all ([`mod@file`]). All numbers in it are finite. A figure that is not known is NaN
 //! in a PLY and `null` in a report.
 
+pub mod daylight;
 pub mod exchange;
 pub mod exposure;
+pub mod false_colour;
 pub mod file;
 pub mod final_gather;
 pub mod gltf;

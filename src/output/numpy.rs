@@ -82,6 +82,44 @@ pub(super) fn write_sparse<R: Iterator<Item = (usize, f64)>>(
     zip.finish()
 }
 
+/// An array of a `.npz`.
+pub(super) struct Array<'a> {
+    pub(super) name: &'a str,
+    pub(super) shape: Vec<usize>,
+    pub(super) values: Values<'a>,
+}
+
+/// Its values, in the order of the last index.
+pub(super) enum Values<'a> {
+    F32(&'a [f32]),
+    F64(&'a [f64]),
+    I32(&'a [i32]),
+}
+
+/// Writes arrays as `numpy.load` reads them by name.
+///
+/// # Errors
+/// What `out` says, and when the file would be larger than 4 GiB.
+///
+/// # Panics
+/// When an array has not as many values as its shape says.
+pub(super) fn write_arrays(arrays: &[Array<'_>], out: &mut dyn Write) -> io::Result<()> {
+    let mut zip = Zip { out, files: Vec::new(), at: 0 };
+    for Array { name, shape, values } in arrays {
+        let (kind, length, data): (_, _, Vec<u8>) = match values {
+            Values::F32(v) => ("<f4", v.len(), v.iter().flat_map(|x| x.to_le_bytes()).collect()),
+            Values::F64(v) => ("<f8", v.len(), v.iter().flat_map(|x| x.to_le_bytes()).collect()),
+            Values::I32(v) => ("<i4", v.len(), v.iter().flat_map(|x| x.to_le_bytes()).collect()),
+        };
+        assert_eq!(length, shape.iter().product::<usize>(), "{name}: values and shape disagree");
+        let sizes: String = shape.iter().map(|n| format!("{n},")).collect();
+        let mut bytes = header(kind, &format!("({sizes})"));
+        bytes.extend(data);
+        zip.add(&format!("{name}.npy"), &bytes)?;
+    }
+    zip.finish()
+}
+
 /// A zip archive of files as they are, without compression (PKWARE, *APPNOTE.TXT* 6.3, sections 4.3.7, 4.3.12 and 4.3.16).
 struct Zip<'a> {
     out: &'a mut dyn Write,

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     Progress, Result,
-    monte_carlo::{Camera, Film, RenderOptions},
+    monte_carlo::{Camera, Film, Receiver, RenderOptions},
     patch::Patches,
     scene::Scene,
     solve::{Light, Solution},
@@ -41,13 +41,44 @@ impl<'a> SmoothSurface<'a> {
 
     /// Radiance that leaves the point that a ray hit. Zero on backs that no ray of the solution hit.
     pub fn radiance(&self, hit: &Hit) -> [f64; 3] {
-        let Some(patch) = self.patches.at(hit.triangle, hit.barycentric, hit.front) else { return [0.0; 3] };
+        self.irradiance(hit).map_or([0.0; 3], |irradiance| outgoing(self.scene, hit, irradiance))
+    }
+
+    /// Irradiance of the point that a ray hit: none of backs that no ray of the solution met.
+    fn irradiance(&self, hit: &Hit) -> Option<DVec3> {
+        let patch = self.patches.at(hit.triangle, hit.barycentric, hit.front)?;
         let corners = self.mesh.corners(patch as usize);
         let weights = self.patches.local(patch as usize, hit.barycentric);
-        let irradiance: DVec3 =
-            (0..3).map(|k| DVec3::from(self.irradiance[corners[k] as usize]) * weights[k]).sum();
-        outgoing(self.scene, hit, irradiance)
+        Some((0..3).map(|k| DVec3::from(self.irradiance[corners[k] as usize]) * weights[k]).sum())
     }
+}
+
+/// A picture of the irradiance of surfaces, W/m², as [`render`] makes one of radiance; dark where there is no surface.
+///
+/// # Errors
+/// [`Error::Stopped`](crate::Error::Stopped).
+///
+/// # Panics
+/// When the solution is not one of these patches.
+pub fn irradiance(
+    scene: &Scene,
+    tracer: &Tracer,
+    (patches, solution): (&Patches, &Solution),
+    camera: &Camera,
+    gather: Option<u32>,
+    options: &RenderOptions,
+    progress: &Progress,
+) -> Result<Film> {
+    let lens = camera.lens(tracer);
+    let surface = SmoothSurface::new(scene, patches, solution);
+    let gather = gather.map(|rays| FinalGather::new(scene, tracer, patches, solution, rays));
+    Film::sample(&lens, options, progress, |direction, samples| {
+        let Some(hit) = tracer.closest(lens.eye(), direction) else { return [0.0; 3] };
+        match &gather {
+            Some(gather) => gather.irradiance(Receiver::of_hit(tracer, &hit), samples),
+            None => surface.irradiance(&hit).unwrap_or_default().to_array(),
+        }
+    })
 }
 
 /// A picture of a solution. The light is smoothed over each patch, or gathered with `gather` rays per sample.

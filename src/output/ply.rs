@@ -37,7 +37,11 @@ use crate::{
     Result,
     monte_carlo::Estimate,
     patch::Patches,
-    scene::{Scene, ply::BOTH_SIDES},
+    scene::{
+        Scene,
+        light::{UnitNames, Units},
+        ply::BOTH_SIDES,
+    },
     solve::Light,
     tone::{Exposure, rgb},
 };
@@ -130,7 +134,7 @@ pub fn encode<'a>(
         true => Shown::all(&mesh),
         false => Shown::of(&mesh, &lit_sides(scene, patches, light)),
     };
-    let header = header(exposure, &shown, options, mesh.has_pieces());
+    let header = header(exposure, &shown, options, mesh.has_pieces(), scene.units);
 
     Writer::<Vertex>::new().write_header(&mut out, &header)?;
     let channels = patches.channels();
@@ -227,14 +231,18 @@ fn write_elements<E: PropertyAccess + Checked>(
 
 const RGB: [&str; 3] = ["r", "g", "b"];
 
-fn header(exposure: Exposure, shown: &Shown, options: &PlyOptions<'_>, patch: bool) -> Header {
+fn header(exposure: Exposure, shown: &Shown, options: &PlyOptions<'_>, patch: bool, units: Units) -> Header {
+    let UnitNames { irradiance, radiosity, .. } = units.names();
+    let of_light = match irradiance == radiosity {
+        true => format!("radiosity, irradiance and its errors in {radiosity}"),
+        false => format!("radiosity in {radiosity}, irradiance and its errors in {irradiance}"),
+    };
     let mut header = Header::new();
     header.encoding = Encoding::BinaryLittleEndian;
     header.comments = vec![
         format!("radiosity {}", env!("CARGO_PKG_VERSION")),
-        "units: lengths as in the scene; radiosity, irradiance and its errors in W/m2, linear Rec. 709"
-            .into(),
-        format!("exposure: colours are sRGB, white is a radiosity of {:.6e} W/m2", exposure.white()),
+        format!("units: lengths as in the scene; {of_light}, linear Rec. 709"),
+        format!("exposure: colours are sRGB, white is a radiosity of {:.6e} {radiosity}", exposure.white()),
     ];
     if options.backs {
         header.comments.push(BOTH_SIDES.into());

@@ -16,7 +16,7 @@ use crate::{
     energy::EnergyLedger,
     form_factor::{self, FormFactors, rays},
     patch::Patches,
-    scene::Scene,
+    scene::{Scene, light::UnitNames},
     solve::{
         Solution,
         stochastic_jacobi::{self, StochasticSolution},
@@ -66,6 +66,8 @@ pub struct SceneReport {
     pub back_patches: usize,
     /// The longest edge that the subdivision allowed; `null` where triangles were left whole.
     pub patch_edge: Option<f64>,
+    /// Units of light.
+    pub units: UnitNames,
     /// Warnings of the reader: what it left out or assumed.
     pub warnings: Vec<String>,
 }
@@ -328,6 +330,7 @@ impl SceneReport {
             channels: patches.channels(),
             back_patches: patches.len() - patches.fronts(),
             patch_edge: finite(patches.edge()),
+            units: scene.units.names(),
             warnings: scene.warnings.clone(),
         }
     }

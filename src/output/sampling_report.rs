@@ -5,7 +5,10 @@ use std::io::{self, Write};
 use serde::Serialize;
 
 use super::report::Seconds;
-use crate::monte_carlo::{Camera, Estimate, Film};
+use crate::{
+    monte_carlo::{Camera, Estimate, Film},
+    scene::light::UnitNames,
+};
 
 /// The report of `radiosity render` and `radiosity probe`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -28,6 +31,8 @@ pub struct SamplingReport {
     pub patches: Option<usize>,
     /// Seed of the random numbers.
     pub seed: u64,
+    /// Units of light.
+    pub units: UnitNames,
     /// The picture, if there is one.
     pub picture: Option<PictureReport>,
     /// The probes, if there are any.

@@ -31,7 +31,7 @@ use glam::{DVec2, DVec3};
 
 use crate::{Error, Result};
 pub use contacts::Contacts;
-use light::Lights;
+use light::{Lights, Units};
 use overlaps::Hidden;
 pub use specular::{Distribution, Fresnel, MOST_EXPONENT, Shadowing, Specular};
 pub use texture::{Texture, TextureMap};
@@ -142,6 +142,8 @@ pub struct Scene {
     pub textures: Vec<Texture>,
     /// Lights that are no surfaces.
     pub lights: Lights,
+    /// Whether light is in watts or in lumens.
+    pub units: Units,
     /// Number of triangles at the end that were added as backs of double-sided emitters.
     pub backs_of_lamps: usize,
     /// Number of triangles that were left out because their area is zero.
@@ -172,6 +174,8 @@ pub struct LoadOptions {
     /// Whether to keep faces that overlap in one plane, touch or cross as they are. For callers that change the emission of
     /// materials and then call [`Scene::cut_overlaps`] and [`Scene::cut_contacts`].
     pub keep_overlaps: bool,
+    /// Whether light is in watts or in lumens, and what luminous quantities of files are divided by.
+    pub units: Units,
 }
 
 setters!(LoadOptions {
@@ -179,6 +183,7 @@ setters!(LoadOptions {
     with_faces(faces: bool),
     with_unlit_emits(unlit_emits: bool),
     with_keep_overlaps(keep_overlaps: bool),
+    with_units(units: Units),
 });
 
 /// Corners of faces from here on are no corners of the file but new vertices, by their number from here: [`Scene::face_corners`].

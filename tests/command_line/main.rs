@@ -17,6 +17,7 @@ mod memory;
 mod outputs;
 mod ply;
 mod probe;
+mod radiance;
 mod render;
 mod solve;
 mod tradeoff;

@@ -5,7 +5,10 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_3};
 use glam::{DMat4, DQuat, DVec3, dvec3};
 use radiosity::{
     Scene,
-    scene::{Distribution, Fresnel, LoadOptions, Specular},
+    scene::{
+        Distribution, Fresnel, LoadOptions, Specular,
+        light::{LightKind, Units},
+    },
     tone,
 };
 use serde_json::{Value, json};
@@ -354,18 +357,11 @@ fn what_has_no_say_in_diffuse_light_is_told_once() {
         let corner = [2.0 * k as f32, 0., 0.];
         file.rectangle(corner, [1., 0., 0.], [0., 1., 0.], material);
     }
-    file.json["extensions"] = json!({"KHR_lights_punctual": {"lights": [{"type": "point"}]}});
-    file.push("nodes", json!({"extensions": {"KHR_lights_punctual": {"light": 0}}}));
     file.push("animations", json!({"channels": [], "samplers": []}));
     let scene = load(&file);
-    for said in [
-        "`m0` is transparent",
-        "`m1` lets light through",
-        "`m2` is unlit",
-        "`m3` says neither",
-        "1 lights",
-        "at rest",
-    ] {
+    for said in
+        ["`m0` is transparent", "`m1` lets light through", "`m2` is unlit", "`m3` says neither", "at rest"]
+    {
         let times = scene.warnings.iter().filter(|w| w.contains(said)).count();
         assert_eq!(times, 1, "{said}: {:?}", scene.warnings);
     }
@@ -507,4 +503,47 @@ fn what_is_not_diffuse_is_kept_for_the_referee() {
     assert_eq!(microfacets(json!({"baseColorFactor": [0.5, 0.5, 0.5, 1]}), none), None);
     assert_eq!(microfacets(plastic.clone(), json!({"KHR_materials_unlit": {}})), None);
     assert_eq!(microfacets(plastic, json!({"KHR_materials_specular": {"specularFactor": 0}})), None);
+}
+
+/// Candela and lux over 683 lm/W, times the colour; along -z of the node, whose scale does not count; spots with glTF's default cone.
+#[test]
+fn punctual_lights() {
+    let mut file = Gltf::new();
+    let material = file.material("m", [0.5; 3], [0.0; 3]);
+    file.rectangle([0., 0., 0.], [1., 0., 0.], [0., 1., 0.], material);
+    file.json["extensions"] = json!({"KHR_lights_punctual": {"lights": [
+        {"type": "point", "intensity": 683, "color": [1, 0.5, 0.25], "name": "bulb"},
+        {"type": "spot", "intensity": 1366},
+        {"type": "directional", "intensity": 68300},
+    ]}});
+    let half = 0.5f64.sqrt();
+    for (light, node) in [
+        (0, json!({"translation": [1, 2, 3], "scale": [5, 5, 5]})),
+        // A quarter turn about x: -z becomes -y.
+        (1, json!({"translation": [0, 4, 0], "rotation": [-half, 0, 0, half]})),
+        (2, json!({"rotation": [-half, 0, 0, half]})),
+    ] {
+        let mut node = node;
+        node["extensions"] = json!({"KHR_lights_punctual": {"light": light}});
+        file.push("nodes", node);
+    }
+    let lights = load(&file).lights.list;
+    let [bulb, spot, sun] = &lights[..] else { panic!("{lights:?}") };
+    assert_eq!(bulb.name, "bulb");
+    let LightKind::Point(point) = &bulb.kind else { panic!("{bulb:?}") };
+    assert_eq!((point.intensity, point.position), ([1.0, 0.5, 0.25], dvec3(1.0, 2.0, 3.0)));
+    let LightKind::Point(point) = &spot.kind else { panic!("{spot:?}") };
+    assert!((point.intensity[0] - 2.0).abs() < 1e-12);
+    let towards = |angle: f64| point.distribution.towards(dvec3(angle.sin(), -angle.cos(), 0.0));
+    assert!((towards(0.0) - 1.0).abs() < 1e-12 && towards(0.8) == 0.0);
+    let wanted = ((0.4f64.cos() - half) / (1.0 - half)).powi(2);
+    assert!((towards(0.4) - wanted).abs() < 1e-9, "{} {wanted}", towards(0.4));
+    let LightKind::Distant(sun) = &sun.kind else { panic!("{sun:?}") };
+    assert!((sun.irradiance[0] - 100.0).abs() < 1e-9 && (sun.direction - DVec3::Y).length() < 1e-9);
+    // In photometric units nothing is divided.
+    let folder = tempfile::tempdir().unwrap();
+    let options = LoadOptions::default().with_units(Units::Photometric);
+    let scene = Scene::load_with(file.save(folder.path(), "scene.glb"), &options).unwrap();
+    let LightKind::Point(point) = &scene.lights.list[0].kind else { panic!() };
+    assert_eq!(point.intensity, [683.0, 341.5, 170.75]);
 }

@@ -10,7 +10,7 @@ use std::{
 const COMMON: [&str; 7] = ["Error", "MeshError", "Setting", "Result", "Progress", "Quality", "Scene"];
 
 /// A module, what it may use, and what its tests may use besides.
-const LAYERS: [(&str, &[&str], &[&str]); 20] = [
+const LAYERS: [(&str, &[&str], &[&str]); 21] = [
     ("setters", &[], &[]),
     ("error", &[], &[]),
     ("progress", &[], &[]),
@@ -25,6 +25,7 @@ const LAYERS: [(&str, &[&str], &[&str]); 20] = [
     ("form_factor", &["exact", "parallel", "scene", "trace", "patch", "direct"], &[]),
     ("view_factor", &["scene", "trace", "patch", "form_factor"], &[]),
     ("solve", &["patch", "form_factor"], &["scene", "trace"]),
+    ("daylight", &["scene", "trace", "patch", "direct", "form_factor"], &[]),
     ("heat", &["form_factor", "view_factor", "solve"], &[]),
     ("energy", &["patch", "form_factor", "solve"], &["scene", "trace"]),
     ("monte_carlo", &["tone", "scene", "trace"], &[]),
@@ -44,6 +45,7 @@ const LAYERS: [(&str, &[&str], &[&str]); 20] = [
             "view_factor",
             "solve",
             "heat",
+            "daylight",
             "energy",
             "monte_carlo",
             "accuracy",

@@ -17,7 +17,10 @@ use radiosity::{
     patch::Subdivision,
     scene::{
         Material,
-        light::{Distant, Distribution, Light, LightKind, PointLight, SUN_DIAMETER, Sky, SkyModel, Up},
+        light::{
+            Distant, Distribution, Light, LightKind, Mounting, Photometry, PointLight, SUN_DIAMETER, Sky,
+            SkyImage, SkyModel, Up, luminaire,
+        },
     },
     solve::SolveOptions,
     trace::Tracer,
@@ -225,6 +228,40 @@ fn a_spot_over_a_square() {
     }
 }
 
+/// A disc of 0.2 m that shines downward with an intensity of 100 cd times the cosine.
+fn cosine_disc() -> Photometry {
+    let angles: Vec<String> = (0..=90).step_by(2).map(|angle| angle.to_string()).collect();
+    let candela = (0..=90).step_by(2).map(|angle| (100.0 * f64::from(angle).to_radians().cos()).to_string());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("disc.ies");
+    let text = format!(
+        "IESNA91\nTILT=NONE\n1 -1 1 {} 1 1 2 -0.2 -0.2 0\n1 1 10\n{}\n0\n{}\n",
+        angles.len(),
+        angles.join(" "),
+        candela.collect::<Vec<_>>().join(" ")
+    );
+    std::fs::write(&path, text).unwrap();
+    Photometry::load(&path).unwrap()
+}
+
+/// 2 m under the disc: π L r² / (r² + d²) with L = I / (π r²), 24.94 lx, where a point would give 25; and a small patch there receives as much.
+#[test]
+fn a_disc_of_a_photometric_file() {
+    let floor = scene(&[part(level_square(0.02, 0.0, true), 0.0, 0.0)]);
+    let hung = Mounting { position: dvec3(0.0, 0.0, 2.0), aim: None, rotation: 0.0, dimming: 1.0 };
+    let scene = with_light(floor, LightKind::Point(luminaire(cosine_disc(), Up::Z, &hung, 1.0)));
+    let wanted = 100.0 / (0.1f64.powi(2) + 4.0);
+    let tracer = Tracer::new(&scene);
+    let place = Receiver::free(&tracer, DVec3::ZERO, DVec3::Z);
+    let paths = PathTracer::new(&scene, &tracer, PathOptions::default());
+    let found = paths.irradiances(&[place], &Effort::default(), &Progress::new()).unwrap()[0];
+    assert!((found.mean[0] / wanted - 1.0).abs() < 1e-4, "{} for {wanted}", found.mean[0]);
+    assert!((found.mean[0] - 24.94).abs() < 0.01, "{}", found.mean[0]);
+    let solved = solved(&scene, 2, 256.0);
+    let (e, error) = mean(&solved);
+    assert!((e / wanted - 1.0).abs() < 1e-3 + 4.0 * error / wanted, "{e} ± {error} for {wanted}");
+}
+
 /// A court with a block in it, that sky, sun, a spot and a lamp light.
 fn court() -> Scene {
     let block = room_faces(dvec3(-0.4, -0.3, 0.0), dvec3(0.2, 0.3, 0.8)).map(flipped);
@@ -278,7 +315,17 @@ fn each_kind_passes_the_validation() {
         Distribution::spot(dvec3(-1.0, -0.6, -0.8), 0.2, 0.6),
     );
     let towards = Up::Z.direction(4.0, 0.8);
+    let mut texels: Vec<[f32; 3]> = (0..64 * 32).map(|k| [4.0 + (k % 5) as f32; 3]).collect();
+    texels[9 * 64 + 20] = [2e4; 3];
+    texels[4 * 64 + 50] = [6e3; 3];
+    let image = Sky::image(SkyImage::new(64, 32, texels).unwrap(), Up::Z, 1.0);
+    let perez = Sky::all_weather(Up::Z, [500.0, 120.0], towards, 1367.0);
+    let hung = Mounting { position: dvec3(0.8, -0.9, 1.2), aim: None, rotation: 0.4, dimming: 1.0 };
+    let lamp_of_file = luminaire(cosine_disc(), Up::Z, &hung, 1.0);
     let kinds = [
+        ("image", with_sky(dark(), image)),
+        ("all-weather sky", with_sky(dark(), perez)),
+        ("luminaire", with_light(dark(), LightKind::Point(lamp_of_file))),
         ("uniform sky", with_sky(dark(), Sky::uniform(Up::Z, [30.0; 3]))),
         ("clear sky", with_sky(dark(), Sky::with_irradiance(SkyModel::Clear(towards), Up::Z, [80.0; 3]))),
         ("sun", with_light(dark(), sun(150.0, 50.0))),

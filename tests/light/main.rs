@@ -7,6 +7,7 @@ mod accuracy;
 mod adaptive;
 mod checkpoint;
 mod contacts;
+mod daylight;
 mod determinism;
 mod error_bars;
 mod exact_form_factors;

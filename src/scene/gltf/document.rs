@@ -44,7 +44,50 @@ pub struct RootExtensions {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub struct Lights {
-    pub lights: Vec<serde::de::IgnoredAny>,
+    pub lights: Vec<PunctualLight>,
+}
+
+/// A light of KHR_lights_punctual.
+#[derive(Debug, Deserialize)]
+#[serde(default)]
+pub struct PunctualLight {
+    pub name: Option<String>,
+    #[serde(rename = "type")]
+    pub kind: String,
+    pub color: [f64; 3],
+    pub intensity: f64,
+    pub spot: Spot,
+}
+
+impl Default for PunctualLight {
+    fn default() -> Self {
+        PunctualLight {
+            name: None,
+            kind: String::new(),
+            color: [1.0; 3],
+            intensity: 1.0,
+            spot: Spot::default(),
+        }
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(default, rename_all = "camelCase")]
+pub struct Spot {
+    pub inner_cone_angle: f64,
+    pub outer_cone_angle: f64,
+}
+
+impl Default for Spot {
+    fn default() -> Self {
+        Spot { inner_cone_angle: 0.0, outer_cone_angle: std::f64::consts::FRAC_PI_4 }
+    }
+}
+
+/// Which light a node places.
+#[derive(Debug, Deserialize)]
+pub struct PlacedLight {
+    pub light: usize,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -72,7 +115,7 @@ pub struct Node {
 #[serde(default)]
 pub struct NodeExtensions {
     #[serde(rename = "KHR_lights_punctual")]
-    pub light: Option<serde::de::IgnoredAny>,
+    pub light: Option<PlacedLight>,
     #[serde(rename = "EXT_mesh_gpu_instancing")]
     pub instancing: Option<Instancing>,
 }

@@ -3,7 +3,7 @@
 //! The reader takes the default scene, or all nodes if there is none. Nodes place meshes, EXT_mesh_gpu_instancing copies them,
 //! and skins and morph targets pose them at rest. The reflectance of a material is its base colour times its texture, COLOR_0
 //! and the share that is not metal. Its emission is the emissive factor times KHR_materials_emissive_strength and its texture,
-//! in W/(m² sr).
+//! in W/(m² sr). Lights of KHR_lights_punctual are divided by a luminous efficacy.
 //!
 //! A double-sided surface emits from both sides, as the specification says. If its mesh is open, its triangles are in the scene a
 //! second time, turned round, after all others. A closed mesh emits outwards only, because light of its inside stays there.
@@ -19,6 +19,7 @@ mod lamps;
 mod material;
 pub(crate) mod nodes;
 pub(crate) mod primitive;
+mod punctual;
 mod surface;
 
 use std::collections::HashMap;
@@ -56,7 +57,10 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
         left_out: 0,
     };
     document.walk(&nodes, |place, geometry| assembly.add(place, geometry))?;
-    assembly.finish()
+    let mut scene = assembly.finish()?;
+    scene.units = options.units;
+    scene.lights.list = punctual::lights(&document, &nodes, options.units.efficacy())?;
+    Ok(scene)
 }
 
 /// A primitive of a mesh in the scene.
@@ -260,11 +264,6 @@ impl Assembly<'_> {
         scene.parts = self.parts;
         if self.left_out > 0 {
             made.warnings.push(format!("{file}: left out {} primitives of points or lines", self.left_out));
-        }
-        let lights = document.root.nodes.iter().filter(|node| node.extensions.light.is_some()).count();
-        if lights > 0 && document.root.extensions.lights.as_ref().is_some_and(|l| !l.lights.is_empty()) {
-            made.warnings
-                .push(format!("{file}: left out {lights} lights without extent (KHR_lights_punctual)"));
         }
         if !document.root.animations.is_empty() {
             made.warnings.push(format!("{file}: animations are left out; the scene is taken at rest"));

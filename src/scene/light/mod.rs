@@ -6,14 +6,36 @@
 
 mod cie;
 mod distant;
+mod eulumdat;
+pub mod file;
+mod ies;
+mod image;
+mod luminaire;
+mod measured;
+mod perez;
+mod photometry;
+mod place;
 mod point;
 mod sky;
+mod units;
+mod weather;
+mod web;
 
 use glam::DVec3;
 
 pub use distant::{Distant, SUN_DIAMETER};
-pub use point::{Distribution, PointLight};
+pub(crate) use image::Cell;
+pub use image::SkyImage;
+pub use luminaire::{Mounting, luminaire};
+pub use measured::{Goniometer, Opening};
+pub use perez::{Perez, SOLAR_CONSTANT, SOLAR_ILLUMINANCE, luminous_efficacy};
+pub use photometry::Photometry;
+pub use place::{Moment, Place};
+pub use point::{Area, Distribution, PointLight};
 pub use sky::{Sky, SkyModel};
+pub use units::{LUMINOUS_EFFICACY, UnitNames, Units};
+pub use weather::{Hour, Weather};
+pub use web::Web;
 
 /// Which axis points up: the frame of azimuths and altitudes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -129,6 +151,11 @@ impl Lights {
             }
         }
         seen.to_array()
+    }
+
+    /// Whether any of them may be too small for hemisphere rays to meet: all but the sky, and images of it.
+    pub(crate) fn need_shadow_rays(&self) -> bool {
+        !self.list.is_empty() || self.sky.as_ref().is_some_and(|sky| sky.as_image().is_some())
     }
 
     /// Whether all of them send as much in each channel.

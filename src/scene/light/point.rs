@@ -1,6 +1,10 @@
 //! Lights at a point.
 
+use std::sync::Arc;
+
 use glam::DVec3;
+
+use super::Web;
 
 /// How the intensity of a light at a point depends on the direction.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,6 +21,30 @@ pub enum Distribution {
         /// Cosine of the angle to the edge of the cone.
         outer: f64,
     },
+    /// That of a photometric file.
+    Web(Arc<Web>),
+}
+
+/// What a light shines from: a parallelogram or, where it is round, an ellipse in it, with these two half axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Area {
+    /// The one.
+    pub first: DVec3,
+    /// The other.
+    pub second: DVec3,
+    /// Whether it is an ellipse.
+    pub round: bool,
+}
+
+impl Area {
+    /// A point of it relative to its middle, evenly.
+    pub fn sample(&self, [u, v]: [f64; 2]) -> DVec3 {
+        if self.round {
+            let (sin, cos) = (std::f64::consts::TAU * v).sin_cos();
+            return u.sqrt() * (cos * self.first + sin * self.second);
+        }
+        (2.0 * u - 1.0) * self.first + (2.0 * v - 1.0) * self.second
+    }
 }
 
 /// A light at a point.
@@ -29,6 +57,8 @@ pub struct PointLight {
     pub intensity: [f64; 3],
     /// How that depends on the direction.
     pub distribution: Distribution,
+    /// What it shines from, each point of it alike; `None` for a point.
+    pub area: Option<Area>,
 }
 
 /// Least difference of the cosines of a cone's edges, as glTF has it.
@@ -52,6 +82,7 @@ impl Distribution {
                 let ramp = (inner - outer).max(LEAST_RAMP);
                 ((axis.dot(direction) - outer) / ramp).clamp(0.0, 1.0).powi(2)
             }
+            Distribution::Web(web) => web.towards(direction),
         }
     }
 
@@ -66,6 +97,7 @@ impl Distribution {
                 let of_ramp = ramp.min(1.0 - outer);
                 std::f64::consts::TAU * (full + of_ramp.powi(3) / (3.0 * ramp * ramp))
             }
+            Distribution::Web(web) => web.total(),
         }
     }
 }
@@ -73,12 +105,12 @@ impl Distribution {
 impl PointLight {
     /// A light that shines alike in all directions.
     pub fn isotropic(position: DVec3, intensity: [f64; 3]) -> PointLight {
-        PointLight { position, intensity, distribution: Distribution::Isotropic }
+        PointLight::new(position, intensity, Distribution::Isotropic)
     }
 
     /// A light with this distribution.
     pub fn new(position: DVec3, intensity: [f64; 3], distribution: Distribution) -> PointLight {
-        PointLight { position, intensity, distribution }
+        PointLight { position, intensity, distribution, area: None }
     }
 }
 

@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
-use super::{Up, cie};
+use super::{Cell, Perez, SkyImage, Up, cie};
 
 /// Steps of altitude and azimuth in which the irradiance of a model is integrated.
 const STEPS: usize = 512;
@@ -22,6 +22,10 @@ pub enum SkyModel {
     Clear(DVec3),
     /// CIE intermediate sky with the sun in this direction.
     Intermediate(DVec3),
+    /// The all-weather sky of Perez with the sun in this direction.
+    AllWeather(Perez, DVec3),
+    /// An image of all directions.
+    Image(SkyImage),
 }
 
 /// A sky.
@@ -35,7 +39,7 @@ pub struct Sky {
 }
 
 impl SkyModel {
-    /// Relative radiance in a direction, a unit vector.
+    /// Relative radiance in a direction, a unit vector; an image has a colour besides.
     fn shape(&self, up: Up, direction: DVec3) -> f64 {
         let [_, _, sin] = up.of_scene(direction);
         if sin < 0.0 {
@@ -46,6 +50,8 @@ impl SkyModel {
             SkyModel::Overcast => cie::overcast(sin),
             SkyModel::Clear(sun) => cie::clear(sin, direction.dot(*sun)),
             SkyModel::Intermediate(sun) => cie::intermediate(sin, direction.dot(*sun), up.of_scene(*sun)[2]),
+            SkyModel::AllWeather(perez, sun) => perez.shape(sin, direction.dot(*sun)),
+            SkyModel::Image(_) => 1.0,
         }
     }
 
@@ -80,6 +86,57 @@ impl Sky {
         Sky { model, up, scale: irradiance.map(|e| e / whole) }
     }
 
+    /// The all-weather sky of Perez: of direct normal and diffuse horizontal irradiance in W/m², with the sun in the direction
+    /// `towards`, whose irradiance outside the atmosphere is `extraterrestrial`. The sun itself is no part of it.
+    pub fn all_weather(up: Up, [direct, diffuse]: [f64; 2], towards: DVec3, extraterrestrial: f64) -> Sky {
+        let altitude = up.of_scene(towards)[2].clamp(-1.0, 1.0).asin();
+        let perez = Perez::new(direct, diffuse, altitude, extraterrestrial);
+        Sky::with_irradiance(SkyModel::AllWeather(perez, towards), up, [diffuse; 3])
+    }
+
+    /// A sky with the radiance that the model has by itself.
+    pub fn relative(model: SkyModel, up: Up) -> Sky {
+        Sky { model, up, scale: [1.0; 3] }
+    }
+
+    /// An image times a factor.
+    pub fn image(image: SkyImage, up: Up, strength: f64) -> Sky {
+        Sky { model: SkyModel::Image(image), up, scale: [strength; 3] }
+    }
+
+    /// The same with each channel times a factor.
+    pub fn coloured(self, colour: [f64; 3]) -> Sky {
+        Sky { scale: std::array::from_fn(|c| self.scale[c] * colour[c]), ..self }
+    }
+
+    /// The image, if it is one.
+    pub(crate) fn as_image(&self) -> Option<&SkyImage> {
+        match &self.model {
+            SkyModel::Image(image) => Some(image),
+            _ => None,
+        }
+    }
+
+    /// Parts of an image that are much brighter than the rest, with their radiance, and the sky without them.
+    pub(crate) fn split(&self) -> (Vec<(Cell, [f64; 3])>, Sky) {
+        let Some(image) = self.as_image() else { return (Vec::new(), self.clone()) };
+        let (mut cells, dim) = image.split(self.up);
+        for (_, radiance) in &mut cells {
+            *radiance = std::array::from_fn(|c| self.scale[c] * radiance[c]);
+        }
+        (cells, Sky { model: SkyModel::Image(dim), ..*self })
+    }
+
+    /// A direction into an image, chosen by its radiance, and its density.
+    pub(crate) fn sample_image(&self, at: [f64; 2]) -> Option<(DVec3, f64)> {
+        self.as_image().map(|image| image.sample(self.up, at))
+    }
+
+    /// The density of [`Sky::sample_image`] in a direction.
+    pub(crate) fn density_of_image(&self, direction: DVec3) -> Option<f64> {
+        self.as_image().map(|image| image.density(self.up, direction))
+    }
+
     /// The model.
     pub fn model(&self) -> &SkyModel {
         &self.model
@@ -92,18 +149,29 @@ impl Sky {
 
     /// Radiance in a direction, a unit vector, R G B, W/(m² sr).
     pub fn radiance(&self, direction: DVec3) -> [f64; 3] {
+        if let SkyModel::Image(image) = &self.model {
+            let radiance = image.radiance(self.up, direction);
+            return std::array::from_fn(|c| self.scale[c] * radiance[c]);
+        }
         let shape = self.model.shape(self.up, direction);
         self.scale.map(|scale| scale * shape)
     }
 
     /// About its largest radiance, R G B.
     pub(crate) fn strongest(&self) -> [f64; 3] {
-        self.scale
+        match &self.model {
+            SkyModel::Image(image) => {
+                let brightest = image.brightest();
+                std::array::from_fn(|c| self.scale[c] * brightest[c])
+            }
+            _ => self.scale,
+        }
     }
 
     /// Whether all channels are alike.
     pub fn is_grey(&self) -> bool {
-        self.scale[0] == self.scale[1] && self.scale[1] == self.scale[2]
+        let of_model = self.as_image().is_none_or(SkyImage::is_grey);
+        of_model && self.scale[0] == self.scale[1] && self.scale[1] == self.scale[2]
     }
 }
 
@@ -148,7 +216,9 @@ mod tests {
     fn skies_with_a_sun_have_their_irradiance() {
         for up in [Up::Y, Up::Z] {
             let sun = up.direction(2.5, 0.6);
-            for model in [SkyModel::Clear(sun), SkyModel::Intermediate(sun)] {
+            let perez = Perez::new(600.0, 80.0, 0.6, super::super::SOLAR_CONSTANT);
+            for model in [SkyModel::Clear(sun), SkyModel::Intermediate(sun), SkyModel::AllWeather(perez, sun)]
+            {
                 let sky = Sky::with_irradiance(model, up, [80.0; 3]);
                 let zenith = up.to_scene([0.0, 0.0, 1.0]);
                 assert!((irradiance(&sky, zenith) / 80.0 - 1.0).abs() < 1e-3);

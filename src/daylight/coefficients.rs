@@ -1,0 +1,281 @@
+//! What each part of the sky sends to patches and points.
+
+use std::f64::consts::PI;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::SkyParts;
+use crate::{
+    Error, Progress, Result,
+    direct::footprint::Footprint,
+    form_factor::{CastOptions, FormFactors, rays::ESCAPED},
+    patch::Patches,
+    scene::{
+        Scene,
+        light::{Lights, Sky, Up},
+    },
+    trace::{
+        Tracer,
+        sampling::{around, mix, sobol_4d, square_to_cosine_hemisphere},
+    },
+};
+
+/// Columns that go through the matrix at a time.
+const BLOCK: usize = 16;
+/// Bounces end when they bring less than this share of what arrived.
+const ENOUGH: f64 = 1e-5;
+const MOST_BOUNCES: usize = 2000;
+
+/// What to compute.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct DaylightOptions {
+    /// The parts of the sky.
+    pub parts: SkyParts,
+    /// Which axis is up.
+    pub up: Up,
+    /// Rays of each patch.
+    pub rays: f64,
+    /// Rays of each point.
+    pub rays_of_points: u32,
+    /// The same seed gives the same coefficients.
+    pub seed: u64,
+}
+
+setters!(DaylightOptions {
+    with_parts(parts: SkyParts),
+    with_up(up: Up),
+    with_rays(rays: f64),
+    with_rays_of_points(rays_of_points: u32),
+    with_seed(seed: u64),
+});
+
+impl Default for DaylightOptions {
+    /// Tregenza's parts, y is up, 256 rays a patch and 4096 a point, seed 0.
+    fn default() -> Self {
+        DaylightOptions { parts: SkyParts::new(1), up: Up::Y, rays: 256.0, rays_of_points: 4096, seed: 0 }
+    }
+}
+
+/// A place that is lit: a point in the coordinates of the file, and the direction that it faces.
+pub type Place = (DVec3, DVec3);
+
+/// Coefficients: the irradiance of places by each part of the sky, were its radiance 1. Surfaces reflect the mean of their channels.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Coefficients {
+    /// The parts.
+    pub parts: SkyParts,
+    /// Number of places.
+    pub places: usize,
+    /// Of each place, what arrives from each part straight and reflected.
+    pub total: Vec<f32>,
+    /// Of it what is reflected.
+    pub reflected: Vec<f32>,
+}
+
+/// A scene with what daylight exchanges in it.
+#[derive(Debug)]
+pub struct Daylight<'a> {
+    scene: &'a Scene,
+    tracer: &'a Tracer,
+    patches: Patches,
+    form_factors: FormFactors,
+    /// Mean reflectance of each patch.
+    reflectance: Vec<f64>,
+    options: DaylightOptions,
+    /// Of each patch, what all parts bring to it straight and reflected.
+    irradiance: Vec<f32>,
+    /// Of it what comes straight.
+    direct: Vec<f32>,
+}
+
+impl<'a> Daylight<'a> {
+    /// Casts rays from all patches, under a uniform sky, and solves for all parts. Other light of the scene is left out.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`]; [`Error::NoEquilibrium`] where light is caught.
+    pub fn new(
+        scene: &'a Scene,
+        tracer: &'a Tracer,
+        mut patches: Patches,
+        options: &DaylightOptions,
+        progress: &Progress,
+    ) -> Result<Daylight<'a>> {
+        // What form factors are calibrated with, and what decides who gets more rays.
+        let mut lit = scene.clone();
+        lit.lights = Lights { sky: Some(Sky::uniform(options.up, [1.0; 3])), ..Lights::default() };
+        lit.materials.iter_mut().for_each(|m| m.emission = [0.0; 3]);
+        patches.update_materials(&lit);
+        let cast = CastOptions::default().with_rays(options.rays).with_seed(options.seed);
+        let form_factors = FormFactors::cast(&lit, tracer, &mut patches, &cast, progress)?;
+        let channels = patches.channels();
+        let mean = |rho: &[f64]| rho.iter().sum::<f64>() / rho.len() as f64;
+        let reflectance = patches.reflectance().chunks_exact(channels).map(mean).collect();
+        let mut daylight = Daylight {
+            scene,
+            tracer,
+            patches,
+            form_factors,
+            reflectance,
+            options: *options,
+            irradiance: Vec::new(),
+            direct: Vec::new(),
+        };
+        daylight.direct = daylight.straight();
+        daylight.irradiance = daylight.solve(progress)?;
+        Ok(daylight)
+    }
+
+    /// The patches, with the backs that rays have met.
+    pub fn patches(&self) -> &Patches {
+        &self.patches
+    }
+
+    /// What each part of radiance 1 sends to each patch straight.
+    fn straight(&self) -> Vec<f32> {
+        let DaylightOptions { parts, up, seed, .. } = self.options;
+        let set = self.form_factors.ray_set().expect("the form factors were cast");
+        let mut direct = vec![0f32; self.patches.len() * parts.count()];
+        direct.par_chunks_mut(parts.count()).enumerate().with_min_len(16).for_each(|(i, row)| {
+            let targets = set.of(i);
+            if set.is_hidden(i) || !targets.contains(&ESCAPED) {
+                return;
+            }
+            let share = (PI / targets.len() as f64) as f32;
+            let from = Footprint::new(self.tracer, &self.patches, i);
+            for ray in from.hemisphere_rays(0..targets.len() as u32, mix(&[seed, i as u64])) {
+                if targets[ray.index as usize] == ESCAPED
+                    && let Some(part) = parts.at(up, ray.direction.as_dvec3().normalize())
+                {
+                    row[part] += share;
+                }
+            }
+        });
+        direct
+    }
+
+    /// E = D + F ρ E, block of columns by block.
+    fn solve(&self, progress: &Progress) -> Result<Vec<f32>> {
+        let (n, count) = (self.patches.len(), self.options.parts.count());
+        let mut irradiance = self.direct.clone();
+        progress.begin("solving for the parts of the sky", count.div_ceil(BLOCK) as u64);
+        for first in (0..count).step_by(BLOCK) {
+            let columns = BLOCK.min(count - first);
+            let direct: Vec<[f32; BLOCK]> = (0..n)
+                .map(|i| {
+                    let row = &self.direct[i * count + first..][..columns];
+                    std::array::from_fn(|k| row.get(k).copied().unwrap_or_default())
+                })
+                .collect();
+            let (mut light, mut sent, mut arriving) =
+                (direct.clone(), vec![[0f32; BLOCK]; n], vec![[0f32; BLOCK]; n]);
+            let size =
+                |light: &[[f32; BLOCK]]| -> f64 { light.iter().flatten().map(|&e| f64::from(e)).sum() };
+            let mut before = size(&light);
+            for bounce in 0.. {
+                progress.check()?;
+                if bounce == MOST_BOUNCES {
+                    return Err(Error::NoEquilibrium);
+                }
+                sent.par_iter_mut()
+                    .zip(&light)
+                    .zip(&self.reflectance)
+                    .with_min_len(256)
+                    .for_each(|((sent, light), &rho)| *sent = light.map(|e| rho as f32 * e));
+                self.form_factors
+                    .irradiance_into::<f32, BLOCK>(sent.as_flattened(), arriving.as_flattened_mut());
+                let values = light.as_flattened_mut().iter_mut().zip(direct.as_flattened());
+                values.zip(arriving.as_flattened()).for_each(|((e, d), a)| *e = d + a);
+                let now = size(&light);
+                if now - before <= ENOUGH * now {
+                    break;
+                }
+                before = now;
+            }
+            for (i, light) in light.iter().enumerate() {
+                irradiance[i * count + first..][..columns].copy_from_slice(&light[..columns]);
+            }
+            progress.advance(1);
+        }
+        Ok(irradiance)
+    }
+
+    /// The coefficients of all front patches.
+    pub fn of_patches(&self) -> Coefficients {
+        let (parts, fronts) = (self.options.parts, self.patches.fronts());
+        let all = fronts * parts.count();
+        let total = self.irradiance[..all].to_vec();
+        let reflected = total.iter().zip(&self.direct).map(|(e, d)| e - d).collect();
+        Coefficients { parts, places: fronts, total, reflected }
+    }
+
+    /// The coefficients of points: by rays that see the sky, or what patches reflect of it.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`].
+    pub fn of_points(&self, points: &[Place], progress: &Progress) -> Result<Coefficients> {
+        let DaylightOptions { parts, up, rays_of_points, seed, .. } = self.options;
+        let count = parts.count();
+        progress.begin("gathering at points", points.len() as u64);
+        let of_point = |(k, &(point, normal)): (usize, &Place)| {
+            progress.check()?;
+            let normal = normal.normalize().as_vec3a();
+            let origin = Tracer::leave(self.tracer.to_unit(point), normal);
+            let (mut direct, mut met) = (vec![0f64; count], vec![0f64; self.patches.len()]);
+            let share = 1.0 / f64::from(rays_of_points);
+            let seed = mix(&[seed, k as u64, 0x706f_696e_7473]);
+            for ray in 0..rays_of_points {
+                let [x, y, ..] = sobol_4d(ray, seed);
+                let towards = around(normal, square_to_cosine_hemisphere(x, y));
+                match self.tracer.closest(origin, towards) {
+                    None => {
+                        if let Some(part) = parts.at(up, towards.as_dvec3().normalize()) {
+                            direct[part] += PI * share;
+                        }
+                    }
+                    Some(hit) => {
+                        if let Some(j) = self.patches.at(hit.triangle, hit.barycentric, hit.front) {
+                            let rho = hit.reflectance(self.scene);
+                            met[j as usize] += share * rho.iter().sum::<f64>() / 3.0;
+                        }
+                    }
+                }
+            }
+            let mut reflected = vec![0f64; count];
+            for (j, &weight) in met.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
+                let row = &self.irradiance[j * count..][..count];
+                reflected.iter_mut().zip(row).for_each(|(sum, &e)| *sum += weight * f64::from(e));
+            }
+            progress.advance(1);
+            let total = direct.iter().zip(&reflected).map(|(d, r)| (d + r) as f32).collect();
+            Ok((total, reflected.into_iter().map(|r| r as f32).collect()))
+        };
+        let found: Vec<(Vec<f32>, Vec<f32>)> =
+            points.par_iter().enumerate().map(of_point).collect::<Result<_>>()?;
+        let (total, reflected): (Vec<Vec<f32>>, Vec<Vec<f32>>) = found.into_iter().unzip();
+        Ok(Coefficients { parts, places: points.len(), total: total.concat(), reflected: reflected.concat() })
+    }
+
+    /// Whether the sun in this direction shines straight on a point.
+    pub fn sees(&self, (point, normal): &Place, towards: DVec3) -> bool {
+        let normal = normal.normalize().as_vec3a();
+        let towards = towards.as_vec3a();
+        let origin = Tracer::leave(self.tracer.to_unit(*point), normal);
+        normal.dot(towards) > 0.0 && self.tracer.closest(origin, towards).is_none()
+    }
+}
+
+impl Coefficients {
+    /// The irradiance of place `i` under a sky with these radiances of its parts.
+    pub fn irradiance(&self, i: usize, radiance: &[f64]) -> f64 {
+        let row = &self.total[i * self.parts.count()..][..self.parts.count()];
+        row.iter().zip(radiance).map(|(&c, l)| f64::from(c) * l).sum()
+    }
+
+    /// What surfaces reflect to place `i` of a sun in the direction of a part, over the irradiance on a plane that faces it.
+    pub fn of_sun(&self, i: usize, part: usize) -> f64 {
+        f64::from(self.reflected[i * self.parts.count() + part]) / self.parts.solid_angle(part)
+    }
+}

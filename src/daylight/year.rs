@@ -1,0 +1,118 @@
+//! The hours of a year: illuminance of places under all-weather skies, daylight factor and daylight autonomy.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{
+    SkyParts,
+    coefficients::{Coefficients, Daylight, Place},
+};
+use crate::scene::light::{Hour, Perez, SOLAR_CONSTANT, Sky, SkyModel, Up, Weather, luminous_efficacy};
+
+/// Steps of each side of a part in which the radiance of a sky is averaged.
+const STEPS: usize = 3;
+
+/// Illuminance that autonomy demands, lx, and the share of hours in which it does (IES LM-83, "Approved Method: IES Spatial Daylight
+/// Autonomy (sDA) and Annual Sunlight Exposure (ASE)").
+pub const ENOUGH_LIGHT: f64 = 300.0;
+/// The share of the occupied hours.
+pub const ENOUGH_HOURS: f64 = 0.5;
+/// Labels of the first and the last occupied hour: from 8 to 18.
+pub const OCCUPIED: [u32; 2] = [9, 18];
+
+/// The illuminance of places hour by hour.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Year {
+    /// Month, day and label of each hour.
+    pub labels: Vec<[u32; 3]>,
+    /// lx; of each hour all places.
+    pub illuminance: Vec<f32>,
+    /// Of each place the share of occupied hours with [`ENOUGH_LIGHT`].
+    pub autonomy: Vec<f64>,
+    /// The share of places with that in [`ENOUGH_HOURS`] of the occupied hours.
+    pub spatial_autonomy: f64,
+}
+
+/// Of each place its irradiance over that of an unobstructed horizontal plane, under the overcast sky of the CIE.
+pub fn daylight_factors(coefficients: &Coefficients, up: Up) -> Vec<f64> {
+    let sky = Sky::with_irradiance(SkyModel::Overcast, up, [1.0; 3]);
+    let radiance = radiances(coefficients.parts, up, &sky);
+    (0..coefficients.places).map(|i| coefficients.irradiance(i, &radiance)).collect()
+}
+
+/// Mean radiance of a sky in each of its parts, such that a horizontal plane receives what the sky sends it.
+fn radiances(parts: SkyParts, up: Up, sky: &Sky) -> Vec<f64> {
+    (0..parts.count()).map(|k| parts.mean(up, k, STEPS, |d| sky.radiance(d)[0])).collect()
+}
+
+/// The sun and the sky of an hour in lx and cd/m²: direction and illuminance of the one, luminance of the parts of the other.
+fn hour_of(hour: &Hour, parts: SkyParts, up: Up) -> Option<(DVec3, f64, Vec<f64>)> {
+    let (azimuth, altitude) = hour.sun?;
+    if hour.direct + hour.diffuse <= 0.0 {
+        return None;
+    }
+    let towards = up.direction(azimuth, altitude);
+    let outside = SOLAR_CONSTANT * hour.eccentricity;
+    let of = [hour.direct, hour.diffuse];
+    let [direct, diffuse] = luminous_efficacy(of, altitude, outside, hour.dew_point);
+    let perez = Perez::new(hour.direct, hour.diffuse, altitude, outside);
+    let shape = SkyModel::AllWeather(perez, towards);
+    let sky = Sky::relative(shape, up);
+    let mut luminance = radiances(parts, up, &sky);
+    let horizontal: f64 = luminance.iter().enumerate().map(|(k, l)| l * parts.horizontal(k)).sum();
+    let scale = if horizontal > 0.0 { hour.diffuse * diffuse / horizontal } else { 0.0 };
+    luminance.iter_mut().for_each(|l| *l *= scale);
+    Some((towards, hour.direct * direct, luminance))
+}
+
+impl Year {
+    /// The year of a weather file. The sun shines straight on `points` where rays find it; without points, what coefficients are of
+    /// patches, it is a part of the sky.
+    pub fn of(
+        daylight: &Daylight<'_>,
+        coefficients: &Coefficients,
+        points: Option<&[Place]>,
+        weather: &Weather,
+        up: Up,
+    ) -> Year {
+        let parts = coefficients.parts;
+        let of_hour = |hour: &Hour| -> Vec<f32> {
+            let Some((towards, sun, mut luminance)) = hour_of(hour, parts, up) else {
+                return vec![0.0; coefficients.places];
+            };
+            let part = parts.at(up, towards);
+            if let (None, Some(part)) = (points, part) {
+                luminance[part] += sun / parts.solid_angle(part);
+            }
+            let of_place = |i: usize| {
+                let mut light = coefficients.irradiance(i, &luminance);
+                if let (Some(points), Some(part)) = (points, part) {
+                    light += sun * coefficients.of_sun(i, part);
+                    if daylight.sees(&points[i], towards) {
+                        light += sun * points[i].1.normalize().dot(towards);
+                    }
+                }
+                light as f32
+            };
+            (0..coefficients.places).map(of_place).collect()
+        };
+        let hours: Vec<Vec<f32>> = weather.hours.par_iter().map(of_hour).collect();
+        let is_occupied = |hour: &Hour| (OCCUPIED[0]..=OCCUPIED[1]).contains(&hour.label[2]);
+        let occupied: Vec<&Vec<f32>> =
+            hours.iter().zip(&weather.hours).filter(|(_, hour)| is_occupied(hour)).map(|(e, _)| e).collect();
+        let autonomy: Vec<f64> = (0..coefficients.places)
+            .map(|i| {
+                let lit = occupied.iter().filter(|e| f64::from(e[i]) >= ENOUGH_LIGHT).count();
+                lit as f64 / occupied.len().max(1) as f64
+            })
+            .collect();
+        let enough = autonomy.iter().filter(|&&share| share >= ENOUGH_HOURS).count();
+        Year {
+            labels: weather.hours.iter().map(|hour| hour.label).collect(),
+            illuminance: hours.concat(),
+            spatial_autonomy: enough as f64 / autonomy.len().max(1) as f64,
+            autonomy,
+        }
+    }
+}

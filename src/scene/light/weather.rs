@@ -1,0 +1,218 @@
+//! Weather files in EPW (EnergyPlus Weather): a comma-separated table of the hours of a year after eight lines of headers.
+//!
+//! An hour is labelled by its end: hour 1 is from midnight to one. So the sun stands for it where it is half an hour before the label,
+//! or, in the hours of sunrise and sunset, in the middle of the part of the hour in which it is up.
+
+use std::path::Path;
+
+use super::{Moment, Place};
+use crate::{Error, Result};
+
+/// Headers before the table.
+const HEADERS: usize = 8;
+/// Columns of the direct normal and the diffuse horizontal irradiance, counted from 0.
+const DIRECT: usize = 14;
+const DIFFUSE: usize = 15;
+/// That of the dew point, and what it is taken to be where it is missing.
+const DEW_POINT: usize = 7;
+const USUAL_DEW_POINT: f64 = 10.0;
+/// Hours of a file at most.
+const MOST_HOURS: usize = 100_000;
+/// Values from here on mean that there is none.
+const MISSING: f64 = 9999.0;
+/// Parts of an hour that are asked whether the sun is up.
+const PARTS: usize = 60;
+
+/// An hour of a weather file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Hour {
+    /// Month, day of the month, and the label of the hour, from 1 to 24.
+    pub label: [u32; 3],
+    /// Direct normal irradiance, W/m².
+    pub direct: f64,
+    /// Diffuse horizontal irradiance, W/m².
+    pub diffuse: f64,
+    /// Dew point, °C.
+    pub dew_point: f64,
+    /// Azimuth and altitude of the sun in radians, where it is up in any part of the hour.
+    pub sun: Option<(f64, f64)>,
+    /// What the solar constant is to be multiplied by on that day.
+    pub eccentricity: f64,
+}
+
+/// The weather of a place.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Weather {
+    /// The place.
+    pub place: Place,
+    /// Hours that local time is ahead of UTC.
+    pub offset: f64,
+    /// In the order of the file.
+    pub hours: Vec<Hour>,
+}
+
+impl Weather {
+    /// Reads an EPW file.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when it cannot be read, [`Error::Input`] with the line when it cannot be used.
+    pub fn load(path: &Path) -> Result<Weather> {
+        let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+        parse(&String::from_utf8_lossy(&bytes))
+            .map_err(|(line, message)| Error::input(path, Some(line), message))
+    }
+}
+
+type Wrong = (usize, String);
+
+fn parse(text: &str) -> std::result::Result<Weather, Wrong> {
+    let lines: Vec<&str> = text.trim_start_matches('\u{feff}').lines().collect();
+    let header: Vec<&str> = lines.first().map_or(Vec::new(), |line| line.split(',').map(str::trim).collect());
+    if header.first().is_none_or(|word| !word.eq_ignore_ascii_case("LOCATION")) {
+        return Err((1, "an EPW file begins with LOCATION".into()));
+    }
+    let figure = |column: usize, range: std::ops::RangeInclusive<f64>, what: &str| {
+        let value = header.get(column).and_then(|word| word.parse().ok()).filter(|x| range.contains(x));
+        value.ok_or_else(|| (1, format!("{what} is missing or no such number")))
+    };
+    let place = Place {
+        latitude: figure(6, -90.0..=90.0, "the latitude, column 7,")?,
+        longitude: figure(7, -180.0..=180.0, "the longitude, column 8,")?,
+    };
+    let offset = figure(8, -14.0..=14.0, "the time zone, column 9,")?;
+    let mut hours = Vec::new();
+    for (k, line) in lines.iter().enumerate().skip(HEADERS) {
+        if line.trim().is_empty() {
+            continue;
+        }
+        if hours.len() == MOST_HOURS {
+            return Err((k + 1, format!("more than {MOST_HOURS} hours")));
+        }
+        hours.push(hour(line, place, offset).map_err(|message| (k + 1, message))?);
+    }
+    if hours.is_empty() {
+        return Err((lines.len(), "no hours after the eight lines of headers".into()));
+    }
+    Ok(Weather { place, offset, hours })
+}
+
+fn hour(line: &str, place: Place, offset: f64) -> std::result::Result<Hour, String> {
+    let words: Vec<&str> = line.split(',').map(str::trim).collect();
+    let whole = |column: usize, what: &str| {
+        let value = words.get(column).and_then(|word| word.parse::<u32>().ok());
+        value.ok_or_else(|| format!("column {}, {what}, is no number", column + 1))
+    };
+    let [year, month, day, label] =
+        [whole(0, "the year")?, whole(1, "the month")?, whole(2, "the day")?, whole(3, "the hour")?];
+    let light = |column: usize, what: &str| {
+        let value = words.get(column).and_then(|word| word.parse::<f64>().ok());
+        let value = value.ok_or_else(|| format!("column {}, {what}, is no number", column + 1))?;
+        Ok::<f64, String>(if (0.0..MISSING).contains(&value) { value } else { 0.0 })
+    };
+    let (direct, diffuse) = (
+        light(DIRECT, "the direct normal irradiance")?,
+        light(DIFFUSE, "the diffuse horizontal irradiance")?,
+    );
+    let dew_point = words.get(DEW_POINT).and_then(|word| word.parse().ok());
+    let dew_point = dew_point.filter(|t| (-70.0..70.0).contains(t)).unwrap_or(USUAL_DEW_POINT);
+    if !(1..=24).contains(&label) {
+        return Err(format!("column 4: {label} is no hour from 1 to 24"));
+    }
+    // A typical year is made of months of several; its dates are those of a year without a leap day.
+    let of_file = i32::try_from(year).ok().filter(|year| (1900..=2200).contains(year)).unwrap_or(2001);
+    let at = |hours: f64| {
+        let of = |year: i32| Moment::new(year, month, day, hours, offset);
+        of(of_file).or_else(|| of(2000))
+    };
+    let moment =
+        at(f64::from(label) - 0.5).ok_or_else(|| format!("there is no day {day} in month {month}"))?;
+    // Where the sun is up, minute by minute.
+    let is_up = |part: &f64| {
+        let moment = at(f64::from(label) - 1.0 + part);
+        moment.and_then(|moment| moment.sun(place)).is_some_and(|(_, altitude)| altitude > 0.0)
+    };
+    let centre = |k: usize| (k as f64 + 0.5) / PARTS as f64;
+    let whole_hour = is_up(&0.0) && is_up(&1.0) && is_up(&0.5);
+    let middle = if whole_hour {
+        Some(0.5)
+    } else if is_up(&0.0) || is_up(&0.5) || is_up(&1.0) {
+        let up: Vec<f64> = (0..PARTS).map(centre).filter(is_up).collect();
+        (!up.is_empty()).then(|| up.iter().sum::<f64>() / up.len() as f64)
+    } else {
+        None
+    };
+    let sun = middle
+        .and_then(|part| at(f64::from(label) - 1.0 + part))
+        .and_then(|moment| moment.sun(place))
+        .filter(|&(_, altitude)| altitude > 0.0);
+    Ok(Hour {
+        label: [month, day, label],
+        direct,
+        diffuse,
+        dew_point,
+        sun,
+        eccentricity: moment.eccentricity(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(hours: &[(u32, u32, u32, &str, &str)]) -> String {
+        let mut text = String::from("LOCATION,Munich,-,DEU,made,108660,48.1,11.6,1.0,520\n");
+        text += &"HEADER,0\n".repeat(7);
+        for (month, day, hour, direct, diffuse) in hours {
+            text += &format!(
+                "2026,{month},{day},{hour},60,?9,20,10,50,95000,0,0,300,500,{direct},{diffuse},0,0\n"
+            );
+        }
+        text
+    }
+
+    /// Hour 13 is from noon to one: its sun is that of half past twelve, local standard time.
+    #[test]
+    fn hours_end_at_their_label() {
+        let weather = parse(&file(&[(6, 21, 13, "700", "120")])).unwrap();
+        let hour = weather.hours[0];
+        assert_eq!((hour.direct, hour.diffuse, hour.label), (700.0, 120.0, [6, 21, 13]));
+        let noon: Moment = "2026-06-21T12:30+01:00".parse().unwrap();
+        assert_eq!(hour.sun, noon.sun(weather.place));
+        // Solar noon is at 12:15 in Munich's standard time: the sun of hour 12 is before it, that of hour 13 after it.
+        let [before, after] = [12, 13]
+            .map(|h| parse(&file(&[(6, 21, h, "1", "1")])).unwrap().hours[0].sun.unwrap().0.to_degrees());
+        assert!(before < 180.0 && after > 180.0, "{before} {after}");
+    }
+
+    /// The sun rises at 4:15 in Munich at midsummer: for the hour from 4 to 5 it stands where it is at 4:37, not below the horizon.
+    #[test]
+    fn the_hour_of_sunrise_is_that_of_the_risen_sun() {
+        let weather = parse(&file(&[(6, 21, 5, "30", "20"), (6, 21, 4, "0", "0")])).unwrap();
+        let (_, altitude) = weather.hours[0].sun.unwrap();
+        let later: Moment = "2026-06-21T04:37:30+01:00".parse().unwrap();
+        let (_, wanted) = later.sun(weather.place).unwrap();
+        assert!((altitude - wanted).abs() < 0.4f64.to_radians() && altitude > 0.0, "{altitude} {wanted}");
+        assert_eq!(weather.hours[1].sun, None);
+    }
+
+    #[test]
+    fn missing_light_is_none_and_wrong_lines_are_named() {
+        let weather = parse(&file(&[(1, 1, 12, "9999", "-3")])).unwrap();
+        assert_eq!((weather.hours[0].direct, weather.hours[0].diffuse), (0.0, 0.0));
+        for (text, line) in [
+            (String::new(), 1),
+            ("LOCATION,x\n".into(), 1),
+            (file(&[]), 8),
+            (file(&[(13, 1, 1, "1", "1")]), 9),
+            (file(&[(2, 30, 1, "1", "1")]), 9),
+            (file(&[(1, 1, 25, "1", "1")]), 9),
+            (file(&[(1, 1, 1, "x", "1")]), 9),
+            (file(&[(1, 1, 1, "1", "1"), (1, 1, 2, "1", "")]), 10),
+        ] {
+            assert_eq!(parse(&text).unwrap_err().0, line, "{text}");
+        }
+        assert!(parse(&file(&[(2, 29, 12, "1", "1")])).is_ok());
+    }
+}

@@ -1,0 +1,124 @@
+//! Daylight coefficients against closed forms and against a solution under the same sky.
+
+use std::f64::consts::PI;
+
+use glam::{DVec3, dvec3};
+use radiosity::{
+    Progress, Scene,
+    accuracy::solved::Solved,
+    daylight::{
+        SkyParts,
+        coefficients::{Coefficients, Daylight, DaylightOptions},
+        year::{Year, daylight_factors},
+    },
+    form_factor::CastOptions,
+    patch::{Patches, Subdivision},
+    scene::light::{Sky, SkyModel, Up, Weather},
+    solve::SolveOptions,
+    trace::Tracer,
+};
+
+use crate::common::{flipped, level_square, part, rectangle, scene};
+
+fn options() -> DaylightOptions {
+    DaylightOptions::default().with_up(Up::Z).with_rays(256.0)
+}
+
+fn sum(coefficients: &Coefficients, i: usize) -> f64 {
+    let many = coefficients.parts.count();
+    coefficients.total[i * many..][..many].iter().map(|&c| f64::from(c)).sum()
+}
+
+/// On an open floor each part sends its solid angle times the cosine, and the daylight factor is 1; the sun's part reflects nothing.
+#[test]
+fn an_open_floor() {
+    let floor = scene(&[part(level_square(2.0, 0.0, true), 0.5, 0.0)]);
+    let tracer = Tracer::new(&floor);
+    let patches = Patches::subdivide(&floor, &Subdivision::Count(2));
+    let options = options().with_rays_of_points(1 << 15);
+    let daylight = Daylight::new(&floor, &tracer, patches, &options, &Progress::new()).unwrap();
+    let points = [(dvec3(0.1, 0.2, 0.0), DVec3::Z), (dvec3(0.1, 0.2, 0.0), 2.0 * DVec3::Y)];
+    let found = daylight.of_points(&points, &Progress::new()).unwrap();
+    let parts = SkyParts::new(1);
+    for k in 0..parts.count() {
+        let (c, wanted) = (f64::from(found.total[k]), parts.horizontal(k));
+        assert!((c / wanted - 1.0).abs() < 0.05, "part {k}: {c} for {wanted}");
+        assert_eq!(found.of_sun(0, k), 0.0);
+    }
+    assert!((sum(&found, 0) - PI).abs() < 1e-3 && (sum(&found, 1) - 0.5 * PI).abs() < 0.02 * PI);
+    let factors = daylight_factors(&found, Up::Z);
+    // A wall under an overcast sky: (π/6 + 4/9) / (7π/9).
+    let wall = (PI / 6.0 + 4.0 / 9.0) / (7.0 * PI / 9.0);
+    assert!((factors[0] - 1.0).abs() < 2e-3 && (factors[1] - wall).abs() < 0.01, "{factors:?}");
+    assert!(daylight.sees(&points[0], DVec3::Z) && !daylight.sees(&points[1], -DVec3::Y));
+}
+
+/// A courtyard: its sum over the parts of a sky is the solution under that sky.
+fn courtyard() -> Scene {
+    let wall = |corner: DVec3, u: DVec3| flipped(rectangle(corner, u, 2.0 * DVec3::Z));
+    scene(&[
+        part(level_square(4.0, 0.0, true), 0.3, 0.0),
+        part(wall(dvec3(-2.0, 2.0, 0.0), 4.0 * DVec3::X), 0.7, 0.0),
+        part(wall(dvec3(2.0, 2.0, 0.0), -4.0 * DVec3::Y), 0.5, 0.0),
+    ])
+}
+
+#[test]
+fn coefficients_sum_to_the_solution() {
+    let scene = courtyard();
+    let tracer = Tracer::new(&scene);
+    let patches = Patches::subdivide(&scene, &Subdivision::Count(200));
+    let daylight = Daylight::new(&scene, &tracer, patches, &options(), &Progress::new()).unwrap();
+    let found = daylight.of_patches();
+    let mut lit = scene.clone();
+    lit.lights.sky = Some(Sky::with_irradiance(SkyModel::Overcast, Up::Z, [1.0; 3]));
+    let cast = CastOptions::default().with_rays(256.0).with_seed(7);
+    let (subdivision, solve) = (Subdivision::Count(200), SolveOptions::default());
+    let solved = Solved::new(&lit, &tracer, &subdivision, &cast, &solve, &Progress::new()).unwrap();
+    let factors = daylight_factors(&found, Up::Z);
+    let (mut difference, mut size) = (0.0, 0.0);
+    for (i, factor) in factors.iter().enumerate() {
+        let area = solved.patches.area(i);
+        difference += area * (factor - solved.solution.irradiance[i]).powi(2);
+        size += area * solved.solution.irradiance[i].powi(2);
+        assert!(found.of_sun(i, 60) >= 0.0);
+    }
+    // Two castings of 256 rays a patch, and a sky in 145 steps.
+    assert!((difference / size).sqrt() < 0.02, "{}", (difference / size).sqrt());
+}
+
+/// Hours of a weather file over an open floor: the sun times the sine of its altitude, and the sky's diffuse light, both as luminous as
+/// the efficacies say.
+#[test]
+fn hours_over_an_open_floor() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("made.epw");
+    let mut text = String::from("LOCATION,Munich,-,DEU,made,108660,48.1,11.6,1.0,520\n");
+    text += &"HEADER,0\n".repeat(7);
+    for (hour, direct, diffuse) in [(1, 0, 0), (10, 500, 100), (13, 700, 120)] {
+        text += &format!("2026,6,21,{hour},60,?9,20,10,50,95000,0,0,300,500,{direct},{diffuse},0,0\n");
+    }
+    std::fs::write(&path, text).unwrap();
+    let weather = Weather::load(&path).unwrap();
+    let floor = scene(&[part(level_square(2.0, 0.0, true), 0.5, 0.0)]);
+    let tracer = Tracer::new(&floor);
+    let patches = Patches::subdivide(&floor, &Subdivision::Count(2));
+    let options = options().with_rays_of_points(1 << 14);
+    let daylight = Daylight::new(&floor, &tracer, patches, &options, &Progress::new()).unwrap();
+    let points = [(DVec3::ZERO, DVec3::Z)];
+    let found = daylight.of_points(&points, &Progress::new()).unwrap();
+    let year = Year::of(&daylight, &found, Some(&points), &weather, Up::Z);
+    assert_eq!(year.illuminance[0], 0.0);
+    for (k, hour) in weather.hours.iter().enumerate().skip(1) {
+        let (_, altitude) = hour.sun.unwrap();
+        let outside = radiosity::scene::light::SOLAR_CONSTANT * hour.eccentricity;
+        let of = [hour.direct, hour.diffuse];
+        let [direct, diffuse] =
+            radiosity::scene::light::luminous_efficacy(of, altitude, outside, hour.dew_point);
+        let wanted = hour.direct * direct * altitude.sin() + hour.diffuse * diffuse;
+        let e = f64::from(year.illuminance[k]);
+        assert!((e / wanted - 1.0).abs() < 0.01, "{e} for {wanted}");
+    }
+    // Two of the three hours are from 8 to 18, and both are bright.
+    assert_eq!((year.autonomy[0], year.spatial_autonomy), (1.0, 1.0));
+}

@@ -1,0 +1,162 @@
+#!/usr/bin/env python3
+"""Irradiance at points by RADIANCE's programs and by `radiosity probe`, on five scenes.
+
+usage: compare.py PROGRAM [SCENE ...]      PROGRAM: target/release/radiosity
+Needs the package pyradiance (pip). Prints the largest and the RMS relative difference of each scene, and ends with
+status 1 if any point differs by more than 1 %."""
+import math, os, pathlib, subprocess, sys, tempfile
+import pyradiance
+BIN = pathlib.Path(pyradiance.__file__).parent / "bin"
+LIB = pathlib.Path(pyradiance.__file__).parent / "lib"
+
+def quad(c, u, v):
+    add = lambda *p: tuple(sum(x) for x in zip(*p))
+    return [c, add(c, u), add(c, u, v), add(c, v)]
+
+def court():
+    """A court, 4 m wide, with two walls and a block: z up."""
+    b = lambda x0, x1, y0, y1, h: [
+        quad((x0, y0, h), (x1-x0, 0, 0), (0, y1-y0, 0)), quad((x0, y0, 0), (x1-x0, 0, 0), (0, 0, h)),
+        quad((x1, y0, 0), (0, y1-y0, 0), (0, 0, h)), quad((x1, y1, 0), (x0-x1, 0, 0), (0, 0, h)),
+        quad((x0, y1, 0), (0, y0-y1, 0), (0, 0, h))]
+    faces = [(quad((-2, -2, 0), (4, 0, 0), (0, 4, 0)), .3), (quad((-2, 2, 0), (0, 0, 1.5), (4, 0, 0)), .7),
+             (quad((-2, -2, 0), (0, 0, 1.5), (0, 4, 0)), .5)]
+    return faces + [(f, .6) for f in b(-.4, .2, -.3, .3, .8)]
+
+def room():
+    """A room of 4 x 3 x 2.5 m with a window in its south wall."""
+    x, y, z = 4, 3, 2.5
+    w = [(quad((0, 0, 0), (x, 0, 0), (0, y, 0)), .2), (quad((0, 0, z), (0, y, 0), (x, 0, 0)), .8),
+         (quad((0, y, 0), (0, 0, z), (x, 0, 0)), .5), (quad((0, 0, 0), (0, y, 0), (0, 0, z)), .5),
+         (quad((x, 0, 0), (0, 0, z), (0, y, 0)), .5)]
+    s = lambda x0, x1, z0, z1: (quad((x0, 0, z0), (0, 0, z1-z0), (x1-x0, 0, 0)), .5)
+    return w + [s(0, 1, 0, z), s(3, x, 0, z), s(1, 3, 0, .9), s(1, 3, 2.2, z)]
+
+def plane():
+    return [(quad((-5, -5, 0), (10, 0, 0), (0, 10, 0)), .0)]
+
+COURT = [(x, y, 0.001, 0, 0, 1) for x, y in ((1, 1), (-1, .8), (.6, -.9), (-1.5, -1.5), (1.5, 0))] + [(-1, 1.999, .8, 0, -1, 0)]
+ROOM = [(x, y, .8, 0, 0, 1) for x, y in ((2, .5), (2, 1.5), (2, 2.7), (.4, 1.5), (3.6, 2.5))]
+IES = "IESNA91\nTILT=NONE\n1 -1 1 46 1 1 2 -0.2 -0.2 0\n1 1 10\n" + " ".join(str(a) for a in range(0, 91, 2)) + "\n0\n" + \
+      " ".join("%.6g" % (100*math.cos(math.radians(a))) for a in range(0, 91, 2)) + "\n"
+# Sky functions of RADIANCE's programs without the ground that they blend into the horizon.
+CAL = """mycloudy = A2*(1+2*Dz)/3;
+cosgamma = Dx*A5+Dy*A6+Dz*A7;
+myclear = A2*(.91+10*exp(-3*Acos(cosgamma))+.45*cosgamma*cosgamma)*if(Dz-.01,1-exp(-.32/Dz),1)/A4;
+pg = Dx*A8+Dy*A9+Dz*A10;
+myperez = A1*(1+A3*exp(A4/if(Dz-.01,Dz,.01)))*(1+A5*exp(A6*Acos(pg))+A7*pg*pg);
+"""
+
+def run(words, text=None, cwd=None):
+    env = dict(os.environ, PATH=f"{BIN}:{os.environ['PATH']}", RAYPATH=f".:{LIB}")
+    done = subprocess.run(words, input=text, capture_output=True, text=True, cwd=cwd, env=env)
+    if done.returncode:
+        sys.exit(f"{words}: {done.stderr}")
+    return done.stdout
+
+def numbers(text, name):
+    """The arguments of a primitive of this name in a scene of RADIANCE."""
+    words = text.split()
+    k = words.index(name) + 1
+    n = int(words[k]); k += n + 1
+    k += int(words[k]) + 1
+    return [float(x) for x in words[k+1:k+1+int(words[k])]]
+
+def sky(kind, function):
+    return f"void brightfunc skyfunc\n2 {function} my.cal\n0\n{kind}\nskyfunc glow g\n0\n0\n4 1 1 1 0\ng source sky\n0\n0\n4 0 0 1 180\n"
+
+def sun_of(text):
+    light, source = numbers(text, "solar"), numbers(text, "sun")
+    return light, source, "void light solar\n0\n0\n3 %g %g %g\nsolar source sun\n0\n0\n4 %g %g %g %g\n" % (*light, *source)
+
+def azimuth(d):
+    return math.degrees(math.atan2(d[0], d[1])), math.degrees(math.asin(d[2]))
+
+def overcast():
+    text = run(["gensky", "-ang", "40", "0", "-c", "-B", "100"])
+    a = numbers(text, "skyfunc")
+    return sky("3 %g %g %g" % tuple(a[:3]), "mycloudy"), ["--sky", "overcast:100"]
+
+def clear():
+    text = run(["gensky", "-ang", "40", "30", "+s", "-B", "80"])
+    a = numbers(text, "skyfunc")
+    light, source, rad = sun_of(text)
+    e = light[0] * math.pi * math.sin(math.radians(source[3]/2))**2
+    az, alt = azimuth(source[:3])
+    # The irradiance of this sky without its ground, by the same integral as RADIANCE leaves to its renderer.
+    n, total = 400, 0
+    for i in range(n):
+        h = math.asin(math.sqrt((i+.5)/n)); s = math.sin(h)
+        for j in range(n):
+            p = 2*math.pi*(j+.5)/n
+            d = (math.cos(h)*math.cos(p), math.cos(h)*math.sin(p), s)
+            c = sum(x*y for x, y in zip(d, a[4:7])); g = math.acos(max(-1, min(1, c)))
+            total += a[1]*(.91+10*math.exp(-3*g)+.45*c*c)*((1-math.exp(-.32/s)) if s > .01 else 1)/a[3]
+    return rad + sky("7 " + " ".join("%g" % x for x in a), "myclear"), \
+        ["--sky", "clear:%.9g" % (math.pi*total/n/n), "--sun", "%.9g,%.9g,%.9g" % (az, alt, e)]
+
+def perez():
+    text = run(["gendaylit", "-ang", "40", "30", "-W", "700", "120", "-O", "1"])
+    a = numbers(text, "skyfunc")
+    light, source, rad = sun_of(text)
+    az, alt = azimuth(source[:3])
+    n, total = 400, 0
+    for i in range(n):
+        h = math.asin(math.sqrt((i+.5)/n)); s = math.sin(h)
+        for j in range(n):
+            p = 2*math.pi*(j+.5)/n
+            d = (math.cos(h)*math.cos(p), math.cos(h)*math.sin(p), s)
+            c = sum(x*y for x, y in zip(d, a[7:10])); g = math.acos(max(-1, min(1, c)))
+            total += (1+a[2]*math.exp(a[3]/max(s, .01)))*(1+a[4]*math.exp(a[5]*g)+a[6]*c*c)
+    e = math.pi*total/n/n * a[0]
+    print(f"gendaylit's sky sends {e:.2f} of 120 W/m2; RADIANCE's is scaled to 120", flush=True)
+    a[0] *= 120/e
+    light = [x * 700/(light[0]*math.pi*math.sin(math.radians(source[3]/2))**2) for x in light]
+    rad = "void light solar\n0\n0\n3 %g %g %g\nsolar source sun\n0\n0\n4 %g %g %g %g\n" % (*light, *source)
+    return rad + sky("10 " + " ".join("%g" % x for x in a), "myperez"), \
+        ["--sky", "perez:700,120", "--sun", "%.9g,%.9g" % (az, alt)]
+
+def ies():
+    pathlib.Path("disc.ies").write_text(IES)
+    run(["ies2rad", "-dm", "-o", "disc", "disc.ies"])
+    text = run(["xform", "-t", "0", "0", "2", "disc.rad"])
+    return text, ["--light", "disc.ies@0,0,2", "--luminous-efficacy", "179"]
+
+SCENES = {"court under an overcast sky": (court, COURT, overcast), "court under a clear sky with sun": (court, COURT, clear),
+          "court under a sky of Perez": (court, COURT, perez), "room with a window, sky of Perez": (room, ROOM, perez),
+          "disc of an IES file": (plane, [(x, .1, 0.0005, 0, 0, 1) for x in (0, .5, 1, 2, 4)], ies)}
+
+def main():
+    program, worst = os.path.abspath(sys.argv[1]), 0
+    for name, (faces, points, light) in SCENES.items():
+        if sys.argv[2:] and not any(word in name for word in sys.argv[2:]):
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            os.chdir(folder)
+            pathlib.Path("my.cal").write_text(CAL)
+            rad, options = light()
+            obj, mtl, n = "mtllib s.mtl\n", "", 0
+            for k, (face, rho) in enumerate(faces()):
+                rad += f"void plastic m{k}\n0\n0\n5 {rho} {rho} {rho} 0 0\nm{k} polygon f{k}\n0\n0\n12 " + " ".join("%g %g %g" % p for p in face) + "\n"
+                mtl += f"newmtl m{k}\nKd {rho} {rho} {rho}\n"
+                obj += f"usemtl m{k}\n" + "".join("v %g %g %g\n" % p for p in face) + "f %d %d %d %d\n" % tuple(range(n+1, n+5)); n += 4
+            pathlib.Path("s.rad").write_text(rad); pathlib.Path("s.obj").write_text(obj); pathlib.Path("s.mtl").write_text(mtl)
+            pathlib.Path("p.txt").write_text("".join(" ".join(map(str, p)) + "\n" for p in points))
+            with open("s.oct", "wb") as out:
+                env = dict(os.environ, PATH=f"{BIN}:{os.environ['PATH']}", RAYPATH=f".:{LIB}")
+                subprocess.run(["oconv", "s.rad"], stdout=out, check=True, env=env)
+            found = run(["rtrace", "-I", "-h", "-ab", "6", "-ad", "16384", "-as", "0", "-aa", "0", "-lw", "1e-7", "-lr", "0", "-ds", "0.02", "-dj", "0.7", "-dc", "1", "-dt", "0", "s.oct"],
+                        pathlib.Path("p.txt").read_text())
+            radiance = [float(line.split()[1]) for line in found.splitlines() if len(line.split()) == 3]
+            own = run([program, "probe", "s.obj", "--up", "z", "--points", "p.txt", "--spp", "65536", "--quiet"] + options)
+            ours = [float(line.split()[7]) for line in own.splitlines()]
+            off = [b/a-1 for a, b in zip(radiance, ours)]
+            worst = max([worst] + [abs(x) for x in off])
+            rms = math.sqrt(sum(x*x for x in off)/len(off))
+            print(f"{name}: {len(off)} points, largest difference {100*max(off, key=abs):+.2f} %, RMS {100*rms:.2f} %", flush=True)
+            for p, a, b in zip(points, radiance, ours):
+                print("   ", p, "RADIANCE %.5g  radiosity %.5g" % (a, b))
+            os.chdir("/")
+    return 0 if worst < .01 else 1
+
+sys.exit(main())
