@@ -75,7 +75,8 @@ impl Photometry {
         let DVec3 { x, y, z } = direction;
         let degrees = |sine: f64| sine.clamp(-1.0, 1.0).asin().to_degrees();
         // Types B and A aim straight down: upwards in the beam is C0, to its right is opposite C90.
-        let (forward, above, right) = (-z, x, -y);
+        // Differences, since a negative zero would turn an angle around.
+        let (forward, above, right) = (0.0 - z, x, 0.0 - y);
         let (h, v) = match self.goniometer {
             Goniometer::C => (y.atan2(x).to_degrees().rem_euclid(360.0), 90.0 + degrees(z)),
             Goniometer::B => (degrees(right), above.atan2(forward).to_degrees()),
