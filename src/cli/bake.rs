@@ -13,7 +13,7 @@ use radiosity::{
         self, Atlas, AtlasOptions, BakeOptions, Coordinates, LARGEST, Layout, Lightmap, PAGE,
         gltf::Encoding,
         report::{BakeReport, BakeSeconds},
-        write::{Picture, page_name},
+        write::{Layer, Picture, page_name},
     },
     monte_carlo::PictureFormat,
     output::{
@@ -403,9 +403,14 @@ impl Files {
         scene: &Scene,
         exposures: &Exposures,
     ) -> Result<Vec<Pending>> {
+        let mut layers: Vec<(Picture, Layer)> = Vec::new();
         let write_one = |file: File| match file.kind {
             Kind::Picture(what, page, format) => {
-                let film = map.picture(scene, what, page);
+                let made = layers.iter().position(|(made, _)| *made == what).unwrap_or_else(|| {
+                    layers.push((what, map.layer(scene, what)));
+                    layers.len() - 1
+                });
+                let film = layers[made].1.page(page);
                 let exposure = match what {
                     Picture::Irradiance | Picture::StandardError => exposures.irradiance,
                     Picture::Radiosity => exposures.radiosity,

@@ -1,9 +1,12 @@
 //! A map as files: images, and a mesh whose texture coordinates address them.
 
-use std::io::{self, Write};
+use std::{
+    borrow::Cow,
+    io::{self, Write},
+};
 
 use super::{
-    Lightmap, Texel,
+    Atlas, Lightmap, Texel,
     atlas::NONE,
     dilation,
     grid::Grid,
@@ -28,37 +31,50 @@ pub enum Picture {
     Mask,
 }
 
-impl Lightmap {
+/// The values of one kind of image on all pages.
+#[derive(Debug, Clone)]
+pub struct Layer<'a> {
+    atlas: &'a Atlas,
+    values: Cow<'a, [[f32; 3]]>,
+}
+
+impl Layer<'_> {
     /// One page as an image, rows from the top as image files have them.
     ///
     /// # Panics
     /// When there is no such page.
-    pub fn picture(&self, scene: &Scene, what: Picture, page: usize) -> Film {
+    pub fn page(&self, page: usize) -> Film {
+        let (width, height) = (self.atlas.width, self.atlas.height);
+        let rows = self.values[page * width * height..][..width * height].chunks(width).rev();
+        Film::from_pixels(width, height, rows.flatten().copied().collect())
+    }
+}
+
+impl Lightmap {
+    /// The values of all pages for one kind of image. Radiosity takes time to compute: call this once for all pages.
+    pub fn layer(&self, scene: &Scene, what: Picture) -> Layer<'_> {
         let values = match what {
-            Picture::Irradiance => self.irradiance.clone(),
-            Picture::Radiosity => self.dilated_radiosity(scene),
+            Picture::Irradiance => Cow::Borrowed(&*self.irradiance),
+            Picture::Radiosity => self.dilated_radiosity(scene).into(),
             Picture::StandardError => {
                 let mut values = vec![[0.0; 3]; self.irradiance.len()];
                 for (&at, &error) in self.coverage.texels().iter().zip(&self.standard_error) {
                     values[at as usize] = error;
                 }
-                values
+                values.into()
             }
-            Picture::Mask => self
-                .texels
-                .iter()
-                .map(|texel| match texel {
+            Picture::Mask => {
+                let shade = |texel: &Texel| match texel {
                     Texel::Valid => [1.0; 3],
                     // What sRGB encodes as 128 and 64.
                     Texel::Hidden => [0.215_86; 3],
                     Texel::Dilated => [0.051_27; 3],
                     Texel::Empty => [0.0; 3],
-                })
-                .collect(),
+                };
+                self.texels.iter().map(shade).collect()
+            }
         };
-        let (width, height) = (self.atlas.width, self.atlas.height);
-        let rows = values[page * width * height..][..width * height].chunks(width).rev();
-        Film::from_pixels(width, height, rows.flatten().copied().collect())
+        Layer { atlas: &self.atlas, values }
     }
 
     /// Exposure that suits the irradiance of surfaces, by area.
