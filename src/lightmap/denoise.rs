@@ -1,14 +1,19 @@
 //! Noise taken out of gathered texels, as far as the error bars allow.
 //!
-//! At every texel planes are fitted to its neighbours on the same chart, in discs that grow. The largest disc counts
-//! whose estimate agrees, within the error bars, with those of all smaller ones: the intersection of confidence
-//! intervals (Goldenshluger and Nemirovski, Mathematical Methods of Statistics 6, 1997; Katkovnik, IEEE Transactions on
-//! Signal Processing 47, 1999). A step of the light is kept where it stands out of the noise; a slope is kept by the
-//! plane. All texels in a disc weigh the same: weights by their own estimated errors would favour the dark ones.
+//! At every texel a plane is fitted to its neighbours on the same chart, in discs of growing radius. A disc is too large
+//! when its estimate contradicts that of a smaller disc beyond their error bars: their confidence intervals no longer
+//! intersect (Goldenshluger and Nemirovski, Mathematical Methods of Statistics 6, 1997; Katkovnik, IEEE Transactions on
+//! Signal Processing 47, 1999). This keeps the steps that stand out of the noise, and the plane keeps slopes. All texels
+//! in a disc weigh the same: weights by their own estimated errors would favour the dark ones.
 //!
-//! What the planes leave is fitted once more in the same discs and added ("twicing", Tukey, Exploratory Data Analysis,
-//! 1977, section 16): that gives back what curvature loses, and the energy with it. It also gives back noise: the variance
-//! of a mean over a disc doubles about, and error bars count that ([`twicing`]).
+//! The largest disc without a contradiction balances bias against noise, so that its bias is as large as its error bar.
+//! Error bars hold for a smaller disc, whose bias is small against its noise (undersmoothing: Giné and Nickl, Annals of
+//! Statistics 38, 2010). Texels take the next smaller disc. The difference between the two estimates, as far as it exceeds
+//! the noise, shows how bias grows with the disc. The error bar includes the bias that follows for the smaller disc.
+//!
+//! The residuals of the planes are fitted once more in the same discs and added ("twicing", Tukey, Exploratory Data
+//! Analysis, 1977, section 16). This restores what curvature loses, and the energy with it. It also doubles the variance of
+//! a mean over a disc, about; error bars include that ([`twicing`]).
 
 use rayon::prelude::*;
 
@@ -21,11 +26,11 @@ const CONFIDENCE: f64 = 2.5;
 /// The same of a texel by itself. Samples are skewed: with narrower ones bright outliers would stay as they are, and
 /// take the light from their neighbours.
 const CONFIDENCE_ALONE: f64 = 4.0;
-/// Error bars of four replicates are too uncertain by themselves; they are averaged over a square this far out.
+/// Variances from four replicates are too uncertain by themselves; they are averaged over a square this far out, and so is bias.
 const POOLING: isize = 2;
 
-/// The signal of covered texels without much of its noise; those for which `counts` is false are left alone. Error bars
-/// that come with it take the noise of texels for independent and the discs for small enough.
+/// The signal of covered texels without much of its noise. Texels for which `counts` is false stay as they are. Variances
+/// include the bias that is found; they assume that the noise of different texels is independent.
 pub fn filter(
     grid: &Grid,
     coverage: &Coverage,
@@ -38,30 +43,49 @@ pub fn filter(
         values[place as usize] = noisy.mean;
     }
     let fits = Fits::new(grid, coverage, signal, &counts);
+    let none = [Estimate::default(); 2];
+    let of_texel =
+        |(i, &place): (usize, &u32)| if counts(i) { fits.best(&values, place as usize) } else { none };
+    let mut found: Vec<[Estimate; 2]> = places.par_iter().enumerate().map(of_texel).collect();
+    (0..2).for_each(|k| fits.add_residuals(places, &values, &mut found, k));
 
-    let smooth: Vec<(Noisy, usize)> = places
-        .par_iter()
-        .enumerate()
-        .map(|(i, &place)| if counts(i) { fits.largest(&values, place as usize) } else { (signal[i], 0) })
-        .collect();
-    // What the planes leave takes the place of the values.
-    for ((noisy, _), &place) in smooth.iter().zip(places) {
-        (0..3).for_each(|c| values[place as usize][c] -= noisy.mean[c]);
+    let mut bias = vec![[0.0; 3]; grid.places()];
+    for (pair, &place) in found.iter().zip(places) {
+        bias[place as usize] = squared_bias(pair);
     }
-    smooth
-        .par_iter()
-        .zip(places)
-        .map(|(&(noisy, reach), &place)| {
-            let more = fits.within(&values, place as usize, reach);
-            let mean = std::array::from_fn(|c| (noisy.mean[c] + more[c] as f32).max(0.0));
-            let factor = reach.checked_sub(1).map_or(1.0, |k| fits.discs[k].twicing as f32);
-            Noisy { mean, variance: noisy.variance.map(|v| v * factor) }
-        })
-        .collect()
+    let noisy = |(i, [narrow, _]): (usize, &[Estimate; 2])| {
+        if !counts(i) {
+            return signal[i];
+        }
+        let bias = fits.mean_around(&bias, places[i] as usize).map(|b| f64::from(b.max(0.0)));
+        Noisy {
+            mean: narrow.mean.map(|x| x.max(0.0) as f32),
+            variance: std::array::from_fn(|c| (narrow.variance[c] + bias[c]) as f32),
+        }
+    };
+    found.par_iter().enumerate().map(noisy).collect()
 }
 
-/// The signal as it is, with variances averaged over neighbours: four replicates know their own to a factor of two only, and
-/// intervals by them hold the truth in 86 % of the cases for 95 %.
+/// An estimate of the squared bias of the narrower of two estimates, without bias itself: it may be negative.
+///
+/// Bias grows like the square of the radius where the light is curved. So of the difference between two discs with radii r < R
+/// the part 1 / ((R / r)² - 1) is the bias of the smaller. A texel alone has none.
+fn squared_bias([narrow, wide]: &[Estimate; 2]) -> [f32; 3] {
+    let radius = |estimate: &Estimate| estimate.reach.checked_sub(1).map_or(0.0, |k| RADII[k]);
+    let (r, wider) = (radius(narrow), radius(wide));
+    if r == 0.0 || wider <= r {
+        return [0.0; 3];
+    }
+    let share = ((wider / r).powi(2) - 1.0).recip();
+    std::array::from_fn(|c| {
+        // Least squares: an estimate from more of the data differs by the difference of the variances.
+        let noise = (narrow.variance[c] - wide.variance[c]).abs();
+        (share.powi(2) * ((narrow.mean[c] - wide.mean[c]).powi(2) - noise)) as f32
+    })
+}
+
+/// The signal as it is, with variances averaged over neighbours. Four replicates know their variance to a factor of two only:
+/// of intervals of 95 % from them, 86 % hold the truth.
 pub fn pooled(
     grid: &Grid,
     coverage: &Coverage,
@@ -102,30 +126,56 @@ impl<'a> Fits<'a> {
         }
         let mut fits = Fits { grid, chart, discs: discs(grid.width), pooled: Vec::new() };
         let of_neighbours: Vec<[f32; 3]> =
-            places.par_iter().map(|&place| fits.pool(&variances, place as usize)).collect();
+            places.par_iter().map(|&place| fits.mean_around(&variances, place as usize)).collect();
         let mut pooled = vec![[0.0; 3]; grid.places()];
         places.iter().zip(of_neighbours).for_each(|(&place, v)| pooled[place as usize] = v);
         fits.pooled = pooled;
         fits
     }
 
-    /// The estimate of the largest disc that contradicts no smaller one, and how many discs that took.
-    fn largest(&self, values: &[[f32; 3]], place: usize) -> (Noisy, usize) {
-        let alone = (values[place].map(f64::from), self.pooled[place].map(f64::from));
-        let mut best = Interval::new(alone.0, alone.1, CONFIDENCE_ALONE);
-        let mut reach = 0;
+    /// The estimates of the largest disc that contradicts no smaller one, and, first, of the disc before it.
+    fn best(&self, values: &[[f32; 3]], place: usize) -> [Estimate; 2] {
+        let alone = Estimate {
+            mean: values[place].map(f64::from),
+            variance: self.pooled[place].map(f64::from),
+            reach: 0,
+        };
+        let mut agreed = Interval::new(&alone, CONFIDENCE_ALONE);
+        let mut best = [alone; 2];
         let mut moments = Moments::default();
         moments.add((0, 0), values[place], self.pooled[place]);
         for k in 0..self.discs.len() {
             self.add(&mut moments, values, place, k);
             let Some((mean, variance)) = moments.at_centre() else { continue };
-            match best.narrowed(mean, variance) {
-                Some(narrower) => (best, reach) = (narrower, k + 1),
+            let next = Estimate { mean, variance, reach: k + 1 };
+            match agreed.intersection(&Interval::new(&next, CONFIDENCE)) {
+                Some(narrower) => (agreed, best) = (narrower, [best[1], next]),
                 None => break,
             }
         }
-        let noisy = Noisy { mean: best.mean.map(|x| x as f32), variance: best.variance.map(|v| v as f32) };
-        (noisy, reach)
+        best
+    }
+
+    /// Fits what the estimates `which` leave of the values, in the same discs, and adds it.
+    fn add_residuals(
+        &self,
+        places: &[u32],
+        values: &[[f32; 3]],
+        estimates: &mut [[Estimate; 2]],
+        which: usize,
+    ) {
+        let mut residuals = values.to_vec();
+        for (estimate, &place) in estimates.iter().zip(places) {
+            (0..3).for_each(|c| residuals[place as usize][c] -= estimate[which].mean[c] as f32);
+        }
+        estimates.par_iter_mut().zip(places).for_each(|(estimate, &place)| {
+            let estimate = &mut estimate[which];
+            if let Some(k) = estimate.reach.checked_sub(1) {
+                let more = self.within(&residuals, place as usize, estimate.reach);
+                (0..3).for_each(|c| estimate.mean[c] += more[c]);
+                estimate.variance = estimate.variance.map(|v| v * self.discs[k].twicing);
+            }
+        });
     }
 
     /// The plane in so many discs; nothing where there is none.
@@ -156,14 +206,14 @@ impl<'a> Fits<'a> {
         }
     }
 
-    /// Mean variance of the neighbours on the same chart.
-    fn pool(&self, variances: &[[f32; 3]], place: usize) -> [f32; 3] {
+    /// The mean over the neighbours on the same chart.
+    fn mean_around(&self, values: &[[f32; 3]], place: usize) -> [f32; 3] {
         let (mut sum, mut n) = ([0.0; 3], 0.0f32);
         for dy in -POOLING..=POOLING {
             for dx in -POOLING..=POOLING {
                 let at = self.grid.neighbour(place, dx, dy);
                 if let Some(at) = at.filter(|&at| self.chart[at] == self.chart[place]) {
-                    (0..3).for_each(|c| sum[c] += variances[at][c]);
+                    (0..3).for_each(|c| sum[c] += values[at][c]);
                     n += 1.0;
                 }
             }
@@ -262,30 +312,33 @@ impl Moments {
     }
 }
 
-/// An estimate, and where all estimates so far agree that the truth is.
-struct Interval {
+/// An estimate from the discs up to a number, 0 for the texel alone.
+#[derive(Debug, Clone, Copy, Default)]
+struct Estimate {
     mean: [f64; 3],
     variance: [f64; 3],
+    reach: usize,
+}
+
+/// Where estimates agree that the truth is.
+struct Interval {
     low: [f64; 3],
     high: [f64; 3],
 }
 
 impl Interval {
-    fn new(mean: [f64; 3], variance: [f64; 3], confidence: f64) -> Interval {
-        let half = variance.map(|v| confidence * v.sqrt());
+    fn new(of: &Estimate, confidence: f64) -> Interval {
+        let half = of.variance.map(|v| confidence * v.sqrt());
         Interval {
-            mean,
-            variance,
-            low: std::array::from_fn(|c| mean[c] - half[c]),
-            high: std::array::from_fn(|c| mean[c] + half[c]),
+            low: std::array::from_fn(|c| of.mean[c] - half[c]),
+            high: std::array::from_fn(|c| of.mean[c] + half[c]),
         }
     }
 
-    /// Takes another estimate in; `None` when it contradicts those before.
-    fn narrowed(&self, mean: [f64; 3], variance: [f64; 3]) -> Option<Interval> {
-        let next = Interval::new(mean, variance, CONFIDENCE);
-        let low = std::array::from_fn(|c| self.low[c].max(next.low[c]));
-        let high = std::array::from_fn(|c| self.high[c].min(next.high[c]));
-        (0..3).all(|c| low[c] <= high[c]).then_some(Interval { low, high, ..next })
+    /// What is in both, unless they contradict each other.
+    fn intersection(&self, other: &Interval) -> Option<Interval> {
+        let low = std::array::from_fn(|c| self.low[c].max(other.low[c]));
+        let high = std::array::from_fn(|c| self.high[c].min(other.high[c]));
+        (0..3).all(|c| low[c] <= high[c]).then_some(Interval { low, high })
     }
 }
