@@ -16,8 +16,9 @@ pub struct Probe {
     pub normal: DVec3,
 }
 
-/// Reads a file of probes. Each line is `x y z nx ny nz`, with blanks, tabs, commas or semicolons between the numbers. Blank
-/// lines and everything after `#` are ignored. A table may begin with one line of names without a number.
+/// Reads a file of probes. Each line is `x y z nx ny nz`, with blanks, tabs, commas or semicolons between the numbers. Where
+/// semicolons or tabs part six numbers, a comma is a decimal point, as spreadsheets of many languages write it. Blank lines and
+/// everything after `#` are ignored. A table may begin with one line of names without a number.
 ///
 /// # Errors
 /// [`Error::Io`] if the file cannot be read; [`Error::Input`] with the number of a line that is not understood.
@@ -48,6 +49,14 @@ fn words(line: &str) -> impl Iterator<Item = &str> {
     line.split(|c: char| c.is_whitespace() || matches!(c, ',' | ';')).filter(|word| !word.is_empty())
 }
 
+/// The words of a line that has decimal commas: six numbers between semicolons or tabs.
+fn with_decimal_commas(line: &str) -> Option<Vec<String>> {
+    let separator = if line.contains(';') { ';' } else { '\t' };
+    let words: Vec<String> = line.split(separator).map(|word| word.trim().replace(',', ".")).collect();
+    let are_numbers = words.len() == 6 && words.iter().all(|word| word.parse::<f64>().is_ok());
+    (line.contains(',') && are_numbers).then_some(words)
+}
+
 /// Whether a line names columns: it has as many words as columns at least, and none is a number.
 fn is_header(line: &str) -> bool {
     words(line).count() >= 6 && words(line).all(|word| word.trim_matches('"').parse::<f64>().is_err())
@@ -55,7 +64,8 @@ fn is_header(line: &str) -> bool {
 
 fn parse(line: &str) -> std::result::Result<Probe, String> {
     let mut numbers = Vec::with_capacity(6);
-    for word in words(line) {
+    let words = with_decimal_commas(line).unwrap_or_else(|| words(line).map(str::to_owned).collect());
+    for word in words {
         match word.parse::<f64>() {
             Ok(x) if x.is_finite() => numbers.push(x),
             Ok(_) => return Err(format!("{word} is not finite")),
@@ -113,6 +123,14 @@ mod tests {
         ] {
             assert_eq!(read(table).unwrap(), wanted, "{table}");
         }
+        let halves = read("1.5 2 3 0 0 1\n-4 5.25 6 0 1 0").unwrap();
+        for table in
+            ["x;y;z;nx;ny;nz\n1,5;2;3;0;0;1\n-4; 5,25;6;0;1;0", "1,5\t2\t3\t0\t0\t1\n-4\t5,25\t6\t0\t1\t0"]
+        {
+            assert_eq!(read(table).unwrap(), halves, "{table}");
+        }
+        // Commas part numbers where semicolons or tabs do not part six.
+        assert_eq!(read("1,2,3;0,0,1\n4,5,6;0,1,0").unwrap(), wanted);
         // Only the first line may hold names, and a broken number is not a name.
         for (wrong, line) in [("1 2 3 0 0 1\nx y z nx ny nz", 2), ("1,x,3,0,0,1", 1), ("a b c", 1)] {
             assert!(matches!(read(wrong), Err(Error::Input { line: Some(l), .. }) if l == line), "{wrong}");
