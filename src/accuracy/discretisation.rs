@@ -27,7 +27,8 @@ const MOST_BOUNCES: usize = 200;
 pub struct Discretisation {
     /// Irradiance of the parent, edge 2h, less the mean of its children, W/m²: interleaved channels a patch.
     pub change: Vec<f64>,
-    /// Its area-weighted root mean square, relative to the mean irradiance.
+    /// Its area-weighted root mean square relative to the mean irradiance, over the patches that can be seen
+    /// ([`Patches::seen_areas`]).
     pub relative: f64,
 }
 
@@ -68,7 +69,7 @@ impl Discretisation {
             .flat_map(|(p, family)| family.clone().flat_map(move |_| of_family(p)))
             .map(|q| coarse[q] - fine[q])
             .collect();
-        let relative = relative_rms(&change, &solution.irradiance, areas);
+        let relative = relative_rms(&change, &solution.irradiance, &patches.seen_areas(&solution.irradiance));
         Ok(Some(Discretisation { change, relative }))
     }
 }

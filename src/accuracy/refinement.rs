@@ -185,9 +185,10 @@ fn round(
     let casting = start.elapsed().as_secs_f64();
     let solution = solve(&form_factors, &patches, options, progress)?;
     let error_bars = ErrorBars::of(&form_factors, &patches, &solution).expect("rays were cast");
+    let seen = patches.seen_areas(&solution.irradiance);
     let round = Round {
         rays: form_factors.rays() as f64 / patches.len() as f64,
-        error: relative_rms(&error_bars.standard_error, &solution.irradiance, form_factors.areas()),
+        error: relative_rms(&error_bars.standard_error, &solution.irradiance, &seen),
         elapsed: before + start.elapsed().as_secs_f64(),
         casting,
     };

@@ -1,10 +1,12 @@
 //! A survey by a few rays before anything is computed: whether surfaces see fronts, backs, or the outside.
 
-use std::time::Instant;
+use std::{collections::HashMap, time::Instant};
 
+use glam::Vec3A;
 use rayon::prelude::*;
 
 use crate::{
+    patch::{DisjointSets, shut_in_solids},
     scene::Scene,
     trace::{
         Tracer,
@@ -52,15 +54,23 @@ pub struct Survey {
     pub backs_of: Vec<u64>,
     /// Estimated share of the area whose backs can be seen. These backs will be patches too.
     pub back_area: f64,
+    /// Area of fronts that are shut in solids, in the file's unit squared: no rays were cast from them.
+    pub shut_in_area: f64,
     /// Seconds that all rays took.
     pub seconds: f64,
 }
 
 impl Survey {
-    /// Casts `rays` cosine-distributed rays from all fronts, and a quarter as many from emitting fronts. The same seed gives the
-    /// same counts for any number of threads.
+    /// Casts `rays` cosine-distributed rays from all fronts, and a quarter as many from emitting fronts, but for those that are
+    /// shut in solids ([`shut_in_solids`]). The same seed gives the same counts for any number of threads.
     pub fn of(scene: &Scene, tracer: &Tracer, rays: u64, seed: u64) -> Survey {
-        let all: Vec<usize> = (0..scene.triangles.len()).collect();
+        let shut_in = shut_in_solids(scene);
+        let is_shut_in = |t: &usize| shut_in.get(*t).is_some_and(|[front, _]| *front);
+        let shut_in_area = (0..scene.triangles.len()).filter(is_shut_in).map(|t| scene.area(t)).sum();
+        let mut all: Vec<usize> = (0..scene.triangles.len()).collect();
+        if shut_in_area > 0.0 {
+            all.retain(|t| !is_shut_in(t));
+        }
         let lamps: Vec<usize> = all.iter().copied().filter(|&t| scene.emits(t)).collect();
         let mut backs_of = vec![0; scene.materials.len()];
         let mut seconds = 0.0;
@@ -68,64 +78,105 @@ impl Survey {
         met.iter().for_each(|&t| backs_of[scene.triangles[t as usize].material as usize] += 1);
         let back_area = back_area(scene, met);
         let (lamps, _) = cast(scene, tracer, &lamps, rays / 4, mix(&[seed, 1]), &mut seconds);
-        Survey { all: seen, lamps, backs_of, back_area, seconds }
+        Survey { all: seen, lamps, backs_of, back_area, shut_in_area, seconds }
     }
 }
 
-/// An emitting surface that shines at a face close before it, while its back sees the room.
+/// A luminaire that is inside out: what its fronts emit stays in it or close to it, while its backs see the room.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TurnedLamp {
     /// Its first triangle.
     pub triangle: usize,
-    /// The material that most of its light meets.
+    /// The material that most of its light meets first.
     pub lit: u32,
-    /// The share of its light that meets faces closer than half its own size.
-    pub near: f64,
+    /// The share of its light that stays close to it.
+    pub kept: f64,
 }
 
-/// Rays from each side of a lamp: shares to a few per cent, of which halves and quarters are told apart.
-const RAYS_OF_LAMP: u32 = 256;
-/// No more lamps than this are looked at, the largest.
+/// Walks from each side of a luminaire: shares to a few per cent, of which halves and quarters are told apart.
+const WALKS: u32 = 256;
+/// Hits of a walk. Light that is not close to its luminaire after so many reflections has left it.
+const STEPS: u32 = 4;
+/// No more luminaires than this are looked at, the largest.
 const MOST_LAMPS: usize = 256;
 
-/// The lamps that are turned round: more than half of their light meets faces closer than half their own size, as in a luminaire
-/// whose faces are inside out, while less than a quarter of what leaves their back would.
+/// The luminaires that are inside out. After some reflections more than half of the light of their fronts is still close to
+/// them: in a box whose faces are inside out, or between a lamp and the ceiling that it faces. Of walks from their backs fewer
+/// than a quarter stay so close. A lamp deep in a recess shines out of it, at last after some reflections.
 pub fn turned_lamps(scene: &Scene, tracer: &Tracer) -> Vec<TurnedLamp> {
     let area = |lamp: &[usize]| lamp.iter().map(|&t| scene.area(t)).sum::<f64>();
     let mut lamps: Vec<(f64, Vec<usize>)> =
-        scene.flat_emitters().into_iter().map(|lamp| (area(&lamp), lamp)).collect();
+        luminaires(scene).into_iter().map(|lamp| (area(&lamp), lamp)).collect();
     lamps.sort_by(|(a, s), (b, t)| b.total_cmp(a).then(s.cmp(t)));
     lamps.truncate(MOST_LAMPS);
     let turned = |(area, lamp): &(f64, Vec<usize>)| {
+        const CORNERS: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let corners = lamp.iter().flat_map(|&t| CORNERS.map(|b| tracer.triangles()[t].point(b)));
+        let none = [Vec3A::INFINITY, Vec3A::NEG_INFINITY];
+        let [low, high] = corners.fold(none, |[low, high], p| [low.min(p), high.max(p)]);
         let reach = (0.5 * area.sqrt() / tracer.scale()) as f32;
-        let near = |front: bool| near(scene, tracer, lamp, front, reach);
-        let (share, lit) = near(true);
-        (share > 0.5 && near(false).0 < 0.25).then_some(TurnedLamp { triangle: lamp[0], lit, near: share })
+        let near = [low - reach, high + reach];
+        let kept = |front: bool| kept(scene, tracer, lamp, front, near);
+        let (share, lit) = kept(true);
+        (share > 0.5 && kept(false).0 < 0.25).then_some(TurnedLamp { triangle: lamp[0], lit, kept: share })
     };
     lamps.par_iter().filter_map(turned).collect()
 }
 
-/// The share of the rays from one side of some triangles that meet something closer than `reach`, and the material most of these meet.
-fn near(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, reach: f32) -> (f64, u32) {
+/// Emitting triangles that hang together by their vertices, of one material each.
+fn luminaires(scene: &Scene) -> Vec<Vec<usize>> {
+    let emitters: Vec<usize> = (0..scene.triangles.len()).filter(|&t| scene.emits(t)).collect();
+    let mut sets = DisjointSets::new(emitters.len());
+    let mut first = HashMap::new();
+    for (k, &t) in emitters.iter().enumerate() {
+        let triangle = &scene.triangles[t];
+        for v in triangle.vertices {
+            sets.unite(k, *first.entry((triangle.material, v)).or_insert(k));
+        }
+    }
+    let (numbers, count) = sets.numbers();
+    let mut luminaires = vec![Vec::new(); count];
+    emitters.into_iter().zip(numbers).for_each(|(t, number)| luminaires[number as usize].push(t));
+    luminaires
+}
+
+/// The share of the walks from one side of some triangles, from hit to hit, that end in a box; and the material that most of them
+/// meet first.
+fn kept(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]: [Vec3A; 2]) -> (f64, u32) {
     let total: f64 = lamp.iter().map(|&t| scene.area(t)).sum();
     let (mut below, mut at) = (scene.area(lamp[0]), 0);
-    let mut met = vec![0u32; scene.materials.len()];
-    for k in 0..RAYS_OF_LAMP {
-        while (f64::from(k) + 0.5) / f64::from(RAYS_OF_LAMP) * total > below && at + 1 < lamp.len() {
+    let (mut met, mut kept) = (vec![0u32; scene.materials.len()], 0);
+    for k in 0..WALKS {
+        while (f64::from(k) + 0.5) / f64::from(WALKS) * total > below && at + 1 < lamp.len() {
             at += 1;
             below += scene.area(lamp[at]);
         }
         let triangle = &tracer.triangles()[lamp[at]];
-        let normal = triangle.side_normal(front);
-        let [x, y, u, v] = sobol_4d(k, 0);
-        let origin = Tracer::leave(triangle.point(square_to_triangle(x, y)), normal);
-        let hit = tracer.closest(origin, around(normal, square_to_cosine_hemisphere(u, v)));
-        if let Some(hit) = hit.filter(|hit| hit.t < reach) {
-            met[scene.triangles[hit.triangle as usize].material as usize] += 1;
+        let [x, y, mut u, mut v] = sobol_4d(k, 0);
+        let (mut point, mut normal) = (triangle.point(square_to_triangle(x, y)), triangle.side_normal(front));
+        let mut is_kept = true;
+        for step in 0..STEPS {
+            let origin = Tracer::leave(point, normal);
+            let hit = tracer.closest(origin, around(normal, square_to_cosine_hemisphere(u, v)));
+            let Some(hit) = hit else {
+                is_kept = false;
+                break;
+            };
+            if step == 0 {
+                met[scene.triangles[hit.triangle as usize].material as usize] += 1;
+            }
+            let triangle = &tracer.triangles()[hit.triangle as usize];
+            (point, normal) = (triangle.point(hit.barycentric), triangle.side_normal(hit.front));
+            if point.cmplt(low).any() || point.cmpgt(high).any() {
+                is_kept = false;
+                break;
+            }
+            [u, v, ..] = sobol_4d(k, mix(&[u64::from(step) + 1]));
         }
+        kept += u32::from(is_kept);
     }
     let most = (0..met.len()).max_by_key(|&m| (met[m], std::cmp::Reverse(m))).unwrap_or(0);
-    (f64::from(met.iter().sum::<u32>()) / f64::from(RAYS_OF_LAMP), most as u32)
+    (f64::from(kept) / f64::from(WALKS), most as u32)
 }
 
 /// The share of the area of all triangles whose back was met or would be met by more rays. If a sample contains f1 kinds once

@@ -55,26 +55,28 @@ pub fn load_as_given(
     Ok((scene, tracer))
 }
 
-/// Names the lamps that shine at what is close before them, while the room sees their backs.
+/// Names the luminaires that are inside out.
 pub fn warn_of_turned_lamps(scene: &Scene, tracer: &Tracer, watch: &Watch) {
     const MOST: usize = 3;
     let turned = turned_lamps(scene, tracer);
-    for TurnedLamp { triangle, lit, near } in turned.iter().take(MOST) {
+    for TurnedLamp { triangle, lit, kept } in turned.iter().take(MOST) {
         let [a, b, c] = scene.corners(*triangle);
         let at = (a + b + c) / 3.0;
         watch.warn(&format!(
-            "the lamp of `{}` at {:.4} {:.4} {:.4} sends {:.0} % of its light into `{}` close before it, while the room sees its \
-             back: is it inside out?",
+            "the lamp of `{}` at {:.4} {:.4} {:.4} keeps {:.0} % of its light to itself, on `{}`, while its back faces the room: is it \
+             inside out?",
             scene.material(*triangle).name,
             at.x,
             at.y,
             at.z,
-            100.0 * near,
+            100.0 * kept,
             scene.materials[*lit as usize].name
         ));
     }
-    if turned.len() > MOST {
-        watch.warn(&format!("{} more lamps do the same", turned.len() - MOST));
+    match turned.len().saturating_sub(MOST) {
+        0 => {}
+        1 => watch.warn("1 more lamp does the same"),
+        more => watch.warn(&format!("{more} more lamps do the same")),
     }
 }
 

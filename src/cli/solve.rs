@@ -375,7 +375,8 @@ impl Errors {
         let Solved { patches, form_factors, solution, .. } = solved;
         let unit = vec![1.0; solution.irradiance.len()];
         // One W/m2 relative to the mean irradiance. Zero if nothing is lit.
-        let unit = relative_rms(&unit, &solution.irradiance, form_factors.areas());
+        let seen = patches.seen_areas(&solution.irradiance);
+        let unit = relative_rms(&unit, &solution.irradiance, &seen);
         Ok(Errors {
             energy: EnergyLedger::of(form_factors, patches, solution),
             discretisation: Discretisation::of(form_factors, patches, solution, progress)?,

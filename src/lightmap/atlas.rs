@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use glam::DVec2;
 
 use super::{cut::Cut, overlap, raster, unwrap::unwrap};
-use crate::{Error, Result, Setting, output::surfaces::DisjointSets, scene::Scene, trace::Tracer};
+use crate::{Error, Result, Setting, patch::DisjointSets, scene::Scene, trace::Tracer};
 
 /// No chart.
 pub const NONE: u32 = u32::MAX;

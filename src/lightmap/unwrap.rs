@@ -16,7 +16,8 @@ use super::{
 };
 use crate::{
     Error, Result, Setting,
-    output::surfaces::{DisjointSets, smooth_edges},
+    output::surfaces::smooth_edges,
+    patch::DisjointSets,
     scene::{NEW_CORNER, Scene},
     trace::Tracer,
 };

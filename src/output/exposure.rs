@@ -5,8 +5,9 @@ use crate::{
     tone::{Exposure, luminance, rgb},
 };
 
-/// Automatic exposure ([`Exposure::automatic`]), weighted by area, of the lit surfaces that do not emit. Lamps may clip.
-/// Neither unlit surfaces nor the unit of length change it. A scene without light is shown black.
+/// Automatic exposure ([`Exposure::automatic`]), weighted by area, of the lit surfaces that do not emit and that can be seen
+/// ([`Patches::seen_areas`]). Lamps may clip. Neither unlit surfaces nor the unit of length change it. A scene without light is
+/// shown black.
 ///
 /// # Panics
 /// When `radiosity` does not hold `channels` values per patch.
@@ -15,8 +16,9 @@ pub fn of_radiosity(patches: &Patches, radiosity: &[f64]) -> Exposure {
     assert_eq!(radiosity.len(), channels * patches.len(), "one value a patch and channel is wanted");
     let emits = |i: usize| patches.emission()[i * channels..][..channels].iter().any(|&e| e > 0.0);
     let bright = |i: usize| luminance(rgb(&radiosity[i * channels..][..channels]));
-    let of = |i: usize| (bright(i), patches.area(i));
-    let is_wall = |i: &usize| !emits(*i) && bright(*i) > 0.0;
+    let areas = patches.seen_areas(radiosity);
+    let of = |i: usize| (bright(i), areas[i]);
+    let is_wall = |i: &usize| !emits(*i) && bright(*i) > 0.0 && areas[*i] > 0.0;
     if (0..patches.len()).any(|i| is_wall(&i)) {
         Exposure::automatic((0..patches.len()).filter(is_wall).map(of))
     } else {

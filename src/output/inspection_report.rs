@@ -234,6 +234,12 @@ fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<Stri
     for hidden in &scene.hidden {
         add(true, &|| hidden.to_string());
     }
+    add(survey.shut_in_area > 0.0, &|| {
+        format!(
+            "faces between solids that touch, with an area of {:.4e}, are shut in: nobody sees their light, and they cost patches",
+            survey.shut_in_area
+        )
+    });
     add(inspection.near_vertices > 0, &|| {
         format!(
             "{} vertices almost coincide with another: rays may slip through the cracks",

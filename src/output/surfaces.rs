@@ -6,7 +6,7 @@
 
 use crate::{
     patch::{
-        Patches,
+        DisjointSets, Patches,
         edges::{same_edge, slots},
     },
     scene::Scene,
@@ -76,45 +76,6 @@ impl Surfaces {
     /// Number of slots.
     pub(super) fn slots(&self) -> usize {
         self.across.len()
-    }
-}
-
-/// Disjoint sets of numbers that can be united (Galler and Fischer, CACM 7(5), 1964).
-pub(crate) struct DisjointSets(Vec<u32>);
-
-impl DisjointSets {
-    /// `n` sets of one member each.
-    pub(crate) fn new(n: usize) -> DisjointSets {
-        DisjointSets((0..n as u32).collect())
-    }
-
-    /// The smallest member of a set.
-    fn root(&mut self, mut i: usize) -> usize {
-        while self.0[i] as usize != i {
-            self.0[i] = self.0[self.0[i] as usize];
-            i = self.0[i] as usize;
-        }
-        i
-    }
-
-    pub(crate) fn unite(&mut self, i: usize, j: usize) {
-        let (i, j) = (self.root(i), self.root(j));
-        self.0[i.max(j)] = i.min(j) as u32;
-    }
-
-    /// The number of each member's set, and the number of sets. Sets are numbered in the order of their first members.
-    pub(crate) fn numbers(mut self) -> (Vec<u32>, usize) {
-        let (mut count, mut numbers) = (0, vec![NONE; self.0.len()]);
-        for i in 0..self.0.len() {
-            let root = self.root(i);
-            if root == i {
-                numbers[i] = count;
-                count += 1;
-            } else {
-                numbers[i] = numbers[root];
-            }
-        }
-        (numbers, count as usize)
     }
 }
 

@@ -7,9 +7,11 @@
 //! A triangle has a front and a back. Patches of fronts are always unknowns of the linear system. Patches of backs become
 //! unknowns when a ray hits them: rays never hit the inside of a closed solid.
 
+mod disjoint_sets;
 pub(crate) mod edges;
 mod forest;
 pub(crate) mod restricted;
+mod solids;
 
 use std::ops::Range;
 
@@ -17,6 +19,7 @@ use glam::DVec3;
 
 use crate::scene::Scene;
 pub use crate::scene::quadtree;
+pub(crate) use disjoint_sets::DisjointSets;
 use forest::Forest;
 
 /// How finely to cut.
@@ -58,6 +61,14 @@ pub struct Patches {
     reflectance: Vec<f64>,
     emission: Vec<f64>,
     edge: f64,
+    /// Whether the front and the back of each triangle are shut in solids; empty where none is.
+    shut_in: Vec<[bool; 2]>,
+}
+
+/// Whether the front and the back of each triangle are shut in solids, where nobody can see their light: sides of faces
+/// between blocks that touch. Empty where none is.
+pub fn shut_in_solids(scene: &Scene) -> Vec<[bool; 2]> {
+    solids::shut_in(scene)
 }
 
 impl Patches {
@@ -71,7 +82,7 @@ impl Patches {
         let total = count(levels.iter().copied());
         assert!(total < f64::from(1u32 << 31), "{total:.2e} patches are more than the program can number");
 
-        Self::of_trees(scene, Forest::uniform(levels), edge)
+        Patches { shut_in: solids::shut_in(scene), ..Self::of_trees(scene, Forest::uniform(levels), edge) }
     }
 
     fn of_cells(scene: &Scene, cells: &[Cell], edge: f64) -> Patches {
@@ -93,6 +104,7 @@ impl Patches {
             trees,
             restricted: false,
             edge,
+            shut_in: Vec::new(),
         };
         (0..triangles).for_each(|t| patches.append(scene, t as u32, true));
         patches
@@ -109,7 +121,8 @@ impl Patches {
         assert_eq!(marked.len(), self.fronts, "one mark a front patch is wanted");
         let cells: Vec<Cell> = (0..self.fronts).map(|i| self.cell(i)).collect();
         let cells = restricted::restrict(scene, restricted::split(cells, marked));
-        Patches { restricted: true, ..Self::of_cells(scene, &cells, self.edge) }
+        let shut_in = self.shut_in.clone();
+        Patches { restricted: true, shut_in, ..Self::of_cells(scene, &cells, self.edge) }
     }
 
     /// Cuts every front patch in four, except patches of the deepest level. The result has no back patches yet.
@@ -121,7 +134,8 @@ impl Patches {
         let cells: Vec<Cell> = (0..self.fronts).map(|i| self.cell(i)).collect();
         let cells = restricted::split(cells, &vec![true; self.fronts]);
         // All patches are cut, so that neighbours differ by as many levels as before.
-        Patches { restricted: self.restricted, ..Self::of_cells(scene, &cells, 0.5 * self.edge) }
+        let (restricted, shut_in) = (self.restricted, self.shut_in.clone());
+        Patches { restricted, shut_in, ..Self::of_cells(scene, &cells, 0.5 * self.edge) }
     }
 
     /// Takes reflectance and emission of every patch anew from the scene's materials.
@@ -195,6 +209,20 @@ impl Patches {
     /// Whether the scene has no triangle.
     pub fn is_empty(&self) -> bool {
         self.triangle.is_empty()
+    }
+
+    /// Whether a patch is shut in a solid, so that nobody can see its light ([`shut_in_solids`]).
+    pub fn is_shut_in(&self, i: usize) -> bool {
+        let side = usize::from(!self.is_front(i));
+        self.shut_in.get(self.triangle(i)).is_some_and(|sides| sides[side])
+    }
+
+    /// The areas of the patches whose light can be seen, and zero for those that are shut in solids; all areas where nothing
+    /// else has light. `light` are interleaved values.
+    pub fn seen_areas(&self, light: &[f64]) -> Vec<f64> {
+        let is_lit = |i: usize| light[i * self.channels..][..self.channels].iter().any(|&x| x > 0.0);
+        let all = !(0..self.len()).any(|i| !self.is_shut_in(i) && is_lit(i));
+        (0..self.len()).map(|i| if all || !self.is_shut_in(i) { self.area(i) } else { 0.0 }).collect()
     }
 
     /// Number of front patches; they come first.

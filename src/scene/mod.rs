@@ -22,10 +22,7 @@ mod texture;
 mod triangulate;
 mod warnings;
 
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
 
@@ -379,17 +376,6 @@ impl Scene {
     /// Whether any material has a specular part.
     pub fn has_specular(&self) -> bool {
         self.materials.iter().any(|m| m.specular.is_some())
-    }
-
-    /// The flat surfaces that emit, as their triangles: a surface is all triangles of one material that share edges and lie in one
-    /// plane.
-    pub fn flat_emitters(&self) -> Vec<Vec<usize>> {
-        let surfaces = overlaps::surfaces(self, |t| self.emits(t));
-        let mut emitters: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
-        for t in (0..surfaces.len()).filter(|&t| self.emits(t)) {
-            emitters.entry(surfaces[t]).or_default().push(t);
-        }
-        emitters.into_values().collect()
     }
 
     /// Whether there is any light: of surfaces that emit, or of [lights that are no surfaces](Scene::lights).

@@ -5,7 +5,7 @@ use crate::common::*;
 use glam::DVec3;
 use radiosity::{
     Scene,
-    accuracy::survey::{Seen, Survey},
+    accuracy::survey::{Seen, Survey, turned_lamps},
     trace::Tracer,
 };
 
@@ -249,6 +249,44 @@ fn lamps_that_shine_into_their_own_housing_are_named() {
         "newmtl housing\nKd .5 .5 .5\nnewmtl right\nKd 0 0 0\nKe 5 5 5\nnewmtl turned\nKd 0 0 0\nKe 5 5 5\n";
     let here = Here::new(&obj, mtl);
     let said = stderr(&here.run("inspect scene.obj"));
-    assert!(said.contains("the lamp of `turned` at 3.") && said.contains("into `housing`"), "{said}");
+    assert!(said.contains("the lamp of `turned` at 3.") && said.contains("on `housing`"), "{said}");
     assert!(!said.contains("`right`"), "{said}");
+}
+
+/// A luminaire of six faces inside out is named once. A strip of light deep in a channel shines out of it and is not named, though
+/// most of its light meets the channel first and its back sees the room above.
+#[test]
+fn a_luminaire_is_named_once_and_a_recessed_one_is_not() {
+    let case = room_faces(DVec3::new(2.0, 2.0, 2.5), DVec3::new(3.0, 3.0, 2.6)).concat();
+    let channel = room_faces(DVec3::new(0.5, 0.0, 1.9), DVec3::new(0.55, 4.0, 2.0));
+    let [sides @ .., _, _] = channel.clone();
+    let lamps = |triangles: &[Corners], turned: bool| {
+        let triangles = triangles.to_vec();
+        part(if turned { flipped(triangles) } else { triangles }, 0.0, 5.0)
+    };
+    let scene = scene(&[
+        part(room(DVec3::ZERO, DVec3::new(4.0, 4.0, 3.0)), 0.5, 0.0),
+        part(sides.concat(), 0.5, 0.0),
+        lamps(&channel[5], false),
+        lamps(&case, false),
+        lamps(&room_faces(DVec3::new(1.0, 1.0, 2.5), DVec3::new(1.8, 1.8, 2.6)).concat(), true),
+    ]);
+    let named = turned_lamps(&scene, &Tracer::new(&scene));
+    let materials: Vec<u32> = named.iter().map(|lamp| scene.triangles[lamp.triangle].material).collect();
+    assert_eq!(materials, [3], "{named:?}");
+    // Nothing gets out of a closed box.
+    assert_eq!((named[0].kept, named[0].lit), (1.0, 3));
+}
+
+/// Light between blocks that touch is not counted among what is seen.
+#[test]
+fn what_is_shut_in_solids_is_not_surveyed() {
+    let blocks = crate::common::room_of_blocks(|_, _| true);
+    let scene = scene(&[part(blocks, 0.5, 1.0)]);
+    let seen = survey(&scene);
+    // 54 squares outside and 6 in the room are seen; the rest are between blocks.
+    assert!((seen.shut_in_area - (26.0 * 6.0 - 60.0)).abs() < 1e-9, "{}", seen.shut_in_area);
+    assert_eq!((seen.all.backs, seen.all.fronts + seen.all.escaped), (0, RAYS));
+    // Convex outside: all that leaves there escapes.
+    assert_share(seen.all.escaped, RAYS, 54.0 / 60.0);
 }

@@ -91,6 +91,24 @@ pub fn room(low: DVec3, high: DVec3) -> Vec<Corners> {
     room_faces(low, high).concat()
 }
 
+/// A closed room of unit size in the middle of 26 blocks of unit size, each with all its six faces, as worlds of blocks have
+/// them. `keep` chooses among the faces by whether another block touches there and whether it faces the room.
+pub fn room_of_blocks(keep: impl Fn(bool, bool) -> bool) -> Vec<Corners> {
+    let is_block =
+        |p: DVec3| p.cmpge(DVec3::ZERO).all() && p.cmplt(DVec3::splat(3.0)).all() && p != DVec3::ONE;
+    let places = (0..27).map(|k| dvec3((k % 3) as f64, (k / 3 % 3) as f64, (k / 9) as f64));
+    let axes = [-DVec3::X, DVec3::X, -DVec3::Y, DVec3::Y, -DVec3::Z, DVec3::Z];
+    let mut faces = Vec::new();
+    for at in places.filter(|&at| is_block(at)) {
+        for (axis, face) in axes.into_iter().zip(room_faces(at, at + 1.0)) {
+            if keep(is_block(at + axis), at + axis == DVec3::ONE) {
+                faces.extend(flipped(face));
+            }
+        }
+    }
+    faces
+}
+
 /// A black room with a square lamp that shines down on its floor from close above.
 pub fn low_lamp() -> Scene {
     let lamp = rectangle(DVec3::new(0.3, 0.3, 0.03), DVec3::Y * 0.4, DVec3::X * 0.4);

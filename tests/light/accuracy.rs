@@ -12,6 +12,7 @@ use radiosity::{
         solved::Solved,
     },
     form_factor::{CastOptions, FormFactors},
+    output::exposure,
     patch::{Patches, Subdivision},
     solve::SolveOptions,
     trace::Tracer,
@@ -305,4 +306,37 @@ fn a_large_lamp_knows_what_comes_back() {
         assert!(squares.sqrt() <= of_own_rays, "{rays}: {} beyond {of_own_rays}", squares.sqrt());
         assert!((share - 0.95).abs() <= band, "{rays}: {share} within, band {band}");
     }
+}
+
+/// Blocks with all their faces: the light between them is much brighter than the room, and of that nobody sees anything.
+#[test]
+fn exposure_and_errors_count_what_can_be_seen() {
+    // What faces the room shines, and more brightly what is between blocks.
+    let shell = |between: bool| {
+        let [inner, outer, hidden] = [
+            room_of_blocks(|touches, room| !touches && room),
+            room_of_blocks(|touches, room| !touches && !room),
+            room_of_blocks(|touches, _| touches && between),
+        ];
+        let shiny = inner[..2].to_vec();
+        scene(&[
+            part(inner[2..].to_vec(), 0.5, 0.0),
+            part(shiny, 0.5, 1.0),
+            part(outer, 0.5, 0.0),
+            part(hidden, 0.9, 9.0),
+        ])
+    };
+    let [with, without] = [true, false].map(|between| {
+        let scene = shell(between);
+        let solved = solve_with(&scene, &Tracer::new(&scene), Subdivision::Edge(0.5), 256.0, 1);
+        let Solved { patches, solution, error_bars, .. } = &solved;
+        let seen = patches.seen_areas(&solution.irradiance);
+        let error = relative_rms(&error_bars.standard_error, &solution.irradiance, &seen);
+        (exposure::of_radiosity(patches, &solution.radiosity).scale, error, seen.iter().sum::<f64>())
+    });
+    // Backs are never met from outside, so that 60 squares remain.
+    assert!((with.2 - 60.0).abs() < 1e-9 && (without.2 - 60.0).abs() < 1e-9, "{with:?} {without:?}");
+    // Both know the brightness of a wall and their error to some per cent.
+    assert!((with.0 / without.0 - 1.0).abs() < 0.03, "{with:?} {without:?}");
+    assert!((with.1 / without.1 - 1.0).abs() < 0.3, "{with:?} {without:?}");
 }

@@ -140,7 +140,7 @@ impl Sets {
 type Rank = (bool, u32, u32, u64, u32);
 
 fn ranks(scene: &Scene) -> Vec<Rank> {
-    let surfaces = surfaces(scene, |_| true);
+    let surfaces = surfaces(scene);
     let mut areas = vec![0.0; surfaces.len()];
     (0..surfaces.len()).for_each(|t| areas[surfaces[t] as usize] += scene.area(t));
     let sizes = sizes(&areas);
@@ -168,12 +168,12 @@ fn sizes(areas: &[f64]) -> Vec<u32> {
     sizes
 }
 
-/// For each triangle the first triangle of its surface. A triangle that `of` excludes is a surface of its own.
-pub(super) fn surfaces(scene: &Scene, of: impl Fn(usize) -> bool) -> Vec<u32> {
+/// For each triangle the first triangle of its surface.
+fn surfaces(scene: &Scene) -> Vec<u32> {
     /// Cosine of the largest angle between neighbours in one plane. Coordinates are rounded.
     const FLAT: f64 = 1.0 - 1e-6;
     let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * scene.triangles.len());
-    for (t, triangle) in scene.triangles.iter().enumerate().filter(|(t, _)| of(*t)) {
+    for (t, triangle) in scene.triangles.iter().enumerate() {
         let [a, b, c] = triangle.vertices;
         edges.extend([(a, b), (b, c), (c, a)].map(|(p, q)| (p.min(q), p.max(q), t as u32)));
     }
