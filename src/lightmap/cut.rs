@@ -78,8 +78,13 @@ impl Cut {
     }
 
     fn empty(scene: &Scene) -> Cut {
-        let bare =
-            Scene { triangles: Vec::new(), texcoords: Vec::new(), face_corners: Vec::new(), ..scene.clone() };
+        let bare = Scene {
+            triangles: Vec::new(),
+            texcoords: Vec::new(),
+            normals: Vec::new(),
+            face_corners: Vec::new(),
+            ..scene.clone()
+        };
         Cut { scene: bare, facets: Vec::new(), ranges: Vec::new() }
     }
 

@@ -17,7 +17,7 @@ use std::{
     path::Path,
 };
 
-use glam::DVec2;
+use glam::{DVec2, Vec3};
 
 use super::atlas::{Atlas, NONE};
 use crate::scene::{NEW_CORNER, Part, Scene, text};
@@ -56,7 +56,7 @@ pub(super) fn write(scene: &Scene, atlas: &Atlas, set: Set, out: &mut dyn Write)
         Some(source) if !scene.faces.is_empty() && scene.face_corners.len() == scene.triangles.len() => {
             mesh.copy(source, out)
         }
-        _ => mesh.write(out),
+        _ => mesh.write(scene, out),
     }
 }
 
@@ -355,8 +355,8 @@ impl Mesh<'_> {
         writeln!(out, "vt 0 0")
     }
 
-    /// The triangles, by object and group where the scene has such.
-    fn write(&self, out: &mut dyn Write) -> io::Result<()> {
+    /// The faces, by object and group where the scene has such.
+    fn write(&self, whole: &Scene, out: &mut dyn Write) -> io::Result<()> {
         let Scene { vertices, triangles, faces, parts, .. } = self.scene;
         for v in vertices {
             writeln!(out, "v {} {} {}", v.x, v.y, v.z)?;
@@ -370,10 +370,18 @@ impl Mesh<'_> {
             }
         };
         self.coordinates(coordinates, out)?;
+        let (normals, of_corner) = self.normals(whole);
+        for [x, y, z] in &normals {
+            writeln!(out, "vn {x} {y} {z}")?;
+        }
+        let word = |f: usize, k: usize| {
+            [triangles[f].vertices[k], corners[f][k], of_corner.get(f).map_or(0, |n| n[k])]
+        };
         let nothing = Part::default();
-        let (mut used, mut part, mut face) = (None, &nothing, 0);
-        for (t, triangle) in triangles.iter().enumerate() {
-            while faces.get(face + 1).is_some_and(|next| next.first <= triangle.source) {
+        let (mut used, mut part, mut face, mut next) = (None, &nothing, 0, 0);
+        while next < triangles.len() {
+            let f = next;
+            while faces.get(face + 1).is_some_and(|later| later.first <= triangles[f].source) {
                 face += 1;
             }
             let here = faces.get(face).and_then(|face| parts.get(face.part as usize)).unwrap_or(&nothing);
@@ -384,12 +392,75 @@ impl Mesh<'_> {
                 }
             }
             part = here;
-            self.use_material(&Outline { facet: Some(t), corners: Vec::new() }, &mut used, out)?;
-            let [a, b, c] = triangle.vertices.map(|v| v + 1);
-            let [ta, tb, tc] = corners[t].map(|i| i + 1);
-            writeln!(out, "f {a}/{ta} {b}/{tb} {c}/{tc}")?;
+            self.use_material(&Outline { facet: Some(f), corners: Vec::new() }, &mut used, out)?;
+            let polygon = self.polygon(f, face, word);
+            next = f + polygon.as_ref().map_or(1, |(facets, _)| *facets);
+            let words = polygon.map_or_else(|| (0..3).map(|k| word(f, k)).collect(), |(_, words)| words);
+            write!(out, "f")?;
+            for [v, vt, vn] in words.into_iter().map(|word| word.map(|i| i + 1)) {
+                match normals.is_empty() {
+                    true => write!(out, " {v}/{vt}")?,
+                    false => write!(out, " {v}/{vt}/{vn}")?,
+                }
+            }
+            writeln!(out)?;
         }
         Ok(())
+    }
+
+    /// The face that facet `f` begins, as the number of its facets and its corners in their order: vertices, texture coordinates and
+    /// normals. `None` where the face has no corners of its own left, or where its facets differ at one of them.
+    fn polygon(
+        &self,
+        f: usize,
+        face: usize,
+        word: impl Fn(usize, usize) -> [u32; 3],
+    ) -> Option<(usize, Vec<[u32; 3]>)> {
+        let Scene { faces, face_corners, triangles, .. } = self.scene;
+        if faces.is_empty() || face_corners.len() != triangles.len() || self.atlas.is_second(f) {
+            return None;
+        }
+        let end = faces.get(face + 1).map_or(u32::MAX, |later| later.first);
+        let is_of_face = |&f: &usize| triangles[f].source < end && !self.atlas.is_second(f);
+        let facets = f..f + (f..triangles.len()).take_while(is_of_face).count();
+        // Facets that belong to one polygon share its chart, or have no place in the map.
+        let mut corners: Vec<Option<[u32; 3]>> = vec![None; facets.len() + 2];
+        for f in facets.clone() {
+            for (k, &corner) in face_corners[f].iter().enumerate() {
+                let known = corners.get_mut(corner as usize)?;
+                if known.replace(word(f, k)).is_some_and(|before| before != word(f, k)) {
+                    return None;
+                }
+            }
+        }
+        let corners: Option<Vec<[u32; 3]>> = corners.into_iter().collect();
+        Some((facets.len(), corners?))
+    }
+
+    /// The normals that the scene's file has, each once, and those of each facet's corners; nothing where it has none.
+    fn normals(&self, whole: &Scene) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
+        let (mut known, mut normals) = (HashMap::new(), Vec::new());
+        if whole.normals.is_empty() {
+            return (Vec::new(), Vec::new());
+        }
+        let mut number = |normal: Vec3| {
+            let normal = normal.normalize_or_zero().to_array();
+            *known.entry(normal.map(f32::to_bits)).or_insert_with(|| {
+                normals.push(normal);
+                normals.len() as u32 - 1
+            })
+        };
+        let of_corner = (0..self.scene.triangles.len())
+            .map(|f| {
+                let of_triangle = whole.normals[self.atlas.triangle(f)].map(Vec3::from);
+                let side = if self.atlas.is_second(f) { -1.0 } else { 1.0 };
+                [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|corner| {
+                    let at = self.atlas.in_triangle(f, corner);
+                    number((0..3).map(|k| side * of_triangle[k] * at[k] as f32).sum())
+                })
+            })
+            .collect();
+        (normals, of_corner)
     }
 }
 

@@ -10,6 +10,8 @@ use crate::{
     scene::Scene,
 };
 
+/// Maps of which less than this share holds surface are worth a warning.
+const WELL_USED: f64 = 0.5;
 /// A step that changes the flux by more than this share is worth a warning.
 const NOTABLE: f64 = 1e-3;
 /// The same of light on sides without texels. Some always gets in where patches reach under a wall.
@@ -273,6 +275,15 @@ impl BakeReport {
                 atlas.charts,
                 100.0 * atlas.thin_share
             ));
+        }
+        if atlas.used_share < WELL_USED {
+            let why = match atlas.refused {
+                None => {
+                    "the texture coordinates of the file leave the rest empty, and new ones would use more"
+                }
+                Some(_) => "the rest are gaps between charts; more texels make the gaps smaller",
+            };
+            warnings.push(format!("{:.0} % of the texels hold surface: {why}", 100.0 * atlas.used_share));
         }
         if atlas.shared_texels > 0 {
             warnings.push(format!(

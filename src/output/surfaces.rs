@@ -2,7 +2,10 @@
 //!
 //! Two triangles continue each other across an edge if no third triangle has that edge, their windings agree, they have
 //! one material, and their normals differ by less than the crease angle. At an edge of three triangles several surfaces
-//! meet, for example a floor and a wall with a room on each side. Their light is independent.
+//! meet, for example a floor and a wall with a room on each side. Their light is independent. Normals of the file, if it has
+//! any, decide instead of the crease angle.
+
+use glam::Vec3;
 
 use crate::{
     patch::{
@@ -11,6 +14,12 @@ use crate::{
     },
     scene::Scene,
 };
+
+/// Edges with a larger angle, in degrees, are creases, even if the file has one normal on both sides: tools average the normals
+/// of rooms too. A column of six sides is still round.
+const ROUNDEST: f64 = 61.0;
+/// Cosine above which normals of a file are the same: they are rounded to few digits.
+const SAME_NORMAL: f32 = 0.9998;
 
 /// No such edge, vertex or slot.
 pub(super) const NONE: u32 = u32::MAX;
@@ -28,7 +37,7 @@ pub(super) struct Surfaces {
 }
 
 impl Surfaces {
-    /// Finds the smooth surfaces; `crease` in degrees.
+    /// Finds the smooth surfaces; `crease` in degrees, where the file has no normals.
     pub(super) fn new(scene: &Scene, patches: &Patches, crease: f64) -> Surfaces {
         let triangles = scene.triangles.len();
         let (mut across, mut clusters) = (vec![NONE; 6 * triangles], DisjointSets::new(6 * triangles));
@@ -43,7 +52,7 @@ impl Surfaces {
             let [t, u] = [e, f].map(|slot| scene.triangles[slot as usize / 3].material);
             t == u
         };
-        for [e, f] in smooth_edges(scene, crease).into_iter().filter(|&[e, f]| same_material(e, f)) {
+        for [e, f] in shaded_edges(scene, crease).into_iter().filter(|&[e, f]| same_material(e, f)) {
             join(e, f);
             if back[e as usize / 3] && back[f as usize / 3] {
                 join(e + 3 * triangles as u32, f + 3 * triangles as u32);
@@ -91,8 +100,34 @@ fn next(slot: u32) -> u32 {
 
 /// Pairs of front slots whose triangles continue each other across the edge. Their materials may differ.
 pub(crate) fn smooth_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
+    edges_within(scene, crease, |_| true)
+}
+
+/// The same, where the normals of the file do not decide otherwise: an edge is smooth where both triangles have the same normals
+/// at its ends, and a crease where they have others.
+fn shaded_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
+    if scene.normals.is_empty() {
+        return smooth_edges(scene, crease);
+    }
+    let normals = |slot: u32| {
+        let ends = [slot, next(slot)];
+        ends.map(|slot| Vec3::from(scene.normals[slot as usize / 3][slot as usize % 3]).normalize_or_zero())
+    };
+    let mut edges = edges_within(scene, ROUNDEST, |[e, f]| {
+        // The edge runs the other way on the other triangle.
+        let ([a, b], [c, d]) = (normals(e), normals(f));
+        a.dot(d) > SAME_NORMAL && b.dot(c) > SAME_NORMAL
+    });
+    edges.extend(edges_within(scene, crease, |[e, f]| {
+        [e, f].map(normals).as_flattened().contains(&Vec3::ZERO)
+    }));
+    edges
+}
+
+/// Pairs of front slots whose triangles continue each other across the edge at less than an angle, of those that `counts` chooses.
+fn edges_within(scene: &Scene, angle: f64, counts: impl Fn([u32; 2]) -> bool) -> Vec<[u32; 2]> {
     let normals: Vec<_> = (0..scene.triangles.len()).map(|t| scene.normal(t)).collect();
-    let least_cosine = crease.to_radians().cos();
+    let least_cosine = angle.to_radians().cos();
     slots(scene)
         .chunk_by(same_edge)
         .filter_map(|group| {
@@ -100,7 +135,35 @@ pub(crate) fn smooth_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
             let (t, u) = (e as usize / 3, f as usize / 3);
             let start = |slot: u32| scene.triangles[slot as usize / 3].vertices[slot as usize % 3];
             let smooth = start(e) != start(f) && normals[t].dot(normals[u]) > least_cosine;
-            smooth.then_some([e, f])
+            (smooth && counts([e, f])).then_some([e, f])
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Material;
+    use glam::{DVec3, dvec3};
+
+    /// Whether the edge of two triangles at an angle, in degrees, is smooth, with these normals at all of their corners.
+    fn is_smooth(angle: f64, normals: Option<[[f32; 3]; 2]>) -> bool {
+        let (sine, cosine) = angle.to_radians().sin_cos();
+        let triangles =
+            [([DVec3::ZERO, DVec3::X, DVec3::Y], 0), ([DVec3::ZERO, DVec3::Y, dvec3(-cosine, 0.0, sine)], 0)];
+        let mut scene = Scene::new(&triangles, vec![Material::new("m", [0.5; 3], [0.0; 3])]);
+        scene.normals = normals.map_or(Vec::new(), |both| both.map(|normal| [normal; 3]).to_vec());
+        shaded_edges(&scene, 30.0).len() == 1
+    }
+
+    #[test]
+    fn normals_of_the_file_decide_what_is_smooth() {
+        let (up, side, between, none) = ([0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.4, 0.0, 2.0], [0.0; 3]);
+        assert_eq!([20.0, 40.0].map(|angle| is_smooth(angle, None)), [true, false]);
+        assert_eq!([20.0, 40.0].map(|angle| is_smooth(angle, Some([between; 2]))), [true; 2]);
+        assert_eq!([20.0, 40.0].map(|angle| is_smooth(angle, Some([up, side]))), [false; 2]);
+        assert_eq!([20.0, 40.0].map(|angle| is_smooth(angle, Some([up, none]))), [true, false]);
+        // The corner of a room stays one, though a tool has averaged its normals.
+        assert!(!is_smooth(90.0, Some([between; 2])));
+    }
 }

@@ -90,7 +90,7 @@ fn on_edges(corners: [u32; 3], known: &OnEdges) -> [Vec<u32>; 3] {
 pub(super) fn replace(scene: &mut Scene, left: &HashMap<u32, Vec<[u32; 3]>>, cuts: &Cuts) {
     let old = std::mem::take(&mut scene.triangles);
     let texcoords = [&mut scene.texcoords, &mut scene.emission_texcoords].map(std::mem::take);
-    let colours = std::mem::take(&mut scene.colours);
+    let [colours, normals] = [&mut scene.colours, &mut scene.normals].map(std::mem::take);
     let face_corners = std::mem::take(&mut scene.face_corners);
     let backs = old.len() - scene.backs_of_lamps;
     scene.backs_of_lamps = 0;
@@ -112,8 +112,8 @@ pub(super) fn replace(scene: &mut Scene, left: &HashMap<u32, Vec<[u32; 3]>>, cut
             let mapped = |uv: &[DVec2; 3]| corners.map(|weights| interpolate(uv, weights));
             scene.texcoords.extend(texcoords[0].get(t).map(mapped));
             scene.emission_texcoords.extend(texcoords[1].get(t).map(mapped));
-            let mixed = |colours: &[[f32; 3]; 3]| {
-                corners.map(|w| [0, 1, 2].map(|c| (0..3).map(|k| colours[k][c] * w[k] as f32).sum()))
+            let mixed = |values: &[[f32; 3]; 3]| {
+                corners.map(|w| [0, 1, 2].map(|c| (0..3).map(|k| values[k][c] * w[k] as f32).sum()))
             };
             scene.colours.extend(colours.get(t).map(mixed));
             let named = |names: &[u32; 3]| {
@@ -121,6 +121,7 @@ pub(super) fn replace(scene: &mut Scene, left: &HashMap<u32, Vec<[u32; 3]>>, cut
                 vertices.map(|v| name(v).unwrap_or(NEW_CORNER | v))
             };
             scene.face_corners.extend(face_corners.get(t).map(named));
+            scene.normals.extend(normals.get(t).map(mixed));
             scene.triangles.push(Triangle { vertices, ..*triangle });
             scene.backs_of_lamps += usize::from(t >= backs);
         }

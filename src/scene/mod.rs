@@ -126,6 +126,9 @@ pub struct Scene {
     pub emission_texcoords: Vec<[DVec2; 3]>,
     /// Linear colours of each triangle's corners; they multiply its reflectance. Empty if no triangle has any.
     pub colours: Vec<[[f32; 3]; 3]>,
+    /// Normals of each triangle's corners as the file gives them, of any length; zero where it gives none. They say where
+    /// pictures and colours of vertices are smooth. Light ignores them. Empty if no triangle has any.
+    pub normals: Vec<[[f32; 3]; 3]>,
     /// The faces that the triangles come from, in file order; empty unless [`LoadOptions::faces`] asked for them.
     pub faces: Vec<Face>,
     /// The corners of its face that each triangle has, counted from 0, or [`NEW_CORNER`] plus a vertex that the file does not have.
@@ -279,6 +282,8 @@ impl Scene {
         }
         let mut keep = kept.iter();
         self.colours.retain(|_| keep.next() == Some(&true));
+        let mut keep = kept.iter();
+        self.normals.retain(|_| keep.next() == Some(&true));
         let mut keep = kept.iter();
         self.face_corners.retain(|_| keep.next() == Some(&true));
         let backs = &kept[kept.len() - self.backs_of_lamps..];

@@ -13,7 +13,7 @@
 //! - The reflectance is 0.5, with a warning, for a material without `Kd`, an undefined material and a face without material.
 //! - A missing `Kd` is 1 beside `map_Kd`; a missing `Ke` is 1 beside `map_Ke`.
 //! - The first of two definitions of a material counts.
-//! - Normals are not read. The front is where the vertices run counter-clockwise.
+//! - The front is where the vertices run counter-clockwise. Normals only say where pictures are smooth.
 //! - `-s` and `-o` of a texture statement make `uv · s + o`.
 //! - Texels are holes where `map_d`, or else the alpha of `map_Kd`, is below a half. Faces with `d 0` are left out.
 //! - Only materials that faces use are kept.
@@ -60,15 +60,18 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
 
     // The reflectance of an option takes precedence over colours, which are rather pictures than measured values.
     let coloured = options.reflectance.is_none() && !scan.colours.is_empty();
+    let smooth = !scan.normals.is_empty();
     let mut assembly = Assembly {
         path,
         materials: Materials::new(*options),
         builder: SceneBuilder::default(),
-        scan: coloured.then_some(&scan),
+        coloured: coloured.then_some(&scan),
+        smooth: smooth.then_some(&scan),
         colours: Vec::new(),
+        normals: Vec::new(),
     };
     assembly.add(&models, &scan.faces, &definitions, &libraries.origins)?;
-    let Assembly { mut materials, builder, mut colours, .. } = assembly;
+    let Assembly { mut materials, builder, mut colours, normals, .. } = assembly;
 
     let mut warnings = scan.warnings;
     warnings.append(libraries.warnings);
@@ -78,6 +81,7 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
         colours.resize(scene.triangles.len(), [[1.0; 3]; 3]);
     }
     scene.colours = colours;
+    scene.normals = normals;
     scene.materials = materials.materials;
     scene.textures = materials.textures;
     if options.faces {
@@ -117,10 +121,14 @@ struct Assembly<'a> {
     path: &'a Path,
     materials: Materials,
     builder: SceneBuilder,
-    /// Colours of the corners, if vertices have colours.
-    scan: Option<&'a Scan>,
+    /// Where vertices have colours.
+    coloured: Option<&'a Scan>,
+    /// Where there are normals.
+    smooth: Option<&'a Scan>,
     /// Colours of each triangle's corners.
     colours: Vec<[[f32; 3]; 3]>,
+    /// Normals of each triangle's corners.
+    normals: Vec<[[f32; 3]; 3]>,
 }
 
 impl Assembly<'_> {
@@ -141,13 +149,13 @@ impl Assembly<'_> {
             for i in 0..count {
                 let arity = mesh.face_arities.get(i).map_or(3, |&n| n as usize);
                 let face = faces.next().expect("tobj and the layer before it agree on the faces");
-                let colours = self.colours_of(face, arity);
+                let [colours, normals] = [self.colours_of(face, arity), self.normals_of(face, arity)];
                 let kind = (face.textured, colours.is_some());
                 let material = self.materials.index(mesh.material_id, kind, definitions, origins)?;
                 if mesh.material_id.is_none() && colours.is_none() {
                     without_material.get_or_insert(face.line);
                 }
-                self.polygon(mesh, start..start + arity, face, material, colours)?;
+                self.polygon(mesh, start..start + arity, face, material, [colours, normals])?;
                 start += arity;
             }
         }
@@ -166,8 +174,15 @@ impl Assembly<'_> {
 
     /// The colours of a face's vertices, if all have one.
     fn colours_of(&self, face: &Face, arity: usize) -> Option<Vec<[f32; 3]>> {
-        let scan = self.scan?;
-        scan.corners[face.corners..][..arity].iter().map(|&v| scan.colours[v as usize]).collect()
+        let scan = self.coloured?;
+        scan.corners[face.corners..][..arity].iter().map(|&(v, _)| scan.colours[v as usize]).collect()
+    }
+
+    /// The normals of a face's corners; zero where one is not given.
+    fn normals_of(&self, face: &Face, arity: usize) -> Option<Vec<[f32; 3]>> {
+        let scan = self.smooth?;
+        let normal = |&(_, vn): &(u32, u32)| scan.normals.get(vn as usize).copied().unwrap_or_default();
+        Some(scan.corners[face.corners..][..arity].iter().map(normal).collect())
     }
 
     fn polygon(
@@ -176,7 +191,7 @@ impl Assembly<'_> {
         corners: std::ops::Range<usize>,
         face: &Face,
         material: u32,
-        colours: Option<Vec<[f32; 3]>>,
+        [colours, normals]: [Option<Vec<[f32; 3]>>; 2],
     ) -> Result<()> {
         let points: Vec<DVec3> = mesh.indices[corners.clone()]
             .iter()
@@ -197,9 +212,12 @@ impl Assembly<'_> {
             let uv = uv.as_ref().map(|uv| triangle.map(|i| uv[i]));
             let kept = self.builder.scene.triangles.len();
             self.builder.push_part(&points, triangle, material, uv);
-            if let Some(colours) = colours.as_ref().filter(|_| self.builder.scene.triangles.len() > kept) {
-                self.colours.resize(kept, [[1.0; 3]; 3]);
-                self.colours.push(triangle.map(|i| colours[i]));
+            if self.builder.scene.triangles.len() > kept {
+                if let Some(colours) = &colours {
+                    self.colours.resize(kept, [[1.0; 3]; 3]);
+                    self.colours.push(triangle.map(|i| colours[i]));
+                }
+                self.normals.extend(normals.as_ref().map(|normals| triangle.map(|i| normals[i])));
             }
         }
         Ok(())

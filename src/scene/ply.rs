@@ -50,6 +50,7 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
         sides: ["triangle", "side"].iter().all(|p| header.elements["face"].properties.contains_key(*p)),
         both: header.comments.iter().any(|comment| comment.trim() == BOTH_SIDES),
         vertices: Vec::new(),
+        normals: Vec::new(),
         builder: SceneBuilder::default(),
         materials: Vec::new(),
         known: HashMap::new(),
@@ -262,7 +263,9 @@ struct Mesh<'a> {
     sides: bool,
     /// Whether the file has both sides of patches.
     both: bool,
-    vertices: Vec<(DVec3, Option<[f64; 3]>)>,
+    vertices: Vec<Corner>,
+    /// Normals of each triangle's corners, where the vertices have some.
+    normals: Vec<[[f32; 3]; 3]>,
     builder: SceneBuilder,
     materials: Vec<Material>,
     /// Materials by reflectance and emission.
@@ -288,7 +291,8 @@ impl Mesh<'_> {
             return Err(at.error(self.path, "a coordinate is not finite".into()));
         }
         let colour = vertex.colour.linear().map_err(|why| at.error(self.path, why))?;
-        self.vertices.push((position, colour.filter(|_| self.colours_count())));
+        let colour = colour.filter(|_| self.colours_count());
+        self.vertices.push(Corner { position, normal: vertex.normal, colour });
         Ok(())
     }
 
@@ -331,7 +335,8 @@ impl Mesh<'_> {
         if let Some(bad) = emission.into_iter().find(|&l| !is_radiance(l)) {
             return Err(error(format!("radiance {bad:?} is not a number from 0 to {MOST_RADIANCE:e}")));
         }
-        let points: Vec<DVec3> = corners.iter().map(|(p, _)| *p).collect();
+        let points: Vec<DVec3> = corners.iter().map(|corner| corner.position).collect();
+        let normals: Vec<[f32; 3]> = corners.iter().map(|corner| corner.normal).collect();
         let triangles = triangulate::polygon(&points).ok_or_else(|| error(triangulate::TOO_MANY.into()))?;
         let material = self.material(reflectance, emission);
         if self.options.faces {
@@ -341,7 +346,11 @@ impl Mesh<'_> {
             self.builder.face(at.line, *self.parts.entry(part).or_insert(next));
         }
         for triangle in triangles {
-            self.builder.push(triangle.map(|i| points[i]), material, None);
+            let kept = self.builder.scene.triangles.len();
+            self.builder.push_part(&points, triangle, material, None);
+            if self.builder.scene.triangles.len() > kept {
+                self.normals.push(triangle.map(|i| normals[i]));
+            }
         }
         Ok(())
     }
@@ -379,6 +388,9 @@ impl Mesh<'_> {
             self.warnings.push(format!("{file}: its texture is left out"));
         }
         let mut scene = self.builder.finish();
+        if header.elements["vertex"].properties.contains_key("nx") {
+            scene.normals = self.normals;
+        }
         if scene.triangles.is_empty() {
             return Err(Error::input(self.path, None, "every face has zero area")
                 .with_hint("check that the vertices of the faces are at different places"));
@@ -395,11 +407,18 @@ impl Mesh<'_> {
     }
 }
 
+/// A vertex, as corners of faces have it.
+struct Corner {
+    position: DVec3,
+    normal: [f32; 3],
+    colour: Option<[f64; 3]>,
+}
+
 /// The mean of the vertices' colours, if all have one.
-fn mean(corners: &[&(DVec3, Option<[f64; 3]>)]) -> Option<[f64; 3]> {
+fn mean(corners: &[&Corner]) -> Option<[f64; 3]> {
     let mut sum = [0.0; 3];
-    for (_, colour) in corners {
-        let colour = (*colour)?;
+    for corner in corners {
+        let colour = corner.colour?;
         (0..3).for_each(|c| sum[c] += colour[c]);
     }
     Some(sum.map(|s| s / corners.len() as f64))

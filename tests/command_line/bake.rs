@@ -261,6 +261,43 @@ fn the_mesh_that_comes_back_is_the_file_with_other_texture_coordinates() {
     assert!(map.texcoords.iter().flatten().all(|uv| uv.min_element() >= 0.0 && uv.max_element() <= 1.0));
 }
 
+/// A bent sheet of two quads with normals at its vertices, and a lamp above it.
+const PLY: &str = "ply\nformat ascii 1.0\nelement vertex 10\nproperty float x\nproperty float y\nproperty float z\n\
+    property float nx\nproperty float ny\nproperty float nz\nelement face 3\nproperty list uchar int vertex_indices\n\
+    property float emission_r\nproperty float emission_g\nproperty float emission_b\nend_header\n\
+    0 0 0 0 2 0\n0 0 1 0 2 0\n1 0 1 0.6 0.8 0\n1 0 0 0.6 0.8 0\n1.5 -1 1 1 0 0\n1.5 -1 0 1 0 0\n\
+    0 2 0 0 -1 0\n1 2 0 0 -1 0\n1 2 1 0 -1 0\n0 2 1 0 -1 0\n4 0 1 2 3 0 0 0\n4 3 2 4 5 0 0 0\n4 6 7 8 9 5 5 5\n";
+
+#[test]
+fn quads_and_normals_of_a_ply_come_back() {
+    let here = Here::new("", "");
+    fs::write(here.path("sheet.ply"), PLY).unwrap();
+    bake(&here, "sheet.ply -o out --resolution 64 --final-gather 0");
+    let obj = String::from_utf8(here.read("out/scene.obj")).unwrap();
+    let words = |keyword: &str| -> Vec<Vec<String>> {
+        let lines = obj.lines().filter_map(|line| line.strip_prefix(keyword));
+        lines.map(|line| line.split_whitespace().map(str::to_owned).collect()).collect()
+    };
+    let faces = words("f ");
+    assert_eq!(faces.iter().map(Vec::len).collect::<Vec<_>>(), [4, 4, 4], "{obj}");
+    let number = |word: &str| word.parse::<f64>().unwrap();
+    let (vertices, normals) = (words("v "), words("vn "));
+    for (face, of_file) in faces.iter().zip([[0, 1, 2, 3], [3, 2, 4, 5], [6, 7, 8, 9]]) {
+        let lines: Vec<&str> = PLY.lines().skip_while(|line| *line != "end_header").skip(1).collect();
+        for (corner, v) in face.iter().zip(of_file) {
+            let given: Vec<f64> = lines[v].split(' ').map(number).collect();
+            let index: Vec<usize> = corner.split('/').map(|i| i.parse::<usize>().unwrap() - 1).collect();
+            let position: Vec<f64> = vertices[index[0]].iter().map(|x| number(x)).collect();
+            assert_eq!(position, given[..3]);
+            let length = given[3..].iter().map(|x| x * x).sum::<f64>().sqrt();
+            for (found, wanted) in normals[index[2]].iter().zip(&given[3..]) {
+                assert!((number(found) - wanted / length).abs() < 1e-6, "{corner}");
+            }
+        }
+    }
+    assert!(Scene::load(here.path("out/scene.obj")).unwrap().warnings.is_empty());
+}
+
 /// Two signals at once, as timeout(1) sends them. The second one does not wait for work that stops after the first.
 #[cfg(unix)]
 #[test]

@@ -424,3 +424,17 @@ fn colours_of_vertices_are_reflectances_times_kd() {
         assert_eq!(found, [0.3, 0.5, 0.3]);
     }
 }
+
+#[test]
+fn normals_are_kept_for_smooth_shading_and_turn_no_face() {
+    let text = format!(
+        "{TRIANGLE}vn 0 0 -1\nvn 0 3 4 # long\nvn nan 0 0\nf 1//1 2/2/2 3//-1\nf 1 2//9 3//1\nf 1/1 2/2 3/3\n"
+    );
+    let scene = obj(&text).load();
+    let zero = [0.0; 3];
+    assert_eq!(scene.normals[0], [[0.0, 0.0, -1.0], [0.0, 3.0, 4.0], zero]);
+    assert_eq!(scene.normals[1..], [[zero, zero, [0.0, 0.0, -1.0]], [zero; 3]]);
+    assert!((0..3).all(|t| scene.normal(t) == DVec3::Z));
+    assert!(scene.warnings.iter().all(|warning| !warning.contains("normal")), "{:?}", scene.warnings);
+    assert!(obj(&format!("{TRIANGLE}f 1 2 3\n")).load().normals.is_empty());
+}

@@ -20,7 +20,7 @@ pub(super) struct Face {
     pub(super) textured: bool,
     /// Index into the parts.
     pub(super) part: u32,
-    /// Where the numbers of its vertices begin in [`Scan::corners`].
+    /// Where its corners begin in [`Scan::corners`].
     pub(super) corners: usize,
 }
 
@@ -32,8 +32,11 @@ pub(super) struct Scan {
     pub(super) faces: Vec<Face>,
     /// Linear colours of the vertices, in file order. Empty if the file has none.
     pub(super) colours: Vec<Option<[f32; 3]>>,
-    /// Vertices of all faces, counted from 0. Empty if no vertex has a colour.
-    pub(super) corners: Vec<u32>,
+    /// Normals, in file order.
+    pub(super) normals: Vec<[f32; 3]>,
+    /// Vertices and normals of all faces, counted from 0; a normal that is not there has a number that does not exist. Empty if
+    /// neither colours nor normals are given.
+    pub(super) corners: Vec<(u32, u32)>,
     /// Objects and groups of faces.
     pub(super) parts: Vec<Part>,
     /// `mtllib` lines.
@@ -49,6 +52,7 @@ struct Scanner<'a> {
     texcoords: usize,
     /// The value of full brightness in the file's colours: 1 or 255. `None` if vertices have no colours.
     white: Option<f64>,
+    has_normals: bool,
     total_positions: usize,
     total_texcoords: usize,
     vertex_text: String,
@@ -89,6 +93,7 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
         positions: 0,
         texcoords: 0,
         white: white(text),
+        has_normals: text.contains("vn"),
         total_positions: count("v"),
         total_texcoords: count("vt"),
         vertex_text: String::new(),
@@ -105,6 +110,7 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
             text: String::new(),
             faces: Vec::new(),
             colours: Vec::new(),
+            normals: Vec::new(),
             corners: Vec::new(),
             parts: Vec::new(),
             libraries: Vec::new(),
@@ -117,6 +123,7 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
         match keyword {
             "v" => scanner.position(number, without_comment(rest))?,
             "vt" => scanner.texcoord(number, without_comment(rest))?,
+            "vn" => scanner.normal(without_comment(rest)),
             "f" | "fo" => scanner.face(number, without_comment(rest))?,
             "usemtl" => scanner.material = Some(if rest.is_empty() { UNNAMED } else { rest }.into()),
             "o" => scanner.belongs(|part| &mut part.object, rest),
@@ -160,6 +167,15 @@ impl Scanner<'_> {
         Ok(())
     }
 
+    /// A normal that is none counts as one that is not given: light does not depend on it.
+    fn normal(&mut self, rest: &str) {
+        let mut normal = [0.0; 3];
+        for (value, word) in normal.iter_mut().zip(rest.split_whitespace()) {
+            *value = word.parse().ok().filter(|x: &f32| x.is_finite()).unwrap_or_default();
+        }
+        self.scan.normals.push(normal);
+    }
+
     fn texcoord(&mut self, line: usize, rest: &str) -> Result<()> {
         let mut uv = [0.0f64; 2];
         for (value, word) in uv.iter_mut().zip(rest.split_whitespace()) {
@@ -184,13 +200,13 @@ impl Scanner<'_> {
             return Ok(());
         }
         self.use_material(line);
-        let textured = corners.iter().all(|(_, vt)| vt.is_some());
+        let textured = corners.iter().all(|(_, vt, _)| vt.is_some());
         self.face_text.push('f');
         let first = self.scan.corners.len();
-        if self.white.is_some() {
-            self.scan.corners.extend(corners.iter().map(|(v, _)| *v as u32 - 1));
+        if self.white.is_some() || self.has_normals {
+            self.scan.corners.extend(corners.iter().map(|&(v, _, vn)| (v as u32 - 1, vn)));
         }
-        for (v, vt) in corners {
+        for (v, vt, _) in corners {
             let _ = match vt.filter(|_| textured) {
                 Some(vt) => write!(self.face_text, " {v}/{vt}"),
                 None => write!(self.face_text, " {v}"),
@@ -230,9 +246,10 @@ impl Scanner<'_> {
         }
     }
 
-    /// Vertex and texture coordinate of a corner. Normals do not count: the order of the vertices decides which side is the
-    /// front. A texture coordinate that does not exist is not an error, since the light may not depend on it.
-    fn corner(&mut self, line: usize, word: &str) -> Result<(usize, Option<usize>)> {
+    /// Vertex and texture coordinate of a corner, counted from 1, and its normal, counted from 0. The order of the vertices
+    /// decides which side is the front. A texture coordinate or a normal that does not exist is not an error, since the light
+    /// may not depend on it.
+    fn corner(&mut self, line: usize, word: &str) -> Result<(usize, Option<usize>, u32)> {
         let mut parts = word.split('/');
         let mut index = || match parts.next().unwrap_or_default() {
             "" => Ok(None),
@@ -251,11 +268,14 @@ impl Scanner<'_> {
             };
             return Err(self.error(line, format!("face corner `{word}`: {why}")));
         };
+        let given = parts.next().and_then(|digits| digits.parse().ok());
+        let normal = given.and_then(|vn| absolute(vn, self.scan.normals.len(), u32::MAX as usize));
+        let normal = normal.map_or(u32::MAX, |vn| vn as u32 - 1);
         let texcoord = vt.and_then(|vt| absolute(vt, self.texcoords, self.total_texcoords));
         if vt.is_some() && texcoord.is_none() {
             self.absent_texcoords.add(line);
         }
-        Ok((position, texcoord))
+        Ok((position, texcoord, normal))
     }
 
     fn finish(self) -> Scan {

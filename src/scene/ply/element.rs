@@ -46,6 +46,8 @@ const COLOUR: [&str; 3] = ["red", "green", "blue"];
 #[derive(Default)]
 pub(super) struct Vertex {
     pub(super) position: [f64; 3],
+    /// Zero where none is given.
+    pub(super) normal: [f32; 3],
     pub(super) colour: Channels,
 }
 
@@ -59,6 +61,9 @@ impl PropertyAccess for Vertex {
             ("x", Some(x)) => self.position[0] = x,
             ("y", Some(y)) => self.position[1] = y,
             ("z", Some(z)) => self.position[2] = z,
+            ("nx", Some(x)) => self.normal[0] = x as f32,
+            ("ny", Some(y)) => self.normal[1] = y as f32,
+            ("nz", Some(z)) => self.normal[2] = z as f32,
             (_, Some(value)) => {
                 self.colour.take(COLOUR, name, value / full(&property));
             }
