@@ -1,7 +1,7 @@
-//! Where in the map each triangle lies.
+//! Where each triangle lies in the map.
 //!
-//! Coordinates that the file has are used when they suit a lightmap: inside the unit square, without overlap, with room
-//! between charts. Else new ones are made.
+//! The texture coordinates of the file are used if they suit a lightmap: they lie inside the unit square, do not overlap, and
+//! leave room between charts. Otherwise new ones are made.
 
 use std::collections::HashMap;
 
@@ -16,7 +16,7 @@ pub const NONE: u32 = u32::MAX;
 pub(super) const CREASE: f64 = 30.0;
 /// No map is larger than this in either direction.
 pub const LARGEST: usize = 16_384;
-/// Pages of maps by texel length are no larger than this unless told.
+/// Default of the largest page, in texels a side, if the texel length is given.
 pub const PAGE: usize = 4096;
 /// Charts are wanted to be at least this many texels wide.
 const THIN: f64 = 2.0;
@@ -26,17 +26,17 @@ const THIN: f64 = 2.0;
 pub enum Layout {
     /// One square page of so many texels a side.
     Resolution(usize),
-    /// Texels of this length, in the file's unit, on as many pages as it takes; none larger than so many texels a side.
+    /// Texels of this length, in the file's unit, on as many pages as needed. No page has more texels a side than the number.
     Texel(f64, usize),
 }
 
 /// Whose texture coordinates to use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Coordinates {
-    /// The file's where they suit, else new ones.
+    /// Those of the file if they suit, otherwise new ones.
     #[default]
     Auto,
-    /// The file's; an error where they do not suit.
+    /// Those of the file. It is an error if they do not suit.
     File,
     /// New ones.
     New,
@@ -46,13 +46,13 @@ pub enum Coordinates {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct AtlasOptions {
-    /// How large it is.
+    /// How large the map is.
     pub layout: Layout,
     /// Whose texture coordinates it has.
     pub coordinates: Coordinates,
-    /// Materials whose texels are shorter by a factor than others', by index.
+    /// Materials, by index, whose texels are shorter than those of others by a factor.
     pub density: Vec<(u32, f64)>,
-    /// Triangles of which both sides have texels; none where it is empty.
+    /// Whether both sides of each triangle get texels. Empty if that is true of none.
     pub two_sided: Vec<bool>,
 }
 
@@ -67,12 +67,12 @@ impl AtlasOptions {
         AtlasOptions { layout, coordinates, density: Vec::new(), two_sided: Vec::new() }
     }
 
-    /// By how much shorter the texels of a material are.
+    /// The factor by which the texels of a material are shorter.
     pub(super) fn factor(&self, material: u32) -> f64 {
         self.density.iter().rev().find(|(m, _)| *m == material).map_or(1.0, |(_, factor)| *factor)
     }
 
-    /// Why the file's own coordinates are out of the question, if they are.
+    /// Why the options rule out the coordinates of the file, if they do.
     fn wants_new(&self) -> Option<&'static str> {
         match self {
             AtlasOptions { density, .. } if !density.is_empty() => Some("they have a density of their own"),
@@ -86,8 +86,8 @@ impl AtlasOptions {
 
 /// Texture coordinates that address a lightmap.
 ///
-/// They are of *facets*: the triangles of the scene; parts of them where charts would be too large; and second copies of
-/// triangles of which both sides have texels.
+/// They belong to *facets*: the triangles of the scene, parts of triangles if charts would be too large, and second copies of
+/// triangles if both sides have texels.
 #[derive(Debug, Clone)]
 pub struct Atlas {
     /// Texels in a row.
@@ -106,14 +106,14 @@ pub struct Atlas {
     pub page: Vec<u32>,
     /// Number of charts.
     pub charts: usize,
-    /// Why the file's coordinates were not used: `None` where they were.
+    /// Why the coordinates of the file were not used; `None` if they were.
     pub refused: Option<String>,
-    /// The facets, where they are not the triangles of the scene.
+    /// The facets, unless they are the triangles of the scene.
     pub(super) cut: Option<Cut>,
 }
 
 impl Atlas {
-    /// Lays a scene out, with texels of one density and one side of each triangle.
+    /// Lays a scene out with texels of one density, for one side of each triangle.
     ///
     /// # Errors
     /// Those of [`Atlas::with`].
@@ -157,7 +157,7 @@ impl Atlas {
         Ok(atlas)
     }
 
-    /// The facets as triangles of a scene: this one where none is cut.
+    /// The facets as triangles of a scene; the given scene if none is cut.
     pub fn scene<'a>(&'a self, scene: &'a Scene) -> &'a Scene {
         self.cut.as_ref().map_or(scene, |cut| &cut.scene)
     }

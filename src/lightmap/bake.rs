@@ -12,8 +12,8 @@ use crate::{
     trace::Tracer,
 };
 
-/// Light on the darker side of a triangle, relative to the brighter, from which both sides are shown. Less comes of patches that
-/// reach under a wall.
+/// Both sides of a triangle are shown if the darker one has at least this share of the light of the brighter one. Patches that
+/// reach under a wall cause smaller shares.
 const BOTH: f64 = 1e-2;
 
 /// Triangles of which both sides are worth texels: for [`AtlasOptions::two_sided`](super::AtlasOptions::two_sided).
@@ -75,7 +75,7 @@ pub fn bake(
     map.flux.standard_error = map.flux_error();
     progress.check()?;
     if options.final_gather == 0 {
-        // Counted by the patches above, which tell nothing of it; a final gather knows from its rays.
+        // Patches do not say which surface is inside a solid. The rays of a final gather do.
         let hidden = gather::hidden(&map.atlas, &map.coverage, tracer, &map.sides, &source, options.seed);
         cells.open.iter_mut().zip(hidden).filter(|(_, hidden)| *hidden).for_each(|(open, _)| *open = 0.0);
         map.step("hide", |map| {
@@ -115,7 +115,7 @@ pub(super) struct Cells {
     direct: Vec<Noisy>,
     reflected: Vec<Noisy>,
     pub(super) open: Vec<f32>,
-    /// Whether values have error bars.
+    /// Whether the values have error bars.
     pub(super) sampled: bool,
 }
 

@@ -1,8 +1,8 @@
 //! Triangles of a scene cut smaller, and second copies of triangles for their backs.
 //!
-//! A chart that is longer than a page has no place on it, and one that is almost as long as the page leaves the rest of it
-//! empty. Where a surface is longer than charts may be, edges that are too long are halved until none is, on both sides of an
-//! edge alike, so that the pieces still share their vertices. The light is computed on the scene as it is: each piece knows which part of which triangle it is.
+//! A chart that is longer than a page does not fit on it. A chart that is almost as long leaves the rest of the page empty. So
+//! the edges of long surfaces are halved until all are short enough, on both sides of an edge alike: the pieces still share
+//! their vertices. The light is computed on the uncut scene. Each piece knows which part of which triangle it is.
 
 use std::collections::{HashMap, HashSet};
 

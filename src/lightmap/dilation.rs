@@ -1,8 +1,7 @@
 //! Values for texels where there is no surface.
 //!
-//! A bilinear sample next to the border of a chart reads texels outside it. They get the mean of their neighbours nearer
-//! to the surface, ring by ring, until the page is full: mipmaps read far out. Texels that have a value are never
-//! written.
+//! A bilinear sample next to the border of a chart reads texels outside it. These get the mean of their neighbours nearer to
+//! the surface, ring by ring, until the page is full, because mipmaps read far out. Texels that have a value keep it.
 
 use super::{atlas::NONE, grid::Grid};
 

@@ -4,10 +4,11 @@
 //! map. Two files hold them. Their faces and corners are the same in the same order, so that corner k of face i has the
 //! first coordinates in one and the second in the other.
 //!
-//! A scene that was read from an OBJ file, and of which nothing was cut away, is written as a copy of that file. Only texture coordinates, names of material
-//! libraries and, on further pages, of materials change: objects, groups, smoothing groups, normals, comments and polygons
-//! stay as they are. A polygon whose parts lie on different charts is cut into its triangles, in both files. So is one that was
-//! cut to make charts smaller; its new vertices come first in the file. Second copies of faces, for their backs, come last.
+//! A scene from an OBJ file of which nothing was cut away is written as a copy of that file. Objects, groups, smoothing groups,
+//! normals, comments and polygons stay. Only texture coordinates, the names of material libraries and, on further pages, of
+//! materials change. A polygon whose parts lie on different charts is cut into its triangles, in both files. So is a polygon
+//! that was cut to make charts smaller; its new vertices come first in the file. Second copies of faces, for their backs, come
+//! last. Scenes from other files keep polygons and normals too.
 
 use std::{
     borrow::Cow,

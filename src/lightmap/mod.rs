@@ -1,11 +1,11 @@
 //! Lightmaps: the irradiance of a scene's surface as an image.
 //!
-//! [`Atlas`] says where in the map each triangle lies, [`Coverage`] which parts of which triangles each texel holds.
-//! [`bake`] gives every texel the mean irradiance of that part, exactly from the patches or sharper by a final gather,
-//! and then prepares the map for bilinear sampling: noise is taken out, texels without surface get values, seams are
-//! closed. Each of these steps can be left out and says what it did to the energy.
+//! [`Atlas`] says where each triangle lies in the map. [`Coverage`] says which parts of which triangles each texel holds.
+//! [`bake`] computes the mean irradiance of that part for every texel: exactly from the patches, or more sharply by a final
+//! gather. Then it prepares the map for bilinear sampling: it takes out noise, fills texels without surface and closes
+//! seams. Each of these steps can be left out, and reports how it changed the energy.
 //!
-//! A triangle is shown by the side that has more light; or by both, where the atlas has a place for each.
+//! The map shows the side of a triangle that has more light, or both sides if the atlas has a place for each.
 
 mod atlas;
 mod bake;
@@ -51,11 +51,11 @@ use crate::{
 pub struct BakeOptions {
     /// Hemisphere rays of the final gather a texel, and as many to lamps; 0 takes the patches as they are.
     pub final_gather: u32,
-    /// Whether noise of the final gather is taken out as far as its error bars allow.
+    /// Whether to take out noise of the final gather, as far as its error bars allow.
     pub denoise: bool,
-    /// Whether texels without surface get values for bilinear sampling.
+    /// Whether to fill texels without surface, for bilinear sampling.
     pub dilate: bool,
-    /// Whether both sides of seams are made to agree.
+    /// Whether to make both sides of seams agree.
     pub close_seams: bool,
     /// Everything is a function of it.
     pub seed: u64,
@@ -105,17 +105,17 @@ pub struct Step {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Flux {
-    /// By the solver, on the sides of triangles that the map is of.
+    /// From the solution, on the sides of triangles that the map shows.
     pub solver: [f64; 3],
-    /// By the texels as computed.
+    /// From the texels, before any step.
     pub map: [f64; 3],
-    /// Standard error of that from the final gather; what the solver is off by is not in it.
+    /// Its standard error from the final gather. Errors of the solution are not included.
     pub standard_error: [f64; 3],
-    /// By the finished texels.
+    /// From the finished texels.
     pub finished: [f64; 3],
-    /// By the solver, on triangles that have no place in the map.
+    /// From the solution, on triangles without a place in the map.
     pub unmapped: [f64; 3],
-    /// By the solver, on the sides of triangles that the map is not of.
+    /// From the solution, on the sides of triangles that the map does not show.
     pub other_sides: [f64; 3],
 }
 
@@ -124,7 +124,7 @@ pub struct Flux {
 pub struct Lightmap {
     atlas: Atlas,
     coverage: Coverage,
-    /// Whether the map is of the front of each facet's triangle.
+    /// Whether the map shows the front of each facet's triangle.
     sides: Vec<bool>,
     irradiance: Vec<[f32; 3]>,
     texels: Vec<Texel>,
@@ -152,12 +152,12 @@ impl Lightmap {
         &self.coverage
     }
 
-    /// Whether the map is of the front of a triangle, not of its back alone.
+    /// Whether the map shows the front of a triangle.
     pub fn is_of_front(&self, triangle: usize) -> bool {
         self.is_of(triangle, true)
     }
 
-    /// Whether the map is of a side of a triangle.
+    /// Whether the map shows a side of a triangle.
     pub fn is_of(&self, triangle: usize, front: bool) -> bool {
         self.facet(triangle, [1.0, 0.0, 0.0], front).is_some()
     }
@@ -171,7 +171,7 @@ impl Lightmap {
         })
     }
 
-    /// Area of surface that no light can reach, inside solids, by material of the scene.
+    /// Area of the surface inside solids, where no light arrives, for each material of the scene.
     pub fn hidden_areas(&self, scene: &Scene) -> Vec<f64> {
         let mut areas = vec![0.0; scene.materials.len()];
         for i in 0..self.coverage.len() {
@@ -193,13 +193,13 @@ impl Lightmap {
         &self.texels
     }
 
-    /// Standard error of every covered texel ([`Coverage::texels`]) from the final gather; empty without one. What
-    /// the solution itself is off by is not in it, nor what the steps after the gather may have added.
+    /// Standard error of every covered texel ([`Coverage::texels`]) from the final gather; empty without one. It includes the
+    /// bias that the denoiser finds. Errors of the solution are not included, nor what closing seams adds.
     pub fn standard_error(&self) -> &[[f32; 3]] {
         &self.standard_error
     }
 
-    /// Energy of the map against the solver's.
+    /// Flux of the map and of the solution.
     pub fn flux(&self) -> &Flux {
         &self.flux
     }
@@ -215,7 +215,7 @@ impl Lightmap {
         (self.seam_samples, self.seam_differences)
     }
 
-    /// Area of sides that are lit and have no texels, because the map is of the other side of their triangles.
+    /// Area of sides that are lit but have no texels, because the map shows the other side of their triangles.
     pub fn other_sides_area(&self) -> f64 {
         self.other_sides_area
     }
@@ -230,8 +230,8 @@ impl Lightmap {
         self.coverage.area(i) * f64::from(self.open[i])
     }
 
-    /// Irradiance at a point of a triangle, of its front where the map has both sides, read from the map bilinearly as a
-    /// viewer does; `None` for triangles without a place in it.
+    /// Irradiance at a point of a triangle, read from the map bilinearly, as a viewer does. It is that of the front if the map
+    /// shows both sides. `None` for triangles without a place in the map.
     pub fn at(&self, triangle: usize, barycentric: [f64; 3]) -> Option<[f64; 3]> {
         self.at_side(triangle, barycentric, self.is_of_front(triangle))
     }
@@ -248,8 +248,7 @@ impl Lightmap {
         Some(sum)
     }
 
-    /// Radiance that leaves the point that a ray hit, from the map alone; sides that it is not of are black but for
-    /// what they emit.
+    /// Radiance that leaves the point that a ray hit, from the map alone. Sides that the map does not show reflect nothing.
     pub fn radiance(&self, scene: &Scene, hit: &Hit) -> [f64; 3] {
         let t = hit.triangle as usize;
         let irradiance = self.at_side(t, hit.barycentric.map(f64::from), hit.front);
@@ -347,7 +346,7 @@ impl Lightmap {
         self.steps.retain(|step| step.name != "dilate");
     }
 
-    /// Does a step and notes what it does to the flux.
+    /// Does a step and records how it changes the flux.
     fn step(&mut self, name: &'static str, work: impl FnOnce(&mut Lightmap)) {
         let before = self.surface_flux();
         work(self);
@@ -377,7 +376,7 @@ impl Lightmap {
         squares.map(f64::sqrt)
     }
 
-    /// The solver's flux on what the map is of, and on what it is not of.
+    /// Adds up the flux of the solution: on the sides that the map shows and on all others.
     fn add_up_solution(&mut self, patches: &Patches, solution: &Solution) {
         let channels = solution.channels;
         for i in 0..patches.len() {

@@ -1,9 +1,8 @@
 //! Seams: edges of the surface that lie at two places of the map.
 //!
-//! Bilinear samples along such an edge, taken from either side, differ by noise and by how texels happen to lie. Least
-//! squares make them agree while every texel stays close to what was computed: those that hold surface closer, those
-//! outside of it less (after Iwanicki, "Lighting Technology of The Last of Us", SIGGRAPH 2013 talks). Creases are no
-//! seams: there the light really differs from side to side.
+//! Bilinear samples along such an edge differ from side to side, by noise and by the positions of the texels. Least squares
+//! make them agree while every texel stays close to its value: closely if it holds surface, less so outside (after Iwanicki,
+//! "Lighting Technology of The Last of Us", SIGGRAPH 2013 talks). Creases are no seams, since the light differs across them.
 
 use std::collections::HashMap;
 
@@ -17,9 +16,9 @@ use crate::{output::surfaces::smooth_edges, scene::Scene};
 
 /// Samples along a seam, a texel of its longer image.
 const SAMPLES: f64 = 2.0;
-/// How much it costs to move a texel that holds surface, against a difference across the seam,
+/// Weight of the change of a texel that holds surface, relative to that of a difference across the seam.
 const INSIDE: f64 = 0.05;
-/// and one that holds none.
+/// The same for texels without surface.
 const OUTSIDE: f64 = 0.005;
 const MOST_ITERATIONS: usize = 200;
 const TOLERANCE: f64 = 1e-6;
