@@ -102,7 +102,8 @@ const MOST_LAMPS: usize = 256;
 
 /// The luminaires that are inside out. After some reflections more than half of the light of their fronts is still close to
 /// them: in a box whose faces are inside out, or between a lamp and the ceiling that it faces. Of walks from their backs fewer
-/// than a quarter stay so close. A lamp deep in a recess shines out of it, at last after some reflections.
+/// than a quarter stay so close, and some meet the room; the back of a room that glows all round sees nothing. A lamp deep in a
+/// recess shines out of it, at last after some reflections.
 pub fn turned_lamps(scene: &Scene, tracer: &Tracer) -> Vec<TurnedLamp> {
     let area = |lamp: &[usize]| lamp.iter().map(|&t| scene.area(t)).sum::<f64>();
     let mut lamps: Vec<(f64, Vec<usize>)> =
@@ -116,9 +117,13 @@ pub fn turned_lamps(scene: &Scene, tracer: &Tracer) -> Vec<TurnedLamp> {
         let [low, high] = corners.fold(none, |[low, high], p| [low.min(p), high.max(p)]);
         let reach = (0.5 * area.sqrt() / tracer.scale()) as f32;
         let near = [low - reach, high + reach];
-        let kept = |front: bool| kept(scene, tracer, lamp, front, near);
-        let (share, lit) = kept(true);
-        (share > 0.5 && kept(false).0 < 0.25).then_some(TurnedLamp { triangle: lamp[0], lit, kept: share })
+        let [front, back] = [true, false].map(|front| walks(scene, tracer, lamp, front, near));
+        let sees_room = back.kept < 0.25 && back.left > 0.1;
+        (front.kept > 0.5 && sees_room).then_some(TurnedLamp {
+            triangle: lamp[0],
+            lit: front.lit,
+            kept: front.kept,
+        })
     };
     lamps.par_iter().filter_map(turned).collect()
 }
@@ -140,12 +145,21 @@ fn luminaires(scene: &Scene) -> Vec<Vec<usize>> {
     luminaires
 }
 
-/// The share of the walks from one side of some triangles, from hit to hit, that end in a box; and the material that most of them
-/// meet first.
-fn kept(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]: [Vec3A; 2]) -> (f64, u32) {
+/// What becomes of walks from hit to hit.
+struct Walks {
+    /// The share that stays in a box.
+    kept: f64,
+    /// The share that meets a surface outside of it. The others leave the scene.
+    left: f64,
+    /// The material that most of them meet first.
+    lit: u32,
+}
+
+/// Walks from one side of some triangles, in a box or out of it.
+fn walks(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]: [Vec3A; 2]) -> Walks {
     let total: f64 = lamp.iter().map(|&t| scene.area(t)).sum();
     let (mut below, mut at) = (scene.area(lamp[0]), 0);
-    let (mut met, mut kept) = (vec![0u32; scene.materials.len()], 0);
+    let (mut met, mut kept, mut left) = (vec![0u32; scene.materials.len()], 0, 0);
     for k in 0..WALKS {
         while (f64::from(k) + 0.5) / f64::from(WALKS) * total > below && at + 1 < lamp.len() {
             at += 1;
@@ -154,12 +168,12 @@ fn kept(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]
         let triangle = &tracer.triangles()[lamp[at]];
         let [x, y, mut u, mut v] = sobol_4d(k, 0);
         let (mut point, mut normal) = (triangle.point(square_to_triangle(x, y)), triangle.side_normal(front));
-        let mut is_kept = true;
+        kept += 1;
         for step in 0..STEPS {
             let origin = Tracer::leave(point, normal);
             let hit = tracer.closest(origin, around(normal, square_to_cosine_hemisphere(u, v)));
             let Some(hit) = hit else {
-                is_kept = false;
+                kept -= 1;
                 break;
             };
             if step == 0 {
@@ -168,15 +182,15 @@ fn kept(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]
             let triangle = &tracer.triangles()[hit.triangle as usize];
             (point, normal) = (triangle.point(hit.barycentric), triangle.side_normal(hit.front));
             if point.cmplt(low).any() || point.cmpgt(high).any() {
-                is_kept = false;
+                (kept, left) = (kept - 1, left + 1);
                 break;
             }
             [u, v, ..] = sobol_4d(k, mix(&[u64::from(step) + 1]));
         }
-        kept += u32::from(is_kept);
     }
     let most = (0..met.len()).max_by_key(|&m| (met[m], std::cmp::Reverse(m))).unwrap_or(0);
-    (f64::from(kept) / f64::from(WALKS), most as u32)
+    let share = |count: u32| f64::from(count) / f64::from(WALKS);
+    Walks { kept: share(kept), left: share(left), lit: most as u32 }
 }
 
 /// The share of the area of all triangles whose back was met or would be met by more rays. If a sample contains f1 kinds once

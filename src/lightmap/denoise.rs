@@ -13,7 +13,7 @@
 //!
 //! The residuals of the planes are fitted once more in the same discs and added ("twicing", Tukey, Exploratory Data
 //! Analysis, 1977, section 16). This restores what curvature loses, and the energy with it. It also doubles the variance of
-//! a mean over a disc, about; error bars include that ([`twicing`]).
+//! a mean over a disc, about; error bars include that ([`twiced`]).
 
 use rayon::prelude::*;
 
@@ -51,7 +51,7 @@ pub fn filter(
 
     let mut bias = vec![[0.0; 3]; grid.places()];
     for (pair, &place) in found.iter().zip(places) {
-        bias[place as usize] = squared_bias(pair);
+        bias[place as usize] = fits.squared_bias(pair);
     }
     let noisy = |(i, [narrow, _]): (usize, &[Estimate; 2])| {
         if !counts(i) {
@@ -64,24 +64,6 @@ pub fn filter(
         }
     };
     found.par_iter().enumerate().map(noisy).collect()
-}
-
-/// An estimate of the squared bias of the narrower of two estimates, without bias itself: it may be negative.
-///
-/// Bias grows like the square of the radius where the light is curved. So of the difference between two discs with radii r < R
-/// the part 1 / ((R / r)² - 1) is the bias of the smaller. A texel alone has none.
-fn squared_bias([narrow, wide]: &[Estimate; 2]) -> [f32; 3] {
-    let radius = |estimate: &Estimate| estimate.reach.checked_sub(1).map_or(0.0, |k| RADII[k]);
-    let (r, wider) = (radius(narrow), radius(wide));
-    if r == 0.0 || wider <= r {
-        return [0.0; 3];
-    }
-    let share = ((wider / r).powi(2) - 1.0).recip();
-    std::array::from_fn(|c| {
-        // Least squares: an estimate from more of the data differs by the difference of the variances.
-        let noise = (narrow.variance[c] - wide.variance[c]).abs();
-        (share.powi(2) * ((narrow.mean[c] - wide.mean[c]).powi(2) - noise)) as f32
-    })
 }
 
 /// The signal as it is, with variances averaged over neighbours. Four replicates know their variance to a factor of two only:
@@ -178,6 +160,24 @@ impl<'a> Fits<'a> {
         });
     }
 
+    /// An estimate of the squared bias of the narrower of two estimates, without bias itself: it may be negative.
+    ///
+    /// Bias grows like the square of the radius where the light is curved. So the bias of the smaller of two discs with radii
+    /// r < R is the part 1 / ((R / r)² - 1) of their difference. A texel alone has none.
+    fn squared_bias(&self, [narrow, wide]: &[Estimate; 2]) -> [f32; 3] {
+        let (Some(k), Some(l)) = (narrow.reach.checked_sub(1), wide.reach.checked_sub(1)) else {
+            return [0.0; 3];
+        };
+        if k == l {
+            return [0.0; 3];
+        }
+        let share = ((RADII[l] / RADII[k]).powi(2) - 1.0).recip();
+        std::array::from_fn(|c| {
+            let noise = self.discs[l].apart * narrow.variance[c];
+            (share.powi(2) * ((narrow.mean[c] - wide.mean[c]).powi(2) - noise)) as f32
+        })
+    }
+
     /// The plane in so many discs; nothing where there is none.
     fn within(&self, values: &[[f32; 3]], place: usize, reach: usize) -> [f64; 3] {
         let mut moments = Moments::default();
@@ -229,21 +229,24 @@ struct Disc {
     reach: usize,
     /// By how much twicing in the disc raises the variance.
     twicing: f64,
+    /// Variance of the difference from the estimate of the disc before it, relative to the variance of that estimate.
+    apart: f64,
 }
 
-/// By how much the variance rises when what a mean over a disc leaves is averaged once more and added: with the mean's
-/// weights w, |2 w - w * w|² / |w|². At the centre of a disc a fitted plane is the mean.
-fn twicing(radius: f64) -> f64 {
-    let reach = radius.floor() as isize;
-    let is_in = |x: isize, y: isize| ((x * x + y * y) as f64) <= radius * radius;
-    let square = |reach: isize| (-reach..=reach).flat_map(move |y| (-reach..=reach).map(move |x| (x, y)));
-    let disc: Vec<(isize, isize)> = square(reach).filter(|&(x, y)| is_in(x, y)).collect();
+/// The weights of the texels around a centre after twicing: with the weights w of a mean over a disc, 2 w - w * w. At the
+/// centre of a disc a fitted plane is the mean.
+fn twiced(radius: f64) -> impl Fn((isize, isize)) -> f64 {
+    let is_in = move |x: isize, y: isize| ((x * x + y * y) as f64) <= radius * radius;
+    let disc: Vec<(isize, isize)> = square(radius.floor() as isize).filter(|&(x, y)| is_in(x, y)).collect();
     let n = disc.len() as f64;
-    let weight = |x: isize, y: isize| {
+    move |(x, y)| {
         let twice = disc.iter().filter(|&&(dx, dy)| is_in(x - dx, y - dy)).count() as f64 / (n * n);
         if is_in(x, y) { 2.0 / n - twice } else { -twice }
-    };
-    n * square(2 * reach).map(|(x, y)| weight(x, y).powi(2)).sum::<f64>()
+    }
+}
+
+fn square(reach: isize) -> impl Iterator<Item = (isize, isize)> {
+    (-reach..=reach).flat_map(move |y| (-reach..=reach).map(move |x| (x, y)))
 }
 
 /// The discs of a map so wide.
@@ -251,16 +254,26 @@ fn discs(width: usize) -> Vec<Disc> {
     let mut inner = 0.0;
     RADII
         .iter()
-        .map(|&radius| {
+        .enumerate()
+        .map(|(k, &radius)| {
             let reach = radius.floor() as isize;
             let is_new = |(dx, dy): &(isize, isize)| {
                 let squared = (dx * dx + dy * dy) as f64;
                 squared > inner && squared <= radius * radius
             };
-            let square = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
-            let offsets = square.filter(is_new).map(|(dx, dy)| (dx, dy, dy * width as isize + dx)).collect();
+            let offsets: Vec<_> =
+                square(reach).filter(is_new).map(|(dx, dy)| (dx, dy, dy * width as isize + dx)).collect();
             inner = radius * radius;
-            Disc { offsets, reach: reach as usize, twicing: twicing(radius) }
+            let texels = square(reach).filter(|(x, y)| ((x * x + y * y) as f64) <= radius * radius).count();
+            let weight = twiced(radius);
+            let squares = |weight: &dyn Fn((isize, isize)) -> f64| {
+                square(2 * reach).map(|at| weight(at).powi(2)).sum::<f64>()
+            };
+            let apart = k.checked_sub(1).map_or(1.0, |before| {
+                let narrow = twiced(RADII[before]);
+                squares(&|at| weight(at) - narrow(at)) / squares(&narrow)
+            });
+            Disc { offsets, reach: reach as usize, twicing: texels as f64 * squares(&weight), apart }
         })
         .collect()
 }
