@@ -7,9 +7,8 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use super::surfaces::DisjointSets;
 use crate::{
-    patch::Patches,
+    patch::{DisjointSets, Patches},
     scene::{
         Scene,
         overlaps::{covered, in_one_plane},

@@ -36,7 +36,7 @@ pub(super) fn surfaces(scene: &Scene, lines: Vec<Line>) -> Vec<Surface> {
     if lines.is_empty() {
         return Vec::new();
     }
-    let of = overlaps::surfaces(scene, |_| true);
+    let of = overlaps::surfaces(scene);
     let mut known: HashMap<u32, usize> = HashMap::new();
     let mut surfaces: Vec<Surface> = Vec::new();
     for line in lines {

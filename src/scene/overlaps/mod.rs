@@ -169,7 +169,7 @@ fn sizes(areas: &[f64]) -> Vec<u32> {
 }
 
 /// For each triangle the first triangle of its surface.
-fn surfaces(scene: &Scene) -> Vec<u32> {
+pub(super) fn surfaces(scene: &Scene) -> Vec<u32> {
     /// Cosine of the largest angle between neighbours in one plane. Coordinates are rounded.
     const FLAT: f64 = 1.0 - 1e-6;
     let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * scene.triangles.len());
