@@ -102,30 +102,36 @@ const MOST_LAMPS: usize = 256;
 
 /// The luminaires that are inside out. After some reflections more than half of the light of their fronts is still close to
 /// them: in a box whose faces are inside out, or between a lamp and the ceiling that it faces. Of walks from their backs fewer
-/// than a quarter stay so close, and some meet the room; the back of a room that glows all round sees nothing. A lamp deep in a
-/// recess shines out of it, at last after some reflections.
+/// than a quarter stay so close. A lamp deep in a recess shines out of it, at last after some reflections. A room that glows all
+/// round is no luminaire: nothing else is in the scene.
 pub fn turned_lamps(scene: &Scene, tracer: &Tracer) -> Vec<TurnedLamp> {
     let area = |lamp: &[usize]| lamp.iter().map(|&t| scene.area(t)).sum::<f64>();
     let mut lamps: Vec<(f64, Vec<usize>)> =
         luminaires(scene).into_iter().map(|lamp| (area(&lamp), lamp)).collect();
     lamps.sort_by(|(a, s), (b, t)| b.total_cmp(a).then(s.cmp(t)));
     lamps.truncate(MOST_LAMPS);
+    let all: Vec<usize> = (0..scene.triangles.len()).collect();
+    let [lowest, highest] = bounds(tracer, &all);
     let turned = |(area, lamp): &(f64, Vec<usize>)| {
-        const CORNERS: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        let corners = lamp.iter().flat_map(|&t| CORNERS.map(|b| tracer.triangles()[t].point(b)));
-        let none = [Vec3A::INFINITY, Vec3A::NEG_INFINITY];
-        let [low, high] = corners.fold(none, |[low, high], p| [low.min(p), high.max(p)]);
         let reach = (0.5 * area.sqrt() / tracer.scale()) as f32;
+        let [low, high] = bounds(tracer, lamp);
         let near = [low - reach, high + reach];
-        let [front, back] = [true, false].map(|front| walks(scene, tracer, lamp, front, near));
-        let sees_room = back.kept < 0.25 && back.left > 0.1;
-        (front.kept > 0.5 && sees_room).then_some(TurnedLamp {
-            triangle: lamp[0],
-            lit: front.lit,
-            kept: front.kept,
-        })
+        if near[0].cmple(lowest).all() && near[1].cmpge(highest).all() {
+            return None;
+        }
+        let kept = |front: bool| kept(scene, tracer, lamp, front, near);
+        let (share, lit) = kept(true);
+        (share > 0.5 && kept(false).0 < 0.25).then_some(TurnedLamp { triangle: lamp[0], lit, kept: share })
     };
     lamps.par_iter().filter_map(turned).collect()
+}
+
+/// A box round triangles, in unit space.
+fn bounds(tracer: &Tracer, triangles: &[usize]) -> [Vec3A; 2] {
+    const CORNERS: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let corners = triangles.iter().flat_map(|&t| CORNERS.map(|b| tracer.triangles()[t].point(b)));
+    let none = [Vec3A::INFINITY, Vec3A::NEG_INFINITY];
+    corners.fold(none, |[low, high], p| [low.min(p), high.max(p)])
 }
 
 /// Emitting triangles that hang together by their vertices, of one material each.
@@ -145,21 +151,12 @@ fn luminaires(scene: &Scene) -> Vec<Vec<usize>> {
     luminaires
 }
 
-/// What becomes of walks from hit to hit.
-struct Walks {
-    /// The share that stays in a box.
-    kept: f64,
-    /// The share that meets a surface outside of it. The others leave the scene.
-    left: f64,
-    /// The material that most of them meet first.
-    lit: u32,
-}
-
-/// Walks from one side of some triangles, in a box or out of it.
-fn walks(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]: [Vec3A; 2]) -> Walks {
+/// The share of the walks from one side of some triangles, from hit to hit, that stay in a box; and the material that most of
+/// them meet first.
+fn kept(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]: [Vec3A; 2]) -> (f64, u32) {
     let total: f64 = lamp.iter().map(|&t| scene.area(t)).sum();
     let (mut below, mut at) = (scene.area(lamp[0]), 0);
-    let (mut met, mut kept, mut left) = (vec![0u32; scene.materials.len()], 0, 0);
+    let (mut met, mut kept) = (vec![0u32; scene.materials.len()], 0);
     for k in 0..WALKS {
         while (f64::from(k) + 0.5) / f64::from(WALKS) * total > below && at + 1 < lamp.len() {
             at += 1;
@@ -182,15 +179,14 @@ fn walks(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high
             let triangle = &tracer.triangles()[hit.triangle as usize];
             (point, normal) = (triangle.point(hit.barycentric), triangle.side_normal(hit.front));
             if point.cmplt(low).any() || point.cmpgt(high).any() {
-                (kept, left) = (kept - 1, left + 1);
+                kept -= 1;
                 break;
             }
             [u, v, ..] = sobol_4d(k, mix(&[u64::from(step) + 1]));
         }
     }
     let most = (0..met.len()).max_by_key(|&m| (met[m], std::cmp::Reverse(m))).unwrap_or(0);
-    let share = |count: u32| f64::from(count) / f64::from(WALKS);
-    Walks { kept: share(kept), left: share(left), lit: most as u32 }
+    (f64::from(kept) / f64::from(WALKS), most as u32)
 }
 
 /// The share of the area of all triangles whose back was met or would be met by more rays. If a sample contains f1 kinds once
