@@ -78,7 +78,10 @@ impl Photometry {
         // Differences, since a negative zero would turn an angle around.
         let (forward, above, right) = (0.0 - z, x, 0.0 - y);
         let (h, v) = match self.goniometer {
-            Goniometer::C => (y.atan2(x).to_degrees().rem_euclid(360.0), 90.0 + degrees(z)),
+            // Of a cosine next to 1 the angle would be off by a hundred millionth.
+            Goniometer::C => {
+                (y.atan2(x).to_degrees().rem_euclid(360.0), x.hypot(y).atan2(forward).to_degrees())
+            }
             Goniometer::B => (degrees(right), above.atan2(forward).to_degrees()),
             Goniometer::A => (right.atan2(forward).to_degrees(), degrees(above)),
         };
