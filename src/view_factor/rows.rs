@@ -32,6 +32,8 @@ const SAMPLE: u64 = 1 << 19;
 /// How much smaller an error the pace aims at than is wanted, and how often it is mended.
 const MARGIN: f64 = 0.97;
 const TRIES: u32 = 5;
+/// A round that leaves more of the error than this share is the last.
+const USEFUL: f64 = 0.98;
 
 /// What two surfaces exchange, as far as known, in unit space.
 #[derive(Debug, Clone, Copy, Default)]
@@ -112,6 +114,8 @@ struct Pairs<'a> {
     pilot: u32,
     /// Below this view factors do not matter by themselves.
     tiny: f64,
+    /// The error wanted.
+    error: f64,
 }
 
 /// Two pieces of which something may stand between the parts that are in front of each other.
@@ -137,7 +141,7 @@ enum Seen<'a> {
     Part(Pair<'a>, f64),
 }
 
-/// A pair with more rays than the fewest, of which it may need still more.
+/// A pair with more rays than the fewest, or with a larger error than is wanted, which may need more.
 struct Sampled {
     ends: [u32; 2],
     unoccluded: f64,
@@ -266,7 +270,8 @@ impl<'a> Pairs<'a> {
                     }
                     let estimate = self.cast(&pair, wanted, 1, &last).estimate(unoccluded);
                     row.rays += u64::from(estimate.rays + pilot.rays());
-                    if wanted > REPLICATES {
+                    // The pilot may have missed what the sample met.
+                    if wanted > REPLICATES || Cell::of(&estimate).error() * pair.weight > self.error {
                         let ends = [i as u32, j as u32];
                         row.sampled.push(Sampled { ends, unoccluded, deviation, seen, estimate });
                         continue;
@@ -289,7 +294,9 @@ impl<'a> Pairs<'a> {
     fn sample_again(&self, sampled: &mut Sampled, pace: f64) -> u64 {
         let [i, j] = sampled.ends.map(|k| k as usize);
         let Some(mut pair) = self.facing(i, j) else { return 0 };
-        let &mut Sampled { unoccluded, deviation, seen, .. } = sampled;
+        let &mut Sampled { unoccluded, estimate, .. } = sampled;
+        let deviation = sampled.deviation.max(estimate.deviation(unoccluded));
+        let seen = sampled.seen || estimate.exchange > 0.0;
         let wanted = wanted(&pair, deviation, unoccluded, seen, pace);
         if wanted <= sampled.estimate.rays {
             return 0;
@@ -348,6 +355,7 @@ pub(super) fn rows(
         pilot: (PILOTS / all_pairs).clamp(PILOT.0 as usize, PILOT.1 as usize) as u32,
         // A surface of many pieces has the square of their number of pairs with another one, and their variances add up.
         tiny: (options.error * areas.len() as f64 / pieces.len().max(1) as f64).clamp(TINY.0, TINY.1),
+        error: options.error,
     };
     let mut pace = pace(&pairs, options.error * MARGIN, progress)?;
     let mut rows = all_rows(&pairs, pace, progress)?;
@@ -362,7 +370,12 @@ pub(super) fn rows(
         }
         pace *= (error / (MARGIN * options.error)).powi(2);
         rays += sample_again(&pairs, &mut rows, pace, progress)?;
+        let before = error;
         error = rms(areas, |i| merged(&rows, i));
+        // What is left is not the rays': more of them would only take time.
+        if error > USEFUL * before {
+            break;
+        }
     }
     let mut cells = Vec::with_capacity(areas.len());
     for (i, of) in pieces_of.iter().enumerate() {
