@@ -56,7 +56,7 @@ def run(words, text=None, cwd=None):
 
 def numbers(text, name):
     """The arguments of a primitive of this name in a scene of RADIANCE."""
-    words = text.split()
+    words = " ".join(line for line in text.splitlines() if not line.startswith("#")).split()
     k = words.index(name) + 1
     n = int(words[k]); k += n + 1
     k += int(words[k]) + 1
