@@ -37,7 +37,7 @@ def plane():
 
 COURT = [(x, y, 0.001, 0, 0, 1) for x, y in ((1, 1), (-1, .8), (.6, -.9), (-1.5, -1.5), (1.5, 0))] + [(-1, 1.999, .8, 0, -1, 0)]
 ROOM = [(x, y, .8, 0, 0, 1) for x, y in ((2, .5), (2, 1.5), (2, 2.7), (.4, 1.5), (3.6, 2.5))]
-IES = "IESNA91\nTILT=NONE\n1 -1 1 46 1 1 2 -0.2 -0.2 0\n1 1 10\n" + " ".join(str(a) for a in range(0, 91, 2)) + "\n0\n" + \
+IES = "IESNA:LM-63-2002\nTILT=NONE\n1 -1 1 46 1 1 2 -0.2 -0.2 0\n1 1 10\n" + " ".join(str(a) for a in range(0, 91, 2)) + "\n0\n" + \
       " ".join("%.6g" % (100*math.cos(math.radians(a))) for a in range(0, 91, 2)) + "\n"
 # Sky functions of RADIANCE's programs without the ground that they blend into the horizon.
 CAL = """mycloudy = A2*(1+2*Dz)/3;
@@ -124,7 +124,7 @@ def ies():
 
 SCENES = {"court under an overcast sky": (court, COURT, overcast), "court under a clear sky with sun": (court, COURT, clear),
           "court under a sky of Perez": (court, COURT, perez), "room with a window, sky of Perez": (room, ROOM, perez),
-          "disc of an IES file": (plane, [(x, .1, 0.0005, 0, 0, 1) for x in (0, .5, 1, 2, 4)], ies)}
+          "disc of an IES file": (plane, [(x, .1, 0.0005, 0, 0, 1) for x in (0, .5, 1, 1.5, 2)], ies)}
 
 def main():
     program, worst = os.path.abspath(sys.argv[1]), 0
@@ -145,10 +145,10 @@ def main():
             with open("s.oct", "wb") as out:
                 env = dict(os.environ, PATH=f"{BIN}:{os.environ['PATH']}", RAYPATH=f".:{LIB}")
                 subprocess.run(["oconv", "s.rad"], stdout=out, check=True, env=env)
-            found = run(["rtrace", "-I", "-h", "-ab", "6", "-ad", "16384", "-as", "0", "-aa", "0", "-lw", "1e-7", "-lr", "0", "-ds", "0.02", "-dj", "0.7", "-dc", "1", "-dt", "0", "s.oct"],
+            found = run(["rtrace", "-I", "-h", "-ab", "6", "-ad", "65536", "-as", "0", "-aa", "0", "-lw", "1e-7", "-lr", "0", "-ds", "0.02", "-dj", "0.7", "-dc", "1", "-dt", "0", "s.oct"],
                         pathlib.Path("p.txt").read_text())
             radiance = [float(line.split()[1]) for line in found.splitlines() if len(line.split()) == 3]
-            own = run([program, "probe", "s.obj", "--up", "z", "--points", "p.txt", "--spp", "65536", "--quiet"] + options)
+            own = run([program, "probe", "s.obj", "--up", "z", "--points", "p.txt", "--spp", "262144", "--quiet"] + options)
             ours = [float(line.split()[7]) for line in own.splitlines()]
             off = [b/a-1 for a, b in zip(radiance, ours)]
             worst = max([worst] + [abs(x) for x in off])
