@@ -37,13 +37,19 @@ pub struct Year {
 /// Of each place its irradiance over that of an unobstructed horizontal plane, under the overcast sky of the CIE.
 pub fn daylight_factors(coefficients: &Coefficients, up: Up) -> Vec<f64> {
     let sky = Sky::with_irradiance(SkyModel::Overcast, up, [1.0; 3]);
-    let radiance = radiances(coefficients.parts, up, &sky);
+    let radiance = radiances(coefficients.parts, up, &sky, 1.0);
     (0..coefficients.places).map(|i| coefficients.irradiance(i, &radiance)).collect()
 }
 
-/// Mean radiance of a sky in each of its parts, such that a horizontal plane receives what the sky sends it.
-fn radiances(parts: SkyParts, up: Up, sky: &Sky) -> Vec<f64> {
-    (0..parts.count()).map(|k| parts.mean(up, k, STEPS, |d| sky.radiance(d)[0])).collect()
+/// Mean radiance of a sky in each of its parts, scaled so that a horizontal plane receives this irradiance. Unscaled it would receive
+/// 0.4 % less under an overcast sky: in each part the brighter half is also the one that is higher up.
+fn radiances(parts: SkyParts, up: Up, sky: &Sky, irradiance: f64) -> Vec<f64> {
+    let mut radiance: Vec<f64> =
+        (0..parts.count()).map(|k| parts.mean(up, k, STEPS, |d| sky.radiance(d)[0])).collect();
+    let horizontal: f64 = radiance.iter().enumerate().map(|(k, l)| l * parts.horizontal(k)).sum();
+    let scale = if horizontal > 0.0 { irradiance / horizontal } else { 0.0 };
+    radiance.iter_mut().for_each(|l| *l *= scale);
+    radiance
 }
 
 /// The sun and the sky of an hour in lx and cd/m²: direction and illuminance of the one, luminance of the parts of the other.
@@ -59,10 +65,7 @@ fn hour_of(hour: &Hour, parts: SkyParts, up: Up) -> Option<(DVec3, f64, Vec<f64>
     let perez = Perez::new(hour.direct, hour.diffuse, altitude, outside);
     let shape = SkyModel::AllWeather(perez, towards);
     let sky = Sky::relative(shape, up);
-    let mut luminance = radiances(parts, up, &sky);
-    let horizontal: f64 = luminance.iter().enumerate().map(|(k, l)| l * parts.horizontal(k)).sum();
-    let scale = if horizontal > 0.0 { hour.diffuse * diffuse / horizontal } else { 0.0 };
-    luminance.iter_mut().for_each(|l| *l *= scale);
+    let luminance = radiances(parts, up, &sky, hour.diffuse * diffuse);
     Some((towards, hour.direct * direct, luminance))
 }
 

@@ -525,7 +525,8 @@ fn punctual_lights() {
     ] {
         let mut node = node;
         node["extensions"] = json!({"KHR_lights_punctual": {"light": light}});
-        file.push("nodes", node);
+        let node = file.push("nodes", node);
+        file.json["scenes"][0]["nodes"].as_array_mut().unwrap().push(node.into());
     }
     let lights = load(&file).lights.list;
     let [bulb, spot, sun] = &lights[..] else { panic!("{lights:?}") };
