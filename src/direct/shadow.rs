@@ -1,8 +1,9 @@
 //! Shadow rays: paths between points of a patch and points of lamps, each free or blocked.
 //!
-//! The rays of a patch are one sequence, in halves that take turns: eight points of the sequence for one, the next eight for the
-//! other, so that each half and both together are well stratified. What a half says of visibility corrects the other's samples. Two
-//! sequences with scrambles of their own would be independent, but tell light at the edge of a shadow a fifth worse.
+//! The rays of a patch are two sequences with scrambles of their own, which take turns: what one of them says of visibility is
+//! independent of the other's samples. Halves of one sequence, which complement each other, told light behind a grille 0.3 % too
+//! large, and 2 % where the lamp is cut into hundreds of pieces; where large lamps are partly hidden, they are up to 7 % better at 64
+//! rays a patch, and alike at 256.
 
 use std::ops::Range;
 
@@ -280,12 +281,12 @@ fn cast(
     mut found: impl FnMut(u32, ShadowRay),
 ) {
     let Some(choice) = lamps.choice(from, unoccluded) else { return };
-    let sobol = &Sobol::new(seed);
     let turns = (0..HALVES as u32).flat_map(|turn| {
+        let sobol = Sobol::new(mix(&[seed, turn.into()]));
         let number = |index: u32| (index + HALVES as u32 - 1 - turn) / HALVES as u32;
         let numbers = number(indices.start)..number(indices.end);
         blocks(numbers).flat_map(move |(first, lanes)| {
-            let points: [[f32; LANES]; 4] = sobol.points(HALVES as u32 * first + turn * LANES as u32);
+            let points: [[f32; LANES]; 4] = sobol.points(first);
             lanes.map(move |lane| (HALVES as u32 * (first + lane as u32) + turn, points.map(|x| x[lane])))
         })
     });
