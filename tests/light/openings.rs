@@ -222,3 +222,28 @@ fn where_all_emit_both_directions_are_no_worse_than_one() {
         assert!(pooled <= 1.06 * one_way, "{pooled} with both, {one_way} with one");
     }
 }
+
+/// A lamp above a black grille whose cells are as high as wide. Of its light the form factor between opposite faces of a cube
+/// escapes. Cut along the blades, the lamp is hundreds of small ones, of which a blade sees two in full and most not at all.
+#[test]
+fn a_lamp_cut_by_the_grille_below_it() {
+    const CELLS: usize = 8;
+    let cell = 1.0 / CELLS as f64;
+    let along =
+        |k: usize, u: DVec3, v: DVec3| rectangle(u * (k as f64 * cell - 0.5) - v * 0.5, v, DVec3::Z * cell);
+    let blades =
+        (0..=CELLS).flat_map(|k| [along(k, DVec3::X, DVec3::Y), along(k, DVec3::Y, DVec3::X)].concat());
+    let mut scene = scene(&[part(level_square(1.0, cell, false), 0.0, 1.0), black(blades.collect())]);
+    scene.cut_contacts();
+    let square = |z: f64, up: bool| level_square(1.0, z, up);
+    let pairs =
+        square(0.0, true).into_iter().flat_map(|p| square(1.0, false).into_iter().map(move |q| [p, q]));
+    let wanted: f64 = pairs.map(|[p, q]| polygon_exchange_area(&p, &q)).sum();
+    assert!((wanted - 0.199825).abs() < 1e-6, "{wanted}");
+    let found: Vec<[f64; 3]> =
+        (0..4).map(|seed| measure(&whole(Estimator::Pooled, 256.0, seed, &scene), &[])).collect();
+    let escaped = found.iter().map(|f| f[0]).sum::<f64>() / 4.0;
+    let error = (found.iter().map(|f| f[1].powi(2)).sum::<f64>() / 16.0).sqrt();
+    println!("{escaped:.5} ± {error:.5} for {wanted:.5}");
+    assert!((escaped - wanted).abs() <= 4.0 * error && error < 0.01 * wanted, "{escaped} ± {error}");
+}
