@@ -24,7 +24,8 @@ pub struct EnergyLedger {
     pub entered: Vec<f64>,
     /// Σ A (1 - ρ) E.
     pub absorbed: Vec<f64>,
-    /// Σ A U times the share of form factor that leaves the scene, and what of lamps' light arrives nowhere, Σ A (Bd - Dl).
+    /// Σ A U times the share of form factor that leaves the scene, what of lamps' light arrives nowhere, Σ A (Bd - Dl), and what
+    /// escapes more because light varies over patches.
     pub escaped: Vec<f64>,
     /// Σ A r.
     pub solver_part: Vec<f64>,
@@ -55,12 +56,13 @@ impl EnergyLedger {
         let taken = form_factors.column_sums();
         let direct = form_factors.direct_powers(radiometry.emission, channels);
         let zero = vec![0.0; channels];
+        let linear = solution.linear.as_ref().map_or(&zero, |linear| &linear.escaped);
         let mut ledger = EnergyLedger {
             emitted: zero.clone(),
             entered: direct.entered,
             absorbed: zero.clone(),
             leaking: if direct.leaks { direct.escaped.clone() } else { zero.clone() },
-            escaped: direct.escaped,
+            escaped: direct.escaped.iter().zip(linear).map(|(direct, linear)| direct + linear).collect(),
             solver_part: zero.clone(),
             reciprocity_part: zero.clone(),
             leaving: zero,

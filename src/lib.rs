@@ -1,6 +1,6 @@
 //! Computes how light spreads between Lambertian surfaces, and how accurate the result is.
 //!
-//! The radiosity method cuts surfaces into patches of constant brightness. A form factor F_ij is the share of the light
+//! The radiosity method cuts surfaces into patches of constant or linear light. A form factor F_ij is the share of the light
 //! leaving patch i that arrives at patch j. Rays estimate the form factors. A linear system then gives the radiosity B of
 //! every patch, the light that leaves it per area: B = Be + ρ F B, with emission Be and reflectance ρ.
 //!
@@ -109,6 +109,7 @@ pub mod patch;
 mod progress;
 mod quality;
 pub mod scene;
+mod slopes;
 pub mod solve;
 pub mod tone;
 pub mod trace;

@@ -31,8 +31,9 @@ pub fn relative(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<Option<f64>> {
+    // Of constant light: slopes have the same rays in the whole and in its halves.
     let mean = |solution: &Solution| -> f64 {
-        let irradiance = solution.irradiance.chunks_exact(solution.channels);
+        let irradiance = solution.constant_irradiance().chunks_exact(solution.channels);
         irradiance.zip(form_factors.areas()).map(|(e, area)| area * e.iter().sum::<f64>()).sum()
     };
     let options = &options.rough();

@@ -3,7 +3,8 @@
 //! The solution with patches of edge h is compared with that of their parents, edge 2h. The form factors of the parents are sums
 //! of those of the patches, so no ray is needed, and both have the same sampling error, which cancels. Where patches straddle
 //! the edges of shadows, as in most scenes, the error falls like h. Then the error at h is as large as the change from 2h to
-//! h. Where light is smooth the error falls like h², and the estimate is three times too large.
+//! h. Where light is smooth the error falls like h², and the estimate is three times too large. It is the error of constant light:
+//! of linear light it is an upper estimate.
 
 use std::ops::Range;
 
@@ -61,7 +62,7 @@ impl Discretisation {
             1 => coarse_irradiance::<1>(form_factors, patches, solution, &families, progress),
             _ => coarse_irradiance::<3>(form_factors, patches, solution, &families, progress),
         })?;
-        let fine = means(&families, areas, &solution.irradiance, channels);
+        let fine = means(&families, areas, solution.constant_irradiance(), channels);
         let of_family = |p: usize| (0..channels).map(move |c| p * channels + c);
         let change: Vec<f64> = families
             .iter()
@@ -104,7 +105,7 @@ fn coarse_irradiance<const C: usize>(
     (0..source.len()).filter(is_lamp).for_each(|q| source[q] = 0.0);
     let (source, direct) = (mean(&source), mean(&direct));
     let unit = magnitude(&solution.radiosity);
-    let fine = mean(&solution.irradiance);
+    let fine = mean(solution.constant_irradiance());
     let mut irradiance = fine.clone();
     let mut radiosity: Vec<[f32; C]> = vec![[0.0; C]; areas.len()];
     let mut arriving = radiosity.clone();

@@ -118,6 +118,12 @@ impl ErrorBars {
             let values = local.as_flattened_mut().iter_mut().zip(direct.as_flattened());
             values.for_each(|(local, direct)| *local += direct);
         }
+        if let Some(linear) = &solution.linear {
+            let scale = (linear.unit / unit) as f32;
+            for (local, more) in local.as_flattened_mut().iter_mut().zip(&linear.deviations) {
+                local.iter_mut().zip(more).for_each(|(local, more)| *local += scale * more);
+            }
+        }
         let areas = form_factors.areas();
         let total: f64 = areas.iter().sum();
         let mut mean = [[0f64; REPLICATES]; C];

@@ -21,6 +21,9 @@ const TRANSPOSED_ENTRY: f64 = 24.0;
 const DENSE_ENTRY: f64 = 32.0;
 /// Entries of a row of a symmetric matrix, each half of a pair of 12 bytes at most.
 const SHARED_ENTRY: f64 = 6.0;
+/// How light varies over a patch, for each channel: slopes, constant light, and replicates of what they change; and the same while it
+/// is found.
+const LINEAR: f64 = 400.0;
 /// A shadow ray: what it went to, and its weight.
 const SHADOW_RAY: f64 = 8.0;
 
@@ -36,6 +39,11 @@ pub fn without_matrix(scene: &Scene, patches: f64) -> f64 {
     let of_patch =
         SWEPT + SWEPT_CHANNEL * scene.channels() as f64 + KNOWN_PIECE * known_pieces(scene, patches);
     BASE + TRIANGLE * scene.triangles.len() as f64 + of_patch * patches
+}
+
+/// Bytes that linear light adds at most, for a number of patches that includes backs.
+pub fn of_linear_light(scene: &Scene, patches: f64) -> f64 {
+    LINEAR * scene.channels() as f64 * patches
 }
 
 /// How many pieces of lamps there are whose unblocked light each patch holds: a lamp's triangle, or of one that shines by a texture

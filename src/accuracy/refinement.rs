@@ -14,7 +14,7 @@ use crate::{
     form_factor::{CastOptions, Checkpoint, FormFactors},
     patch::Patches,
     scene::Scene,
-    solve::{SolveOptions, solve},
+    solve::{SolveOptions, solve_linear},
     trace::Tracer,
 };
 
@@ -132,7 +132,7 @@ fn rate(rounds: &[Round]) -> f64 {
 /// are stored in it, also by later rounds.
 ///
 /// # Errors
-/// As [`FormFactors::cast_checkpointed`] and [`solve()`].
+/// As [`FormFactors::cast_checkpointed`] and [`solve_linear`].
 pub fn begin(
     scene: &Scene,
     tracer: &Tracer,
@@ -145,14 +145,14 @@ pub fn begin(
     let start = Instant::now();
     let form_factors =
         FormFactors::cast_checkpointed(scene, tracer, &mut patches, cast, checkpoint, progress)?;
-    round(start, 0.0, patches, form_factors, options, progress)
+    round((scene, tracer), (start, 0.0), patches, form_factors, options, progress)
 }
 
 /// Continues after the first round until `next` returns `None`, and returns the last solution. `next` gets the solution and all rounds so
 /// far, and returns the number of rays per patch after one more round. Its own time counts to no round.
 ///
 /// # Errors
-/// As [`solve()`], and what `next` returns.
+/// As [`solve_linear`], and what `next` returns.
 pub fn refine(
     scene: &Scene,
     tracer: &Tracer,
@@ -167,7 +167,7 @@ pub fn refine(
         let Solved { mut patches, form_factors, .. } = solved;
         let form_factors = form_factors.cast_more(scene, tracer, &mut patches, rays, progress)?;
         let last;
-        (solved, last) = round(start, before, patches, form_factors, options, progress)?;
+        (solved, last) = round((scene, tracer), (start, before), patches, form_factors, options, progress)?;
         rounds.push(last);
     }
     Ok((solved, rounds))
@@ -175,15 +175,15 @@ pub fn refine(
 
 /// Everything after casting, in a round that began at `start`, `before` seconds after the first round began.
 fn round(
-    start: Instant,
-    before: f64,
+    (scene, tracer): (&Scene, &Tracer),
+    (start, before): (Instant, f64),
     patches: Patches,
     form_factors: FormFactors,
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<(Solved, Round)> {
     let casting = start.elapsed().as_secs_f64();
-    let solution = solve(&form_factors, &patches, options, progress)?;
+    let solution = solve_linear((scene, tracer), &form_factors, &patches, options, progress)?;
     let error_bars = ErrorBars::of(&form_factors, &patches, &solution).expect("rays were cast");
     let seen = patches.seen_areas(&solution.irradiance);
     let round = Round {

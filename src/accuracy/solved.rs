@@ -6,7 +6,7 @@ use crate::{
     form_factor::{CastOptions, FormFactors},
     patch::{Patches, Subdivision},
     scene::Scene,
-    solve::{Solution, SolveOptions, solve},
+    solve::{Solution, SolveOptions, solve_linear},
     trace::Tracer,
 };
 
@@ -27,7 +27,7 @@ impl Solved {
     /// Cuts, casts, solves and estimates the errors.
     ///
     /// # Errors
-    /// As [`FormFactors::cast`] and [`solve()`].
+    /// As [`FormFactors::cast`] and [`solve_linear`].
     pub fn new(
         scene: &Scene,
         tracer: &Tracer,
@@ -42,7 +42,7 @@ impl Solved {
     /// As [`Solved::new`], for given patches.
     ///
     /// # Errors
-    /// As [`FormFactors::cast`] and [`solve()`].
+    /// As [`FormFactors::cast`] and [`solve_linear`].
     pub fn of_patches(
         scene: &Scene,
         tracer: &Tracer,
@@ -52,7 +52,7 @@ impl Solved {
         progress: &Progress,
     ) -> Result<Solved> {
         let form_factors = FormFactors::cast(scene, tracer, &mut patches, cast, progress)?;
-        let solution = solve(&form_factors, &patches, options, progress)?;
+        let solution = solve_linear((scene, tracer), &form_factors, &patches, options, progress)?;
         let error_bars =
             ErrorBars::of(&form_factors, &patches, &solution).expect("the form factors were sampled");
         Ok(Solved { patches, form_factors, solution, error_bars })

@@ -2,7 +2,10 @@
 
 use radiosity::{
     Error, Result, Scene,
-    accuracy::{memory::Memory, survey::Survey},
+    accuracy::{
+        memory::{self, Memory},
+        survey::Survey,
+    },
     form_factor::Estimator,
     patch::{Patches, Subdivision},
     solve::Solver,
@@ -49,6 +52,11 @@ pub const USUAL: [&str; 2] = ["--patches", "--rays"];
 /// Bytes for one solution. The number of patches includes backs.
 pub fn bytes(scene: &Scene, estimator: Estimator, solver: Solver) -> impl Fn(f64, f64) -> f64 {
     move |patches, rays| Memory::of(scene, patches, rays, estimator, solver).peak()
+}
+
+/// Bytes that linear light adds, if it is wanted. The number of patches includes backs.
+pub fn of_linear_light(scene: &Scene, wanted: bool) -> impl Fn(f64) -> f64 {
+    move |patches| if wanted { memory::of_linear_light(scene, patches) } else { 0.0 }
 }
 
 impl Limit {

@@ -198,6 +198,10 @@ pub struct CastArgs {
     /// Mean number of rays per patch, hemisphere and shadow rays together. At least 16 are hemisphere rays
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     rays: Option<u32>,
+    /// Let light vary linearly over each patch. That leaves one to two thirds of the discretisation error. The rays are cast a second
+    /// time for it
+    #[arg(long)]
+    linear: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -213,6 +217,11 @@ enum QualityName {
 }
 
 impl CastArgs {
+    /// Whether light varies over each patch.
+    pub fn linear(&self) -> bool {
+        self.linear
+    }
+
     fn named(&self) -> QualityName {
         self.quality.unwrap_or(QualityName::Medium)
     }

@@ -150,6 +150,8 @@ impl Job<'_> {
     pub fn check(&self, scene: &Scene, watch: &Watch) -> Result<()> {
         let (subdivision, _) = self.cast.subdivision();
         let bytes = forecast::bytes(scene, Estimator::Pooled, Solver::Auto);
+        let linear = forecast::of_linear_light(scene, self.cast.linear());
+        let bytes = |patches: f64, rays: f64| bytes(patches, rays) + linear(patches);
         let work = Work {
             scene,
             patches: Patches::forecast(scene, &subdivision),
@@ -179,7 +181,8 @@ impl Job<'_> {
         (form_factors, times.form_factors) = watch
             .stage("rays", || FormFactors::cast(scene, tracer, &mut patches, &cast, watch.progress()))?;
         (solution, times.solve) = watch.stage("solving", || {
-            solve::solve(&form_factors, &patches, &SolveOptions::default(), watch.progress())
+            let options = SolveOptions::default().with_linear(self.cast.linear());
+            solve::solve_linear((scene, tracer), &form_factors, &patches, &options, watch.progress())
                 .map_err(|error| blame(self.file, error))
         })?;
         Ok(Solved { patches, form_factors, solution })

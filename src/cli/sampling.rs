@@ -224,9 +224,10 @@ impl Sampling<'_> {
 
     /// Bytes with a matrix, for a number of patches of fronts.
     fn bytes(&self, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
-        let (bytes, with_backs) =
-            (forecast::bytes(self.scene, estimator, self.args.solve_options().solver), self.with_backs);
-        move |fronts, rays| bytes(with_backs * fronts, rays)
+        let options = self.args.solve_options();
+        let (bytes, with_backs) = (forecast::bytes(self.scene, estimator, options.solver), self.with_backs);
+        let linear = forecast::of_linear_light(self.scene, options.linear);
+        move |fronts, rays| bytes(with_backs * fronts, rays) + linear(with_backs * fronts)
     }
 
     fn work<'a>(&'a self, patches: f64, rays: f64, bytes: &'a dyn Fn(f64, f64) -> f64) -> Work<'a> {

@@ -138,7 +138,8 @@ impl SolveArgs {
             SolverName::Direct => Solver::Direct,
         };
         let default = SolveOptions::default();
-        default.with_solver(solver).with_tolerance(self.tolerance.unwrap_or(default.tolerance))
+        let tolerance = self.tolerance.unwrap_or(default.tolerance);
+        default.with_solver(solver).with_tolerance(tolerance).with_linear(self.cast.linear())
     }
 
     /// Whether the solver without a matrix was chosen.
@@ -320,15 +321,18 @@ fn compute(
     let told = answer.errors();
     let light = (answer.light().irradiance, answer.standard_error());
     let regions = regions::errors(&scene, answer.patches(), light.0, light.1);
+    let discretisation = match told {
+        Some(errors) => errors.discretisation.as_ref().map(|d| d.relative),
+        None => floor,
+    };
+    let sampling = rounds.last().map(|round| round.error);
     let error = ErrorReport {
         largest_region: regions.first().map(Into::into),
         target: args.error.map(|percent| percent / 100.0),
-        rms_relative: rounds.last().map(|round| round.error),
+        rms_relative: sampling,
         bias_relative: told.and_then(|errors| errors.bias),
-        discretisation_relative: match told {
-            Some(errors) => errors.discretisation.as_ref().map(|d| d.relative),
-            None => floor,
-        },
+        discretisation_relative: discretisation,
+        total_relative: sampling.zip(discretisation).map(|(sampling, patches)| sampling.hypot(patches)),
         solver_relative: told.and_then(|errors| errors.solver),
         ..ErrorReport::default()
     };

@@ -82,6 +82,7 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         .with_rays(args.cast.given_rays().map_or(defaults.rays, f64::from))
         .with_paths(args.paths)
         .with_particles(args.particles)
+        .with_solve(defaults.solve.with_linear(args.cast.linear()))
         .with_seed(args.seed);
     // It also solves with edges half as long.
     let one = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);

@@ -219,18 +219,18 @@ impl<const C: usize> DirectLight<C> {
 }
 
 /// Which share of each lamp's light is free, as the samples of the other half say.
-struct Scratch {
+pub(super) struct Scratch {
     seen: [Vec<Seen>; HALVES],
-    free: [Vec<f64>; HALVES],
+    pub(super) free: [Vec<f64>; HALVES],
 }
 
 impl Scratch {
-    fn new(lamps: usize) -> Scratch {
+    pub(super) fn new(lamps: usize) -> Scratch {
         let each = || vec![Seen::default(); lamps];
         Scratch { seen: [each(), each()], free: [vec![0.0; lamps], vec![0.0; lamps]] }
     }
 
-    fn look(&mut self, rays: &ShadowRays, i: usize) {
+    pub(super) fn look(&mut self, rays: &ShadowRays, i: usize) {
         let mut whole = [Seen::default(); HALVES];
         self.seen.iter_mut().for_each(|seen| seen.fill(Seen::default()));
         for (s, ray) in rays.of(i).iter().enumerate() {

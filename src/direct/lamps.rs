@@ -14,7 +14,7 @@ use super::{
     remote::Remote,
     solid_angle,
     tree::Tree,
-    unoccluded::{Facing, form_factor},
+    unoccluded::{Facing, form_factor, moments},
 };
 use crate::{
     parallel::magnitude,
@@ -160,6 +160,17 @@ impl Piece {
         match &self.source {
             Source::Surface(surface) => form_factor(patch, &surface.facing),
             Source::Remote(remote, _) => remote.unblocked(patch),
+        }
+    }
+
+    /// The means over a patch of the basis functions of linear light times the share of its light that arrives if nothing stands
+    /// between; `None` where they are not known.
+    pub(super) fn moments(&self, patch: &Facing) -> Option<[f64; 2]> {
+        match &self.source {
+            Source::Surface(surface) => Some(moments(patch, &surface.facing)),
+            // Alike everywhere.
+            Source::Remote(Remote::Distant(_), _) => Some([0.0; 2]),
+            Source::Remote(Remote::Point { .. }, _) => None,
         }
     }
 
@@ -401,13 +412,17 @@ impl Lamps {
         mix(&self.pieces.iter().map(words).collect::<Vec<_>>())
     }
 
-    /// The form factor of a patch to each piece if nothing stands between, where [they are known](Self::are_known).
-    pub(super) fn unoccluded_into(&self, tracer: &Tracer, patches: &Patches, i: usize, found: &mut [f64]) {
-        // Of the whole patch: rays keep away from the edges of its triangle.
+    /// A whole patch: rays keep away from the edges of its triangle.
+    pub(super) fn facing(&self, tracer: &Tracer, patches: &Patches, i: usize) -> Facing {
         let triangle = &tracer.triangles()[patches.triangle(i)];
         let exactly = |b: [f64; 3]| (0..3).map(|k| triangle.corners[k].as_dvec3() * b[k]).sum();
         let normal = triangle.side_normal(patches.is_front(i)).as_dvec3();
-        let patch = Facing { corners: patches.barycentric_corners(i).map(exactly), normal };
+        Facing { corners: patches.barycentric_corners(i).map(exactly), normal }
+    }
+
+    /// The form factor of a patch to each piece if nothing stands between, where [they are known](Self::are_known).
+    pub(super) fn unoccluded_into(&self, tracer: &Tracer, patches: &Patches, i: usize, found: &mut [f64]) {
+        let patch = self.facing(tracer, patches, i);
         for (found, piece) in found.iter_mut().zip(&self.pieces) {
             *found = piece.unoccluded(&patch);
         }

@@ -6,6 +6,7 @@
 pub(crate) mod footprint;
 mod irradiance;
 mod lamps;
+pub(crate) mod moments;
 mod remote;
 mod shadow;
 mod solid_angle;

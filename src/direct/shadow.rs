@@ -7,12 +7,11 @@
 
 use std::ops::Range;
 
-use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::{
     footprint::Footprint,
-    lamps::{Lamps, Path},
+    lamps::{Choice, Lamps, Path},
 };
 use crate::{
     Progress, Result,
@@ -281,7 +280,23 @@ fn cast(
     mut found: impl FnMut(u32, ShadowRay),
 ) {
     let Some(choice) = lamps.choice(from, unoccluded) else { return };
-    let turns = (0..HALVES as u32).flat_map(|turn| {
+    let rays = paths(lamps, &choice, from, indices, seed)
+        .map(|(index, Path { from, to, piece, weight })| ((index, ShadowRay { piece, weight }), from, to));
+    tracer.visible_each(rays, |(index, ray), visible| {
+        found(index, if visible { ray } else { ShadowRay { weight: -ray.weight, ..ray } });
+    });
+}
+
+/// The paths of a patch's shadow rays with these numbers: one turn after the other, without those whose points do not face each
+/// other.
+pub(super) fn paths<'a>(
+    lamps: &'a Lamps,
+    choice: &'a Choice<'a>,
+    from: &'a Footprint,
+    indices: Range<u32>,
+    seed: u64,
+) -> impl Iterator<Item = (u32, Path)> + 'a {
+    let turns = (0..HALVES as u32).flat_map(move |turn| {
         let sobol = Sobol::new(mix(&[seed, turn.into()]));
         let number = |index: u32| (index + HALVES as u32 - 1 - turn) / HALVES as u32;
         let numbers = number(indices.start)..number(indices.end);
@@ -290,12 +305,5 @@ fn cast(
             lanes.map(move |lane| (HALVES as u32 * (first + lane as u32) + turn, points.map(|x| x[lane])))
         })
     });
-    let choice = &choice;
-    let rays = turns.filter_map(|(index, point)| {
-        let Path { from, to, piece, weight } = lamps.sample(choice, from, point)?;
-        Some(((index, ShadowRay { piece, weight }), from, to)) as Option<((u32, ShadowRay), Vec3A, Vec3A)>
-    });
-    tracer.visible_each(rays, |(index, ray), visible| {
-        found(index, if visible { ray } else { ShadowRay { weight: -ray.weight, ..ray } });
-    });
+    turns.filter_map(|(index, point)| Some((index, lamps.sample(choice, from, point)?)))
 }

@@ -2,7 +2,10 @@
 
 use glam::DVec3;
 
-use crate::exact::{lambert, polygon_form_factor};
+use crate::{
+    exact::{lambert, polygon_form_factor},
+    slopes,
+};
 
 /// A patch that is larger than this share of its distance to the lamp is left to the closed form, which costs ten times as much. For
 /// smaller ones the rule is right to 10⁻⁶; its error goes with the sixth power of the share.
@@ -140,10 +143,96 @@ fn over_triangle(lamp: &Facing, above: &[DVec3], corners: [DVec3; 3], normal: DV
     nodes(rule, corners).map(|(point, weight)| weight * lambert(point, normal, above)).sum()
 }
 
+/// A patch is cut so often at most where only slopes are wanted: they need not be known as well as the light itself.
+const MOST_CUTS_OF_MOMENTS: usize = 2;
+
+/// The means over a patch of the basis functions of linear light times what each point sees of a lamp.
+pub(super) fn moments(patch: &Facing, lamp: &Facing) -> [f64; 2] {
+    let Facing { corners, normal } = *patch;
+    let rises = lamp.corners.map(|c| (c - corners[0]).dot(normal));
+    let (above, count) = clip(lamp.corners, rises);
+    if count < 3 {
+        return [0.0; 2];
+    }
+    moments_of_part((lamp, &above[..count], normal), corners, slopes::CORNERS, 0)
+}
+
+/// The same over a part of a patch, at whose corners the basis functions have these values.
+fn moments_of_part(
+    seen: (&Facing, &[DVec3], DVec3),
+    corners: [DVec3; 3],
+    basis: [[f64; 2]; 3],
+    cuts: usize,
+) -> [f64; 2] {
+    let (lamp, above, normal) = seen;
+    let [a, b, c] = corners;
+    let size = longest(corners) / distance(lamp, (a + b + c) / 3.0);
+    if size > NEAR && cuts < MOST_CUTS_OF_MOMENTS {
+        let (ab, bc, ca) = (a.midpoint(b), b.midpoint(c), c.midpoint(a));
+        let middle = |p: usize, q: usize| [0, 1].map(|m| 0.5 * (basis[p][m] + basis[q][m]));
+        let (pq, qr, rp) = (middle(0, 1), middle(1, 2), middle(2, 0));
+        let [p, q, r] = basis;
+        let parts = [
+            ([a, ab, ca], [p, pq, rp]),
+            ([ab, b, bc], [pq, q, qr]),
+            ([ca, bc, c], [rp, qr, r]),
+            ([bc, ca, ab], [qr, rp, pq]),
+        ];
+        let sums = parts.map(|(corners, basis)| moments_of_part(seen, corners, basis, cuts + 1));
+        return [0, 1].map(|m| sums.iter().map(|sum| sum[m]).sum::<f64>() / 4.0);
+    }
+    let rule: &[_] = if size < FAR { &SECOND_DEGREE } else { &FIFTH_DEGREE };
+    let mut sum = [0.0; 2];
+    let at_nodes = nodes(rule, corners).zip(nodes(rule, basis.map(|[p, q]| DVec3::new(p, q, 0.0))));
+    for ((point, weight), (basis, _)) in at_nodes {
+        // Points behind the lamp see nothing of it.
+        if (point - lamp.corners[0]).dot(lamp.normal) > 0.0 {
+            let light = weight * lambert(point, normal, above);
+            sum = [sum[0] + light * basis.x, sum[1] + light * basis.y];
+        }
+    }
+    sum
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use glam::dvec3;
+
+    /// Against a fine lattice of points: small and far, large and near, and straddling the lamp's plane.
+    #[test]
+    fn moments_are_those_of_many_points() {
+        const N: usize = 120;
+        let lamp = facing([dvec3(0.0, 0.0, 1.0), dvec3(1.0, 0.0, 1.0), dvec3(0.0, 1.0, 1.0)], -DVec3::Z);
+        for (corners, towards, within) in [
+            ([dvec3(5.0, 3.0, -9.0), dvec3(5.5, 3.0, -9.0), dvec3(5.0, 3.5, -9.0)], DVec3::Z, 1e-4),
+            ([dvec3(0.1, 0.0, 0.0), dvec3(0.9, 0.1, 0.1), dvec3(0.2, 0.8, 0.0)], DVec3::Z, 1e-3),
+            ([dvec3(-0.5, 0.0, 0.0), dvec3(-0.5, 1.0, 0.0), dvec3(-0.5, 0.0, 2.0)], DVec3::X, 3e-2),
+        ] {
+            let patch = facing(corners, towards);
+            let rises = lamp.corners.map(|c| (c - corners[0]).dot(patch.normal));
+            let (above, count) = clip(lamp.corners, rises);
+            let (mut wanted, mut mean, mut many) = ([0.0; 2], 0.0, 0.0);
+            for i in 0..N {
+                for j in 0..N - i {
+                    for turned in 0..=usize::from(i + j + 2 <= N) {
+                        let x = |k: usize| (k as f64 + (1.0 + turned as f64) / 3.0) / N as f64;
+                        let b = [x(i), x(j), 1.0 - x(i) - x(j)];
+                        let point: DVec3 = (0..3).map(|k| corners[k] * b[k]).sum();
+                        let in_front = (point - lamp.corners[0]).dot(lamp.normal) > 0.0;
+                        let light =
+                            if in_front { lambert(point, patch.normal, &above[..count]) } else { 0.0 };
+                        let [p, q] = slopes::basis(b);
+                        wanted = [wanted[0] + light * p, wanted[1] + light * q];
+                        (mean, many) = (mean + light, many + 1.0);
+                    }
+                }
+            }
+            let found = moments(&patch, &lamp);
+            let off = (0..2).map(|m| (found[m] - wanted[m] / many).abs() / (mean / many)).fold(0.0, f64::max);
+            assert!(off < within, "{corners:?}: {found:?}, off by {off:e} of the mean");
+        }
+    }
 
     fn facing(corners: [DVec3; 3], towards: DVec3) -> Facing {
         let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();

@@ -13,6 +13,7 @@ mod brightness;
 mod calibration;
 mod checkpoint;
 pub mod closure;
+pub(crate) mod moments;
 mod pooling;
 mod product;
 pub mod rays;

@@ -14,7 +14,7 @@ use crate::{
     monte_carlo::{Effort, Estimate, PathOptions, PathTracer, Receiver, Samples},
     patch::Patches,
     scene::Scene,
-    solve::Solution,
+    solve::{Light, Solution, linear::rise_at},
     tone::rgb,
     trace::{
         Hit, Tracer,
@@ -42,6 +42,8 @@ pub struct FinalGather<'a> {
     patches: &'a Patches,
     /// Irradiance of each patch, never negative.
     irradiance: Vec<[f64; 3]>,
+    /// How it varies over them.
+    slopes: Vec<[f64; 2]>,
     direct: PathTracer<'a>,
     rays: u32,
 }
@@ -62,7 +64,8 @@ impl<'a> FinalGather<'a> {
         assert_eq!(irradiance.len(), patches.len(), "the solution is of other patches");
         let options = PathOptions { max_bounces: Some(0), ..PathOptions::default() };
         let direct = PathTracer::new(scene, tracer, options);
-        FinalGather { scene, tracer, patches, irradiance, direct, rays: rays.max(1) }
+        let slopes = Light::from(solution).slopes.to_vec();
+        FinalGather { scene, tracer, patches, irradiance, slopes, direct, rays: rays.max(1) }
     }
 
     /// One sample of the irradiance of a place, W/m².
@@ -115,9 +118,16 @@ impl<'a> FinalGather<'a> {
     /// Reflected radiosity where a ray hit. Zero on backs that no ray of the solution hit.
     #[inline]
     fn reflected(&self, hit: &Hit) -> DVec3 {
-        let patch = self.patches.at(hit.triangle, hit.barycentric, hit.front);
-        let irradiance = patch.map_or(DVec3::ZERO, |i| self.irradiance[i as usize].into());
-        DVec3::from(hit.reflectance(self.scene)) * irradiance
+        let Some(patch) = self.patches.at(hit.triangle, hit.barycentric, hit.front) else {
+            return DVec3::ZERO;
+        };
+        let (patch, channels) = (patch as usize, self.patches.channels());
+        let mut irradiance = DVec3::from(self.irradiance[patch]);
+        if !self.slopes.is_empty() {
+            let there = self.patches.local(patch, hit.barycentric);
+            irradiance += DVec3::from(rise_at(&self.slopes, patch, channels, there));
+        }
+        DVec3::from(hit.reflectance(self.scene)) * irradiance.max(DVec3::ZERO)
     }
 }
 

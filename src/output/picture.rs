@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::{
     final_gather::{FinalGather, outgoing, positive},
-    vertex_colors::at_vertices,
+    vertex_colors,
     vertices::{CREASE, PatchMesh},
 };
 use crate::{
@@ -35,7 +35,7 @@ impl<'a> SmoothSurface<'a> {
     /// When the light belongs to other patches.
     pub fn new<'l>(scene: &'a Scene, patches: &'a Patches, light: impl Into<Light<'l>>) -> Self {
         let mesh = PatchMesh::new(scene, patches, CREASE);
-        let values = at_vertices(scene, patches, &mesh, light.into().irradiance);
+        let values = vertex_colors::irradiance(scene, patches, &mesh, light.into());
         SmoothSurface { scene, patches, mesh, irradiance: positive(&values, patches.channels()) }
     }
 
@@ -158,6 +158,7 @@ mod tests {
             iterations: 0,
             residual: 0.0,
             error_bound: 0.0,
+            linear: None,
         };
         (scene, patches, solution)
     }

@@ -129,7 +129,7 @@ pub fn encode<'a>(
 
     let mesh = PatchMesh::new(scene, patches, options.crease);
     let exposure = options.exposure.unwrap_or_else(|| exposure::of_radiosity(patches, light.radiosity));
-    let radiosity = vertex_colors::at_vertices(scene, patches, &mesh, light.radiosity);
+    let radiosity = vertex_colors::radiosity(scene, patches, &mesh, light);
     let shown = match options.backs {
         true => Shown::all(&mesh),
         false => Shown::of(&mesh, &lit_sides(scene, patches, light)),

@@ -168,8 +168,11 @@ pub struct ErrorReport {
     pub confidence: f64,
     /// Estimated bias, relative to the mean irradiance.
     pub bias_relative: Option<f64>,
-    /// Discretisation error, relative to the mean irradiance. Without a matrix only if it determined the patches.
+    /// Discretisation error of constant light, relative to the mean irradiance: an upper estimate for linear light. Without a matrix
+    /// only if it determined the patches.
     pub discretisation_relative: Option<f64>,
+    /// Sampling and discretisation together: the root of the sum of their squares.
+    pub total_relative: Option<f64>,
     /// Bound on the error of the solver, relative to the mean irradiance; `null` where there is none.
     pub solver_relative: Option<f64>,
     /// The value of `--error`; `null` without it.
@@ -197,6 +200,7 @@ impl Default for ErrorReport {
             confidence: 0.95,
             bias_relative: None,
             discretisation_relative: None,
+            total_relative: None,
             solver_relative: None,
             target: None,
             largest_region: None,

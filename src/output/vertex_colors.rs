@@ -3,12 +3,17 @@
 //! The value at a vertex is a mean over the patches of its surface that meet there, weighted by their angles at the
 //! vertex. Cohen and Wallace ("Radiosity and Realistic Image Synthesis", 1993, chapter 9) use equal weights. With angles
 //! as weights the result does not depend on how a flat surface was cut into triangles, and radiosity that varies linearly
-//! over a regular mesh is reproduced.
+//! over a regular mesh is reproduced. Linear light of a patch counts with its value at the vertex.
 
 use rayon::prelude::*;
 
 use super::vertices::PatchMesh;
-use crate::{patch::Patches, scene::Scene};
+use crate::{
+    patch::Patches,
+    scene::Scene,
+    slopes::{CORNERS, rise},
+    solve::Light,
+};
 
 /// The smallest weight, so that a vertex between slivers alone has a value.
 const LEAST_ANGLE: f64 = 1e-9;
@@ -18,13 +23,46 @@ const LEAST_ANGLE: f64 = 1e-9;
 /// # Panics
 /// When `values` does not hold `channels` values per patch.
 pub fn at_vertices(scene: &Scene, patches: &Patches, mesh: &PatchMesh, values: &[f64]) -> Vec<f64> {
+    means(scene, patches, mesh, values, |_, _| 0.0)
+}
+
+/// Irradiance at the vertices, as [`at_vertices`].
+pub(super) fn irradiance(scene: &Scene, patches: &Patches, mesh: &PatchMesh, light: Light<'_>) -> Vec<f64> {
+    means(scene, patches, mesh, light.irradiance, |q, corner| rise_of(light, q, corner))
+}
+
+/// Radiosity at the vertices, as [`at_vertices`].
+pub(super) fn radiosity(scene: &Scene, patches: &Patches, mesh: &PatchMesh, light: Light<'_>) -> Vec<f64> {
+    let reflectance = patches.reflectance();
+    means(scene, patches, mesh, light.radiosity, |q, corner| reflectance[q] * rise_of(light, q, corner))
+}
+
+/// By how much irradiance of a patch and channel exceeds its mean at a corner.
+fn rise_of(light: Light<'_>, q: usize, corner: usize) -> f64 {
+    light.slopes.get(q).map_or(0.0, |slopes| rise(slopes, CORNERS[corner]))
+}
+
+/// `more` is what a value of a patch and channel has more at a corner.
+fn means(
+    scene: &Scene,
+    patches: &Patches,
+    mesh: &PatchMesh,
+    values: &[f64],
+    more: impl Fn(usize, usize) -> f64,
+) -> Vec<f64> {
     match patches.channels() {
-        1 => mean::<1>(scene, patches, mesh, values),
-        _ => mean::<3>(scene, patches, mesh, values),
+        1 => mean::<1>(scene, patches, mesh, values, more),
+        _ => mean::<3>(scene, patches, mesh, values, more),
     }
 }
 
-fn mean<const C: usize>(scene: &Scene, patches: &Patches, mesh: &PatchMesh, values: &[f64]) -> Vec<f64> {
+fn mean<const C: usize>(
+    scene: &Scene,
+    patches: &Patches,
+    mesh: &PatchMesh,
+    values: &[f64],
+    more: impl Fn(usize, usize) -> f64,
+) -> Vec<f64> {
     assert_eq!(values.len(), C * patches.len(), "one value a patch and channel is wanted");
     let angles: Vec<[f64; 3]> =
         (0..scene.triangles.len()).into_par_iter().map(|t| corner_angles(scene, t)).collect();
@@ -32,10 +70,11 @@ fn mean<const C: usize>(scene: &Scene, patches: &Patches, mesh: &PatchMesh, valu
     let mut weights = vec![0.0; sums.len()];
     for (i, value) in values.as_chunks::<C>().0.iter().enumerate() {
         // Patches are similar to their triangle, corner for corner.
-        for (vertex, angle) in mesh.corners(i).into_iter().zip(angles[patches.triangle(i)]) {
-            weights[vertex as usize] += angle;
-            for (sum, value) in sums[vertex as usize].iter_mut().zip(value) {
-                *sum += angle * value;
+        for (corner, angle) in angles[patches.triangle(i)].into_iter().enumerate() {
+            let vertex = mesh.corners(i)[corner] as usize;
+            weights[vertex] += angle;
+            for (c, (sum, value)) in sums[vertex].iter_mut().zip(value).enumerate() {
+                *sum += angle * (value + more(C * i + c, corner));
             }
         }
     }

@@ -13,6 +13,7 @@ pub mod direct;
 mod few_rays;
 pub mod gauss_seidel;
 pub mod jacobi;
+pub mod linear;
 pub mod southwell;
 pub mod stochastic_jacobi;
 
@@ -23,6 +24,7 @@ use crate::{
     form_factor::{DirectLight, Estimator, FormFactors, together},
     patch::Patches,
 };
+pub use linear::{LinearLight, solve_linear};
 use stochastic_jacobi::StochasticSolution;
 
 /// Which algorithm.
@@ -68,18 +70,21 @@ pub struct SolveOptions {
     pub tolerance: f64,
     /// Give up after this many iterations (for Southwell: as many times the number of patches shoot).
     pub max_iterations: usize,
+    /// Whether [`solve_linear`] lets light vary over each patch; else it is as constant as that of [`solve()`].
+    pub linear: bool,
 }
 
 setters!(SolveOptions {
     with_solver(solver: Solver),
     with_tolerance(tolerance: f64),
     with_max_iterations(max_iterations: usize),
+    with_linear(linear: bool),
 });
 
 impl Default for SolveOptions {
-    /// Solver chosen by the system, tolerance 1e-10, at most 10,000 iterations.
+    /// Solver chosen by the system, tolerance 1e-10, at most 10,000 iterations, constant light.
     fn default() -> Self {
-        SolveOptions { solver: Solver::Auto, tolerance: 1e-10, max_iterations: 10_000 }
+        SolveOptions { solver: Solver::Auto, tolerance: 1e-10, max_iterations: 10_000, linear: false }
     }
 }
 
@@ -130,6 +135,8 @@ pub struct Solution {
     /// No patch's radiosity is farther than this from the exact solution of the discrete system, W/m². Infinite where
     /// a patch reflects everything and loses nothing.
     pub error_bound: f64,
+    /// How irradiance varies over each patch; `None` where light was taken as constant.
+    pub linear: Option<Box<LinearLight>>,
 }
 
 impl Solution {
@@ -141,6 +148,11 @@ impl Solution {
     /// Irradiance of patch `i` as R G B, W/m²; three equal values in a grey scene.
     pub fn irradiance_rgb(&self, i: usize) -> [f64; 3] {
         rgb(&self.irradiance, self.channels, i)
+    }
+
+    /// Irradiance as it is with constant light on each patch, W/m², interleaved channels.
+    pub(crate) fn constant_irradiance(&self) -> &[f64] {
+        self.linear.as_ref().map_or(&self.irradiance, |linear| &linear.constant)
     }
 }
 
@@ -155,11 +167,14 @@ pub struct Light<'a> {
     pub radiosity: &'a [f64],
     /// Irradiance E, W/m².
     pub irradiance: &'a [f64],
+    /// Slopes of irradiance ([`LinearLight::slopes`]); empty where light is constant over each patch.
+    pub slopes: &'a [[f64; 2]],
 }
 
 impl<'a> From<&'a Solution> for Light<'a> {
     fn from(solution: &'a Solution) -> Self {
-        Light { radiosity: &solution.radiosity, irradiance: &solution.irradiance }
+        let slopes = solution.linear.as_ref().map_or(&[][..], |linear| &linear.slopes);
+        Light { radiosity: &solution.radiosity, irradiance: &solution.irradiance, slopes }
     }
 }
 
@@ -177,7 +192,7 @@ impl StochasticSolution {
 
 impl<'a> From<&'a StochasticSolution> for Light<'a> {
     fn from(solution: &'a StochasticSolution) -> Self {
-        Light { radiosity: &solution.radiosity, irradiance: &solution.irradiance }
+        Light { radiosity: &solution.radiosity, irradiance: &solution.irradiance, slopes: &[] }
     }
 }
 
@@ -239,17 +254,40 @@ type Iterate<const C: usize> = (Vec<[f64; C]>, usize);
 impl<'a, const C: usize> System<'a, C> {
     pub(crate) fn new(form_factors: &'a FormFactors, radiometry: Radiometry<'a>) -> Self {
         let emission: &[[f64; C]] = radiometry.emission.as_chunks().0;
+        let (direct, entered) = match form_factors.direct(emission, 1.0) {
+            Some(DirectLight { irradiance, entered, .. }) => (Some(irradiance), entered),
+            None => (None, [0.0; C]),
+        };
+        Self::with_direct(form_factors, radiometry, direct, entered)
+    }
+
+    /// With so much more light on each patch beside the direct light.
+    fn with_more(form_factors: &'a FormFactors, radiometry: Radiometry<'a>, more: &[[f64; C]]) -> Self {
+        let mut system = Self::new(form_factors, radiometry);
+        let mut direct = system.direct.take().unwrap_or_else(|| vec![[0.0; C]; more.len()]);
+        direct.as_flattened_mut().iter_mut().zip(more.as_flattened()).for_each(|(d, more)| *d += more);
+        Self::with_direct(form_factors, radiometry, Some(direct), system.entered)
+    }
+
+    fn with_direct(
+        form_factors: &'a FormFactors,
+        radiometry: Radiometry<'a>,
+        direct: Option<Vec<[f64; C]>>,
+        entered: [f64; C],
+    ) -> Self {
+        let emission: &[[f64; C]] = radiometry.emission.as_chunks().0;
         let reflectance: &[[f64; C]] = radiometry.reflectance.as_chunks().0;
-        let Some(DirectLight { irradiance: direct, entered, .. }) = form_factors.direct(emission, 1.0) else {
-            let source = Cow::Borrowed(emission);
-            return System { form_factors, source, reflectance, emission, direct: None, entered: [0.0; C] };
+        let source = match &direct {
+            None => Cow::Borrowed(emission),
+            Some(direct) => {
+                let source = |i: usize| {
+                    let emitted = if form_factors.is_lamp(i) { [0.0; C] } else { emission[i] };
+                    std::array::from_fn(|c| emitted[c] + reflectance[i][c] * direct[i][c])
+                };
+                Cow::Owned((0..emission.len()).map(source).collect())
+            }
         };
-        let source = |i: usize| {
-            let emitted = if form_factors.is_lamp(i) { [0.0; C] } else { emission[i] };
-            std::array::from_fn(|c| emitted[c] + reflectance[i][c] * direct[i][c])
-        };
-        let source = Cow::Owned((0..emission.len()).map(source).collect());
-        System { form_factors, source, reflectance, emission, direct: Some(direct), entered }
+        System { form_factors, source, reflectance, emission, direct, entered }
     }
 
     fn solve(&self, start: Option<&[f64]>, options: &SolveOptions, progress: &Progress) -> Result<Solution> {
@@ -318,6 +356,7 @@ impl<'a, const C: usize> System<'a, C> {
             solver,
             iterations,
             residual,
+            linear: None,
         })
     }
 

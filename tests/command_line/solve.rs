@@ -100,7 +100,7 @@ fn the_report_has_the_promised_fields_in_the_promised_order() {
         "row_sum_deviation before after reciprocity_deviation before after",
         "solve solver iterations residual error_bound converged",
         "energy emitted absorbed escaped escaped_standard_error imbalance solver_part reciprocity_part",
-        "error rms_relative confidence bias_relative discretisation_relative largest_region",
+        "error rms_relative confidence bias_relative discretisation_relative total_relative largest_region",
         "seconds load subdivide bvh form_factors solve output total peak_bytes",
     ]
     .into_iter()

@@ -7,7 +7,7 @@ use radiosity::{
     form_factor::{CastOptions, Estimator},
     monte_carlo::{Effort, PathOptions, PathTracer, Region},
     patch::Subdivision,
-    solve::{SolveOptions, Solver, solve},
+    solve::{SolveOptions, Solver, solve, solve_linear},
     trace::Tracer,
 };
 
@@ -49,12 +49,17 @@ fn run_by(tracer: Tracer, scene: &Scene, estimator: Estimator, seed: u64, thread
                 solve(f, &room.patches, &options, &Progress::new()).unwrap()
             })
             .collect();
-        let errors = ErrorBars::of(f, &room.patches, &solutions[0]).unwrap().standard_error;
+        let options = SolveOptions::default().with_linear(true);
+        let linear = solve_linear((&room.scene, &room.tracer), f, &room.patches, &options, &Progress::new());
+        let linear = linear.unwrap();
+        let errors = ErrorBars::of(f, &room.patches, &linear).unwrap().standard_error;
+        let slopes = &linear.linear.as_ref().unwrap().slopes;
+        let linear = bits(&[&linear.radiosity[..], slopes.as_flattened()].concat());
         Bytes {
             hits: (0..n).flat_map(|i| f.ray_set().unwrap().of(i)).copied().collect(),
             columns: rows.iter().map(|r| r.0).collect(),
             values: bits(&values),
-            solutions: solutions.iter().map(|s| bits(&s.radiosity)).collect(),
+            solutions: solutions.iter().map(|s| bits(&s.radiosity)).chain([linear]).collect(),
             errors: bits(&errors),
         }
     })

@@ -17,6 +17,7 @@ mod heat;
 mod lambert;
 mod lightmaps;
 mod lights;
+mod linear;
 mod matrix;
 mod openings;
 mod ply;

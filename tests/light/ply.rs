@@ -56,7 +56,7 @@ struct Lit {
 
 impl<'a> From<&'a Lit> for Light<'a> {
     fn from(Lit { radiosity, irradiance }: &'a Lit) -> Self {
-        Light { radiosity, irradiance }
+        Light { radiosity, irradiance, slopes: &[] }
     }
 }
 

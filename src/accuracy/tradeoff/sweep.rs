@@ -15,7 +15,7 @@ use crate::{
     monte_carlo::{Effort, Estimate, PathOptions, PathTracer, Region},
     patch::{Patches, Subdivision},
     scene::Scene,
-    solve::{SolveOptions, Solver, solve},
+    solve::{SolveOptions, Solver, solve_linear},
     trace::Tracer,
 };
 
@@ -274,7 +274,8 @@ impl<'a> Sweep<'a> {
         options: &SolveOptions,
     ) -> Result<Run> {
         let start = Instant::now();
-        let solution = solve(form_factors, patches, options, self.progress)?;
+        let solution =
+            solve_linear((self.scene, self.tracer), form_factors, patches, options, self.progress)?;
         let solving = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let error_bars = ErrorBars::of(form_factors, patches, &solution).expect("rays were cast");

@@ -40,7 +40,7 @@ pub fn encode(
     exposure: Exposure,
 ) -> io::Result<()> {
     let mesh = PatchMesh::new(scene, patches, CREASE);
-    let colours = vertex_colors::at_vertices(scene, patches, &mesh, light.radiosity);
+    let colours = vertex_colors::radiosity(scene, patches, &mesh, light);
     let channels = patches.channels();
     let shown = lit_sides(scene, patches, light);
     let mut glb = Glb::new(json!({

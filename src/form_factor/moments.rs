@@ -1,0 +1,292 @@
+//! How light varies over patches, from the hemisphere rays.
+//!
+//! The first moments of the rays over the points that they start from give the slopes of what form factors carry. Cast again with
+//! the light that varies over the patches that they land on, the same rays tell how much more arrives than with constant light.
+//! Where rays start and land is not stored. It is found again from their numbers: a ray is a number and a seed.
+
+use nalgebra::{Matrix2, Vector2};
+use rayon::prelude::*;
+
+use super::{
+    FormFactors,
+    rays::{ESCAPED, REPLICATES},
+    replicates::Samples,
+};
+use crate::{
+    Progress, Result,
+    direct::{
+        Deviation,
+        footprint::Footprint,
+        moments::{Local, measured},
+        part,
+    },
+    patch::Patches,
+    scene::Scene,
+    slopes::{Measured, SQUARES, Slopes, basis, rise},
+    trace::{Hit, Tracer, sampling::mix},
+};
+
+/// Sample moments whose determinant is below this share of the exact one do not tell two slopes.
+const LEAST_DETERMINANT: f64 = 0.1;
+
+/// Light that varies over each patch, beside the same light as constants.
+pub(crate) struct Varying<'a, const C: usize> {
+    /// Irradiance of each patch and its slopes.
+    pub(crate) irradiance: &'a [[f64; C]],
+    pub(crate) slopes: &'a [Slopes<C>],
+    /// Reflectance of each patch, and whether it varies over the triangle.
+    pub(crate) reflectance: &'a [[f64; C]],
+    pub(crate) is_mapped: &'a [bool],
+}
+
+/// What linear light brings beside constant light.
+pub(crate) struct Shifted<const C: usize> {
+    /// To each patch.
+    pub(crate) irradiance: Vec<[f64; C]>,
+    /// By how much each replicate's deviates.
+    pub(crate) deviations: Vec<Deviation<C>>,
+    /// To the slopes of each patch.
+    pub(crate) slopes: Vec<Slopes<C>>,
+    /// Out of the scene: power.
+    pub(crate) escaped: [f64; C],
+}
+
+/// Sums over the rays of a replicate.
+#[derive(Clone, Copy)]
+struct Sums<const C: usize> {
+    many: f64,
+    basis: [f64; 2],
+    light: [f64; C],
+    both: [[f64; 2]; C],
+}
+
+impl<const C: usize> Sums<C> {
+    const ZERO: Self = Sums { many: 0.0, basis: [0.0; 2], light: [0.0; C], both: [[0.0; 2]; C] };
+
+    #[inline]
+    fn add(&mut self, basis: [f64; 2], light: &[f64; C]) {
+        for m in 0..2 {
+            self.basis[m] += basis[m];
+        }
+        for c in 0..C {
+            self.light[c] += light[c];
+            for m in 0..2 {
+                self.both[c][m] += basis[m] * light[c];
+            }
+        }
+    }
+}
+
+impl FormFactors {
+    /// The slopes of direct light, but for that of the sky; `None` where the form factors were not sampled. Lamps emit what
+    /// `emission` says over `unit`.
+    pub(crate) fn direct_slopes<const C: usize>(
+        &self,
+        tracer: &Tracer,
+        patches: &Patches,
+        (emission, unit): (&[[f64; C]], f64),
+    ) -> Option<Vec<Measured<C>>> {
+        let samples = self.samples.as_ref()?;
+        if samples.shadow.lamps.is_empty() {
+            return Some(vec![Measured::NONE; patches.len()]);
+        }
+        Some(samples.shadow.slopes(tracer, patches, (emission, unit), samples.options.seed))
+    }
+
+    /// The slopes of the light that form factors carry from patches of this radiosity, constant over each; `None` where the form
+    /// factors were not sampled.
+    pub(crate) fn carried_slopes<const C: usize>(
+        &self,
+        tracer: &Tracer,
+        patches: &Patches,
+        radiosity: &[[f64; C]],
+    ) -> Option<Vec<Measured<C>>> {
+        let samples = self.samples.as_ref()?;
+        let of_patch = |i: usize| samples.carried_slopes(tracer, patches, i, radiosity);
+        Some((0..patches.len()).into_par_iter().with_min_len(64).map(of_patch).collect())
+    }
+
+    /// Casts the rays again and returns what varying light brings more than constant light; `None` where the form factors were not
+    /// sampled.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
+    pub(crate) fn shift<const C: usize>(
+        &self,
+        (scene, tracer, patches): (&Scene, &Tracer, &Patches),
+        light: &Varying<C>,
+        progress: &Progress,
+    ) -> Result<Option<Shifted<C>>> {
+        let Some(samples) = &self.samples else { return Ok(None) };
+        progress.begin("casting rays again", samples.rays.rays());
+        let of_patch = |i: usize| {
+            progress.check()?;
+            let found = samples.shift(scene, tracer, patches, i, light);
+            progress.advance(samples.rays.rays_of(i).into());
+            Ok(found)
+        };
+        let found: Vec<OfPatch<C>> =
+            (0..patches.len()).into_par_iter().with_min_len(32).map(of_patch).collect::<Result<_>>()?;
+        let mut shifted = Shifted {
+            irradiance: Vec::with_capacity(found.len()),
+            deviations: Vec::with_capacity(found.len()),
+            slopes: Vec::with_capacity(found.len()),
+            escaped: [0.0; C],
+        };
+        for (found, area) in found.into_iter().zip(&self.areas) {
+            shifted.irradiance.push(found.irradiance);
+            shifted.deviations.push(found.deviation);
+            shifted.slopes.push(found.slopes);
+            (0..C).for_each(|c| shifted.escaped[c] += area * found.escaped[c]);
+        }
+        Ok(Some(shifted))
+    }
+}
+
+/// What linear light brings to a patch.
+struct OfPatch<const C: usize> {
+    irradiance: [f64; C],
+    deviation: Deviation<C>,
+    slopes: Slopes<C>,
+    /// By area.
+    escaped: [f64; C],
+}
+
+impl Samples {
+    fn carried_slopes<const C: usize>(
+        &self,
+        tracer: &Tracer,
+        patches: &Patches,
+        i: usize,
+        radiosity: &[[f64; C]],
+    ) -> Measured<C> {
+        let targets = self.rays.of(i);
+        if self.rays.is_withdrawn(i) {
+            return Measured::NONE;
+        }
+        let from = Footprint::new(tracer, patches, i);
+        let local = Local::new(&from);
+        let mut products = Matrix2::zeros();
+        let mut sums = [Sums::ZERO; REPLICATES];
+        let mut rays = from.hemisphere_rays(0..targets.len() as u32, self.seed_of(i));
+        for (k, sums) in sums.iter_mut().enumerate() {
+            let range = part(targets.len() as u32, k);
+            sums.many = range.len() as f64;
+            for (&target, ray) in targets[range].iter().zip(&mut rays) {
+                let basis = local.basis(ray.origin);
+                let along = Vector2::from(basis);
+                products += along * along.transpose();
+                let light = if target == ESCAPED { &[0.0; C] } else { &radiosity[target as usize] };
+                sums.add(basis, light);
+            }
+        }
+        fit(&sums, products)
+    }
+
+    fn seed_of(&self, i: usize) -> u64 {
+        mix(&[self.options.seed, i as u64])
+    }
+
+    fn shift<const C: usize>(
+        &self,
+        scene: &Scene,
+        tracer: &Tracer,
+        patches: &Patches,
+        i: usize,
+        light: &Varying<C>,
+    ) -> OfPatch<C> {
+        let rays = self.rays.rays_of(i);
+        let mut sums = [Sums::ZERO; REPLICATES];
+        let mut escaped = [0.0; C];
+        if !self.rays.is_withdrawn(i) {
+            let from = Footprint::new(tracer, patches, i);
+            let local = Local::new(&from);
+            let ranges: [_; REPLICATES] = std::array::from_fn(|k| part(rays, k));
+            let cast = from
+                .hemisphere_rays(0..rays, self.seed_of(i))
+                .map(|ray| ((ray.index as usize, local.basis(ray.origin)), ray.origin, ray.direction));
+            tracer.closest_each(cast, |(index, basis), hit| {
+                let Some((j, hit)) = hit.and_then(|hit| {
+                    Some((patches.at(hit.triangle, hit.barycentric, hit.front)? as usize, hit))
+                }) else {
+                    for c in 0..C {
+                        escaped[c] += light.reflectance[i][c] * rise(&light.slopes[i][c], basis);
+                    }
+                    return;
+                };
+                let replicate = ranges.partition_point(|range| range.end <= index);
+                let there = patches.local(j, hit.barycentric);
+                sums[replicate].add(basis, &light.more(scene, there, j, &hit));
+            });
+        }
+        let many = f64::from(rays);
+        let mean: [f64; C] =
+            std::array::from_fn(|c| sums.iter().map(|sums| sums.light[c]).sum::<f64>() / many);
+        let mut parts = [[[0.0; 2]; C]; REPLICATES];
+        let deviation = std::array::from_fn(|c| {
+            std::array::from_fn(|k| {
+                let of_part = part(rays, k).len() as f64;
+                parts[k][c] = sums[k].both[c].map(|both| both / of_part);
+                (sums[k].light[c] / of_part - mean[c]) as f32
+            })
+        });
+        OfPatch {
+            irradiance: mean,
+            deviation,
+            slopes: measured(&parts, rays as usize).slopes,
+            escaped: escaped.map(|escaped| escaped / many),
+        }
+    }
+}
+
+impl<const C: usize> Varying<'_, C> {
+    /// By how much the reflected light where a ray lands on patch `j` exceeds that of the whole patch.
+    #[inline]
+    fn more(&self, scene: &Scene, there: [f64; 3], j: usize, hit: &Hit) -> [f64; C] {
+        let (reflectance, slopes) = (&self.reflectance[j], &self.slopes[j]);
+        let basis = basis(there);
+        let rises = |c: usize| rise(&slopes[c], basis);
+        if !self.is_mapped[j] {
+            return std::array::from_fn(|c| reflectance[c] * rises(c));
+        }
+        let here = hit.reflectance(scene);
+        std::array::from_fn(|c| {
+            let irradiance = self.irradiance[j][c];
+            here[c] * (irradiance + rises(c)) - reflectance[c] * irradiance
+        })
+    }
+}
+
+/// Slopes by least squares, and the noise of them that replicates tell by their spread.
+fn fit<const C: usize>(sums: &[Sums<C>; REPLICATES], products: Matrix2<f64>) -> Measured<C> {
+    let many: f64 = sums.iter().map(|sums| sums.many).sum();
+    let of_all = |value: &dyn Fn(&Sums<C>) -> f64| sums.iter().map(value).sum::<f64>() / many;
+    let centre = [0, 1].map(|m| of_all(&|sums| sums.basis[m]));
+    let along = Vector2::from(centre);
+    let squares = products / many - along * along.transpose();
+    if squares.determinant() < LEAST_DETERMINANT * SQUARES[0] * SQUARES[1] {
+        return Measured::NONE;
+    }
+    let inverse = squares.try_inverse().unwrap_or_else(Matrix2::zeros);
+    let mut found = Measured::NONE;
+    for c in 0..C {
+        let mean = of_all(&|sums| sums.light[c]);
+        // Sums of (φ - its mean) (light - its mean).
+        let of_part = |sums: &Sums<C>| {
+            let moment = |m: usize| {
+                let (b, l) = (sums.basis[m], sums.light[c]);
+                sums.both[c][m] - centre[m] * l - mean * b + sums.many * centre[m] * mean
+            };
+            inverse * Vector2::new(moment(0), moment(1))
+        };
+        let parts = sums.map(|sums| of_part(&sums) / sums.many);
+        let slopes: Vector2<f64> = parts.iter().zip(sums).map(|(part, sums)| part * (sums.many / many)).sum();
+        found.slopes[c] = slopes.into();
+        for part in parts {
+            let off = part - slopes;
+            let spread = SQUARES[0] * off[0] * off[0] + SQUARES[1] * off[1] * off[1];
+            found.noise += spread / (REPLICATES * (REPLICATES - 1)) as f64;
+        }
+    }
+    found
+}
