@@ -169,7 +169,7 @@ impl Piece {
         match &self.source {
             Source::Surface(surface) => Some(moments(patch, &surface.facing)),
             // Alike everywhere.
-            Source::Remote(Remote::Distant(_), _) => Some([0.0; 2]),
+            Source::Remote(Remote::Distant(_) | Remote::Cell(_), _) => Some([0.0; 2]),
             Source::Remote(Remote::Point { .. }, _) => None,
         }
     }
