@@ -10,6 +10,7 @@ pub(crate) mod gltf;
 mod indexed;
 pub mod inspection;
 pub mod light;
+mod near;
 pub mod obj;
 pub mod overlaps;
 pub(crate) mod ply;

@@ -3,10 +3,10 @@
 use std::collections::HashMap;
 
 use glam::{DVec3, Vec3A};
-use obvhs::{aabb::Aabb, bvh2::Bvh2, bvh2::builder::build_bvh2};
+use obvhs::aabb::Aabb;
 use rayon::prelude::*;
 
-use crate::scene::{Scene, centre_and_extent, overlaps::BUILD};
+use crate::scene::{Scene, centre_and_extent, near::overlapping};
 
 /// A straight line in a triangle's plane, along which other surface meets the triangle.
 #[derive(Debug, Clone, Copy)]
@@ -44,22 +44,7 @@ pub(super) fn find(scene: &Scene) -> Vec<Line> {
     let flat: Vec<Flat> = (0..count).into_par_iter().map(|t| Flat::of(scene, t)).collect();
     let boxes: Vec<Aabb> = flat.par_iter().map(|flat| flat.padded(centre, half)).collect();
     let search = Search { scene, flat };
-    let tree = build_bvh2(&boxes, BUILD, &mut Default::default());
-    let of_one = |k: usize| {
-        let mut found = Vec::new();
-        tree.aabb_traverse(boxes[k], |tree: &Bvh2, node| {
-            let node = &tree.nodes[node as usize];
-            let first = node.first_index as usize;
-            for &other in &tree.primitive_indices[first..first + node.prim_count as usize] {
-                if (other as usize) > k {
-                    search.pair(k, other as usize, &mut found);
-                }
-            }
-            true
-        });
-        found
-    };
-    let found: Vec<Found> = (0..count).into_par_iter().with_min_len(256).flat_map_iter(of_one).collect();
+    let found: Vec<Found> = overlapping(&boxes, |k, other, found| search.pair(k, other, found));
     let mut lines = search.of_surfaces(found);
     lines.sort_by_cached_key(|line| (line.triangle, line.ends.map(|p| p.to_array().map(f64::to_bits))));
     lines

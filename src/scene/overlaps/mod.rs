@@ -20,7 +20,6 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use super::{Scene, cutting, triangle_area};
 use overlay::Overlay;
-pub(super) use pairs::BUILD;
 
 /// Surface of one material that was cut away because it lies behind other faces in one plane.
 #[derive(Debug, Clone, PartialEq)]

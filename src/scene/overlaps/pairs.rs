@@ -1,13 +1,10 @@
 //! Which triangles overlap in one plane.
 
 use glam::{DVec2, DVec3, Vec3, Vec3A};
-use obvhs::{
-    BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::builder::build_bvh2, ploc::PlocSearchDistance,
-    ploc::SortPrecision,
-};
+use obvhs::aabb::Aabb;
 use rayon::prelude::*;
 
-use crate::scene::{Scene, centre_and_extent, cutting::Plane};
+use crate::scene::{Scene, centre_and_extent, cutting::Plane, near::overlapping};
 
 /// Two triangles that overlap.
 pub(super) struct Pair {
@@ -42,38 +39,9 @@ pub(super) fn find(scene: &Scene, facing: Facing) -> Vec<Pair> {
     let search = Search { scene, facing, extent: 2.0 * half, normals: normals(scene) };
     let (kept, mut pairs) = search.distinct();
     let boxes: Vec<Aabb> = kept.par_iter().map(|&t| search.padded(t, centre, half)).collect();
-    let tree = build_bvh2(&boxes, BUILD, &mut Default::default());
-    let of_one = |k: usize| {
-        let mut found = Vec::new();
-        tree.aabb_traverse(boxes[k], |tree: &Bvh2, node| {
-            let node = &tree.nodes[node as usize];
-            let first = node.first_index as usize;
-            for &other in &tree.primitive_indices[first..first + node.prim_count as usize] {
-                if (other as usize) > k
-                    && let Some(pair) = search.pair(kept[k], kept[other as usize])
-                {
-                    found.push(pair);
-                }
-            }
-            true
-        });
-        found
-    };
-    pairs.par_extend((0..kept.len()).into_par_iter().with_min_len(256).flat_map_iter(of_one));
+    pairs.extend(overlapping(&boxes, |k, other, found| found.extend(search.pair(kept[k], kept[other]))));
     pairs
 }
-
-/// As for rays (see `trace::bvh`), but without reinsertion, which does not pay for one query per box.
-pub(in crate::scene) const BUILD: BvhBuildParams = BvhBuildParams {
-    pre_split: false,
-    ploc_search_distance: PlocSearchDistance::Low,
-    search_depth_threshold: 0,
-    reinsertion_batch_ratio: 0.0,
-    post_collapse_reinsertion_batch_ratio_multiplier: 0.0,
-    sort_precision: SortPrecision::U64,
-    max_prims_per_leaf: 1,
-    collapse_traversal_cost: 1.0,
-};
 
 fn normals(scene: &Scene) -> Vec<Vec3> {
     (0..scene.triangles.len()).into_par_iter().map(|t| scene.normal(t).as_vec3()).collect()
