@@ -31,6 +31,7 @@ use crate::{Error, Result};
 pub use contacts::Contacts;
 use light::{Lights, Units};
 use overlaps::Hidden;
+pub(crate) use specular::LEAST_ALPHA;
 pub use specular::{Distribution, Fresnel, MOST_EXPONENT, Shadowing, Specular};
 pub use texture::{Texture, TextureMap};
 

@@ -133,5 +133,9 @@ impl Specular {
     }
 }
 
+/// The smallest roughness of microfacets. Its lobe is a tenth of a degree wide, which directions in single precision
+/// resolve. glTF allows a roughness of 0, at which the model would become a mirror.
+pub(crate) const LEAST_ALPHA: f64 = 1e-3;
+
 /// Largest exponent. Its lobe is a tenth of a degree wide, which directions in single precision still resolve.
 pub const MOST_EXPONENT: f64 = 1e6;

@@ -3,11 +3,7 @@
 use glam::DVec3;
 
 use super::{Brdf, above, beckmann, ggx, reflect};
-use crate::scene::{Distribution, Fresnel, Shadowing};
-
-/// The smallest roughness of microfacets. Its lobe is a tenth of a degree wide, which directions in single precision
-/// resolve. glTF allows a roughness of 0, at which the model would become a mirror.
-const LEAST_ALPHA: f64 = 1e-3;
+use crate::scene::{Distribution, Fresnel, LEAST_ALPHA, Shadowing};
 
 /// f = F D G2/(4 cos θi cos θo) (Cook and Torrance, "A Reflectance Model for Computer Graphics", ACM TOG 1(1), 1982, with
 /// the 4 of Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, equation 20). Light that is

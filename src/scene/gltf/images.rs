@@ -38,11 +38,15 @@ impl Image {
 
     /// The mean colour, linear.
     pub fn mean(&self) -> [f64; 3] {
-        let mut sum = [0.0; 3];
+        let mut counts = [[0u64; 256]; 3];
         for pixel in self.colour.pixels() {
-            (0..3).for_each(|c| sum[c] += tone::linear(f64::from(pixel.0[c]) / 255.0));
+            (0..3).for_each(|c| counts[c][usize::from(pixel.0[c])] += 1);
         }
-        sum.map(|s| s / (f64::from(self.colour.width()) * f64::from(self.colour.height())))
+        let texels = f64::from(self.colour.width()) * f64::from(self.colour.height());
+        counts.map(|counts| {
+            let of_byte = |(byte, &count): (usize, &u64)| count as f64 * tone::linear(byte as f64 / 255.0);
+            counts.iter().enumerate().map(of_byte).sum::<f64>() / texels
+        })
     }
 }
 

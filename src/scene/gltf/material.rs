@@ -13,8 +13,8 @@ use super::surface::{Surface, textures_of};
 use crate::Result;
 use crate::scene::texture;
 use crate::scene::{
-    Distribution, Fresnel, LoadOptions, MOST_RADIANCE, Material, Shadowing, Specular, Texture, TextureMap,
-    is_radiance, warnings::Warnings,
+    Distribution, Fresnel, LEAST_ALPHA, LoadOptions, MOST_RADIANCE, Material, Shadowing, Specular, Texture,
+    TextureMap, is_radiance, warnings::Warnings,
 };
 
 /// The texture coordinates of a map.
@@ -54,8 +54,6 @@ impl Lookup {
 /// Channels of a metallic-roughness texture.
 const ROUGHNESS: usize = 1;
 const METAL: usize = 2;
-/// Roughness of what the file says is perfectly smooth: a lobe of a tenth of a degree.
-const LEAST_ALPHA: f64 = 1e-3;
 
 /// A material as a primitive needs it.
 #[derive(Debug, Clone)]
@@ -342,11 +340,12 @@ impl<'a> Materials<'a> {
             let info = info.filter(|info| usable(info))?;
             self.image_of(info, name, "its factors alone count")
         };
-        let (base, metal) = (mean(surface.texture), mean(surface.metal_texture));
+        let metal = mean(surface.metal_texture);
         let mean_of = |channel| metal.as_ref().map_or(1.0, |image| image.mean_of(channel));
         let metallic = surface.metallic * mean_of(METAL);
         let roughness = gloss.roughness * mean_of(ROUGHNESS);
-        let base = base.map_or([1.0; 3], |image| image.mean());
+        // Only metals have their colour in it.
+        let base = mean(surface.texture.filter(|_| metallic > 0.0)).map_or([1.0; 3], |image| image.mean());
         let colour = surface.colour.unwrap_or([1.0; 3]);
         let r0: [f64; 3] =
             std::array::from_fn(|c| (1.0 - metallic) * gloss.dielectric[c] + metallic * colour[c] * base[c]);
