@@ -174,30 +174,12 @@ pub fn add(scene: &mut Scene, path: &Path, up: Option<Up>) -> Result<Option<SunA
     let folder = path.parent().unwrap_or(Path::new(""));
     let units = scene.units;
     let mut reader = Reader { scene, up, units, folder, sun: None };
-    for sun in table.sun {
-        let span = sun.span();
-        reader.sun(sun.into_inner()).map_err(|e| e.located(&wrong, span))?;
-    }
-    for light in table.directional {
-        let span = light.span();
-        reader.directional(light.into_inner()).map_err(|e| e.located(&wrong, span))?;
-    }
-    for light in table.point {
-        let span = light.span();
-        reader.point(light.into_inner()).map_err(|e| e.located(&wrong, span))?;
-    }
-    for light in table.spot {
-        let span = light.span();
-        reader.spot(light.into_inner()).map_err(|e| e.located(&wrong, span))?;
-    }
-    for light in table.luminaire {
-        let span = light.span();
-        reader.luminaire(light.into_inner()).map_err(|e| e.located(&wrong, span))?;
-    }
-    if let Some(sky) = table.sky {
-        let span = sky.span();
-        reader.sky(sky.into_inner()).map_err(|e| e.located(&wrong, span))?;
-    }
+    reader.all(table.sun, Reader::sun, &wrong)?;
+    reader.all(table.directional, Reader::directional, &wrong)?;
+    reader.all(table.point, Reader::point, &wrong)?;
+    reader.all(table.spot, Reader::spot, &wrong)?;
+    reader.all(table.luminaire, Reader::luminaire, &wrong)?;
+    reader.all(table.sky, Reader::sky, &wrong)?;
     Ok(reader.sun)
 }
 
@@ -279,6 +261,19 @@ fn within(value: f64, range: std::ops::RangeInclusive<f64>, what: &str) -> Read<
 }
 
 impl Reader<'_> {
+    /// Reads tables of one kind. An error names the table's place.
+    fn all<T>(
+        &mut self,
+        tables: impl IntoIterator<Item = Spanned<T>>,
+        read: impl Fn(&mut Self, T) -> Read<()>,
+        wrong: &impl Fn(Option<Range<usize>>, String) -> Error,
+    ) -> Result<()> {
+        tables.into_iter().try_for_each(|table| {
+            let span = table.span();
+            read(self, table.into_inner()).map_err(|fault| fault.located(wrong, span))
+        })
+    }
+
     fn push(&mut self, name: Option<String>, kind: &str, light: LightKind) {
         self.scene.lights.list.push(Light { name: name.unwrap_or_else(|| kind.into()), kind: light });
     }
