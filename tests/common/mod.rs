@@ -12,7 +12,7 @@ use glam::{DVec3, dvec3};
 use radiosity::{
     Progress, Scene,
     accuracy::error_bars::ErrorBars,
-    form_factor::{CastOptions, Estimator, FormFactors, Matrix},
+    form_factor::{CastOptions, Estimator, FormFactors, Matrix, exact::polygon_exchange_area},
     patch::{Patches, Subdivision},
     scene::Material,
     solve::{Radiometry, SolveOptions, solve},
@@ -333,6 +333,23 @@ pub fn store(n: usize, exchange: impl Fn(usize, usize) -> f64) -> Matrix {
         starts.push(columns.len());
     }
     Matrix::new((n, n), starts, columns, values)
+}
+
+/// Exact form factors of a convex polyhedron seen from inside: nothing is in the way. Where faces of it are missing, what a row lacks to
+/// one escapes.
+pub fn convex_form_factors(triangles: &[Corners], is_closed: bool) -> FormFactors {
+    let n = triangles.len();
+    let areas: Vec<f64> = triangles.iter().map(|t| area(&[*t])).collect();
+    let mut exchange = vec![0.0; n * n];
+    for i in 0..n {
+        for j in 0..i {
+            let s = polygon_exchange_area(&triangles[i], &triangles[j]);
+            (exchange[i * n + j], exchange[j * n + i]) = (s, s);
+        }
+    }
+    let lacking = |i: usize| (1.0 - exchange[i * n..][..n].iter().sum::<f64>() / areas[i]).max(0.0);
+    let escaped = (0..n).map(|i| if is_closed { 0.0 } else { lacking(i) }).collect();
+    FormFactors::from_exchange(store(n, |i, j| exchange[i * n + j]), areas, escaped)
 }
 
 /// Largest |row sum + escaped - 1| and largest |A_i F_ij - A_j F_ji| / min(A_i, A_j), entry by entry.

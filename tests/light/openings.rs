@@ -57,18 +57,7 @@ struct Truth {
 
 impl Truth {
     fn of((triangles, lamps): (Vec<Corners>, Vec<bool>)) -> Truth {
-        let n = triangles.len();
-        let areas: Vec<f64> = triangles.iter().map(|t| area(&[*t])).collect();
-        let mut exchange = vec![0.0; n * n];
-        for i in 0..n {
-            for j in 0..i {
-                let s = polygon_exchange_area(&triangles[i], &triangles[j]);
-                (exchange[i * n + j], exchange[j * n + i]) = (s, s);
-            }
-        }
-        let escaped =
-            (0..n).map(|i| (1.0 - exchange[i * n..][..n].iter().sum::<f64>() / areas[i]).max(0.0)).collect();
-        let form_factors = FormFactors::from_exchange(store(n, |i, j| exchange[i * n + j]), areas, escaped);
+        let form_factors = convex_form_factors(&triangles, false);
         Truth { form_factors, lamps, triangles }
     }
 

@@ -10,7 +10,7 @@ use radiosity::{
     energy::EnergyLedger,
     form_factor::{
         CastOptions, Estimator, FormFactors,
-        exact::{Axis, AxisRectangle, polygon_exchange_area},
+        exact::{Axis, AxisRectangle},
     },
     patch::Subdivision,
     scene::{Material, Texture, TextureMap},
@@ -125,20 +125,6 @@ fn sphere_pattern(triangles: &[Corners]) -> (Vec<f64>, Vec<f64>) {
     (emission.collect(), reflectance.collect())
 }
 
-/// Exact exchange areas of a convex polyhedron seen from inside: nothing is in the way.
-fn convex_form_factors(triangles: &[Corners]) -> FormFactors {
-    let n = triangles.len();
-    let areas: Vec<f64> = triangles.iter().map(|t| area(&[*t])).collect();
-    let mut exchange = vec![0.0; n * n];
-    for i in 0..n {
-        for j in 0..i {
-            let s = polygon_exchange_area(&triangles[i], &triangles[j]);
-            (exchange[i * n + j], exchange[j * n + i]) = (s, s);
-        }
-    }
-    FormFactors::from_exchange(store(n, |i, j| exchange[i * n + j]), areas, vec![0.0; n])
-}
-
 /// E = Φ / (A - ∫ρ dA) at every point of a sphere, for any pattern. In a polyhedron of ever smaller facets the RMS
 /// deviation falls with the square of their size in the end; it is measured on exact form factors, for it is soon
 /// smaller than what rays can tell. Rays are then compared with these, patch by patch, in standard errors: the
@@ -149,7 +135,7 @@ fn the_inside_of_a_sphere() {
     for level in 0..3 {
         let sphere = flipped(icosphere(1.0, level));
         let (emission, reflectance) = sphere_pattern(&sphere);
-        let f = convex_form_factors(&sphere);
+        let f = convex_form_factors(&sphere, true);
         let exact = solved(&f, grey(&emission, &reflectance));
         let sum = |x: &dyn Fn(usize) -> f64| (0..sphere.len()).map(|i| f.areas()[i] * x(i)).sum::<f64>();
         let even = sum(&|i| emission[i]) / sum(&|i| 1.0 - reflectance[i]);

@@ -77,38 +77,36 @@ def overcast():
     a = numbers(text, "skyfunc")
     return sky("3 %g %g %g" % tuple(a[:3]), "mycloudy"), ["--sky", "overcast:100"]
 
-def clear():
-    text = run(["gensky", "-ang", "40", "30", "+s", "-B", "80"])
-    a = numbers(text, "skyfunc")
-    light, source, rad = sun_of(text)
-    e = light[0] * math.pi * math.sin(math.radians(source[3]/2))**2
-    az, alt = azimuth(source[:3])
-    # The irradiance of this sky without its ground, by the same integral as RADIANCE leaves to its renderer.
-    n, total = 400, 0
+def horizontal(sun, radiance, n=400):
+    """Irradiance of a horizontal plane by a sky: radiance by the sine of the altitude, and the angle to the sun and its cosine."""
+    total = 0
     for i in range(n):
         h = math.asin(math.sqrt((i+.5)/n)); s = math.sin(h)
         for j in range(n):
             p = 2*math.pi*(j+.5)/n
-            d = (math.cos(h)*math.cos(p), math.cos(h)*math.sin(p), s)
-            c = sum(x*y for x, y in zip(d, a[4:7])); g = math.acos(max(-1, min(1, c)))
-            total += a[1]*(.91+10*math.exp(-3*g)+.45*c*c)*((1-math.exp(-.32/s)) if s > .01 else 1)/a[3]
+            c = sum(x*y for x, y in zip((math.cos(h)*math.cos(p), math.cos(h)*math.sin(p), s), sun))
+            total += radiance(s, math.acos(max(-1, min(1, c))), c)
+    return math.pi*total/n/n
+
+def clear():
+    text = run(["gensky", "-ang", "40", "30", "+s", "-B", "80"])
+    a = numbers(text, "skyfunc")
+    light, source, rad = sun_of(text)
+    of_sun = light[0] * math.pi * math.sin(math.radians(source[3]/2))**2
+    az, alt = azimuth(source[:3])
+    # The irradiance of this sky without its ground, by the same integral as RADIANCE leaves to its renderer.
+    e = horizontal(a[4:7], lambda s, g, c:
+        a[1]*(.91+10*math.exp(-3*g)+.45*c*c)*((1-math.exp(-.32/s)) if s > .01 else 1)/a[3])
     return rad + sky("7 " + " ".join("%g" % x for x in a), "myclear"), \
-        ["--sky", "clear:%.9g" % (math.pi*total/n/n), "--sun", "%.9g,%.9g,%.9g" % (az, alt, e)]
+        ["--sky", "clear:%.9g" % e, "--sun", "%.9g,%.9g,%.9g" % (az, alt, of_sun)]
 
 def perez():
     text = run(["gendaylit", "-ang", "40", "30", "-W", "700", "120", "-O", "1"])
     a = numbers(text, "skyfunc")
     light, source, rad = sun_of(text)
     az, alt = azimuth(source[:3])
-    n, total = 400, 0
-    for i in range(n):
-        h = math.asin(math.sqrt((i+.5)/n)); s = math.sin(h)
-        for j in range(n):
-            p = 2*math.pi*(j+.5)/n
-            d = (math.cos(h)*math.cos(p), math.cos(h)*math.sin(p), s)
-            c = sum(x*y for x, y in zip(d, a[7:10])); g = math.acos(max(-1, min(1, c)))
-            total += (1+a[2]*math.exp(a[3]/max(s, .01)))*(1+a[4]*math.exp(a[5]*g)+a[6]*c*c)
-    e = math.pi*total/n/n * a[0]
+    e = a[0] * horizontal(a[7:10], lambda s, g, c:
+        (1+a[2]*math.exp(a[3]/max(s, .01)))*(1+a[4]*math.exp(a[5]*g)+a[6]*c*c))
     print(f"gendaylit's sky sends {e:.2f} of 120 W/m2; RADIANCE's is scaled to 120", flush=True)
     a[0] *= 120/e
     light = [x * 700/(light[0]*math.pi*math.sin(math.radians(source[3]/2))**2) for x in light]
