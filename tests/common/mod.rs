@@ -1,4 +1,4 @@
-//! Scenes made by hand, and form factors between their parts with error bars.
+//! Scenes built in code, and form factors between their parts with error bars.
 
 #![allow(dead_code, reason = "every test file uses a part of it")]
 
@@ -23,8 +23,8 @@ pub type Corners = [DVec3; 3];
 
 pub const BOTH: [Estimator; 2] = [Estimator::OneWay, Estimator::Pooled];
 
-/// Two-sided quantile of Student's t with 15 degrees of freedom, which an error bar of 16 replicates has, for a
-/// probability of 10⁻⁴ to be farther away by chance.
+/// Two-sided quantile of Student's t for a probability of 10⁻⁴ to be exceeded by chance. It has the 15 degrees of
+/// freedom of an error bar from 16 replicates.
 pub const T15: f64 = 5.24;
 
 /// Half a unit in the last place of single precision, relative: the rounding of a stored exchange area.
@@ -47,7 +47,7 @@ pub fn black(triangles: Vec<Corners>) -> Part {
     part(triangles, 0.0, 0.0)
 }
 
-/// Part `k` has material `k`.
+/// The scene of these parts. Part `k` has material `k`.
 pub fn scene(parts: &[Part]) -> Scene {
     let triangles: Vec<(Corners, u32)> =
         parts.iter().zip(0..).flat_map(|(p, k)| p.triangles.iter().map(move |&t| (t, k))).collect();
@@ -64,7 +64,7 @@ pub fn rectangle(corner: DVec3, u: DVec3, v: DVec3) -> Vec<Corners> {
     vec![[corner, corner + u, corner + u + v], [corner, corner + u + v, corner + v]]
 }
 
-/// The horizontal square of `side` centred above the origin at height `z`.
+/// The horizontal square with edges of `side`, centred on the z axis at height `z`.
 pub fn level_square(side: f64, z: f64, up: bool) -> Vec<Corners> {
     let square = rectangle(dvec3(-0.5 * side, -0.5 * side, z), DVec3::X * side, DVec3::Y * side);
     if up { square } else { flipped(square) }
@@ -91,8 +91,9 @@ pub fn room(low: DVec3, high: DVec3) -> Vec<Corners> {
     room_faces(low, high).concat()
 }
 
-/// A closed room of unit size in the middle of 26 blocks of unit size, each with all its six faces, as worlds of blocks have
-/// them. `keep` chooses among the faces by whether another block touches there and whether it faces the room.
+/// A closed room of unit size in the middle of 26 blocks of unit size. Each block has all its six faces, as worlds of
+/// blocks have. `keep` chooses faces: its arguments say if another block touches there, and if the face is part of
+/// the room.
 pub fn room_of_blocks(keep: impl Fn(bool, bool) -> bool) -> Vec<Corners> {
     let is_block =
         |p: DVec3| p.cmpge(DVec3::ZERO).all() && p.cmplt(DVec3::splat(3.0)).all() && p != DVec3::ONE;
@@ -115,7 +116,7 @@ pub fn low_lamp() -> Scene {
     scene(&[black(room(DVec3::ZERO, DVec3::ONE)), part(lamp, 0.0, 1.0)])
 }
 
-/// A sphere's icosahedron, each level cutting every triangle in four; fronts outside.
+/// An icosahedron inscribed in a sphere. Each level cuts every triangle in four. Fronts face outward.
 pub fn icosphere(radius: f64, level: u32) -> Vec<Corners> {
     let g = 0.5 * (1.0 + 5f64.sqrt());
     let v = [
@@ -168,12 +169,12 @@ pub fn icosphere(radius: f64, level: u32) -> Vec<Corners> {
     sphere.into_iter().map(|t| t.map(|p| p * radius)).collect()
 }
 
-/// The zone of the unit sphere between two polar angles, in `rings` by `sectors`; fronts inside.
+/// The zone of the unit sphere between two polar angles, in `rings` by `sectors`. Fronts face inward.
 pub fn zone(from: f64, to: f64, rings: usize, sectors: usize) -> Vec<Corners> {
     let at = |ring: usize, sector: usize| {
         let theta = from + (to - from) * ring as f64 / rings as f64;
         let phi = 2.0 * PI * (sector % sectors) as f64 / sectors as f64;
-        // The poles are one point each, whatever sin π rounds to.
+        // The poles are one point each, although sin π does not round to zero.
         let r = if theta < PI { theta.sin() } else { 0.0 };
         dvec3(r * phi.cos(), r * phi.sin(), theta.cos())
     };
@@ -202,7 +203,8 @@ pub fn area(triangles: &[Corners]) -> f64 {
     triangles.iter().map(|[a, b, c]| 0.5 * (*b - *a).cross(*c - *a).length()).sum()
 }
 
-/// Whether every edge has one triangle in each direction, so that no ray can escape. Vertices at one place count as one.
+/// Whether every edge has one triangle in each direction, so that no ray can escape. Vertices at equal positions
+/// count as one.
 pub fn is_closed(scene: &Scene) -> bool {
     let mut halves: HashMap<(u32, u32), u32> = HashMap::new();
     let mut first: HashMap<[u64; 3], u32> = HashMap::new();
@@ -216,7 +218,7 @@ pub fn is_closed(scene: &Scene) -> bool {
     halves.iter().all(|(&(p, q), &n)| n == 1 && halves.get(&(q, p)) == Some(&1))
 }
 
-/// A scene cut into patches, and what its rays found.
+/// A scene cut into patches, and the form factors from its rays.
 pub struct Cast {
     pub scene: Scene,
     pub tracer: Tracer,
@@ -229,7 +231,7 @@ pub fn cast(scene: Scene, subdivision: Subdivision, options: CastOptions) -> Cas
     cast_by(tracer, scene, subdivision, options)
 }
 
-/// Casts by a tracer of the scene.
+/// Casts with the given tracer of the scene.
 pub fn cast_by(tracer: Tracer, scene: Scene, subdivision: Subdivision, options: CastOptions) -> Cast {
     let mut patches = Patches::subdivide(&scene, &subdivision);
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
@@ -242,7 +244,7 @@ pub fn cast_whole(parts: &[Part], rays: f64, estimator: Estimator, seed: u64) ->
     cast(scene(parts), Subdivision::Edge(f64::INFINITY), options)
 }
 
-/// Standard errors of the irradiance from one channel of known radiosity, without reflections.
+/// Standard errors of the irradiance, one per patch, from one channel of known radiosity without reflections.
 pub fn standard_errors(f: &FormFactors, radiosity: &[f64]) -> Vec<f64> {
     let zero = vec![0.0; radiosity.len()];
     let dark = Radiometry { channels: 1, emission: radiosity, reflectance: &zero };
@@ -258,7 +260,7 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// Within [`T15`] standard errors, and `slack` that is known.
+    /// Asserts that the value is the truth within [`T15`] standard errors plus a known `slack`.
     #[track_caller]
     pub fn assert_is(self, truth: f64, slack: f64) {
         let Measured { value, error } = self;
@@ -271,7 +273,7 @@ impl Measured {
 }
 
 impl Cast {
-    /// Front patches of a part.
+    /// The front patches of a part.
     pub fn of_part(&self, part: u32) -> Vec<usize> {
         let of = |i: &usize| self.scene.triangles[self.patches.triangle(*i)].material == part;
         (0..self.patches.fronts()).filter(of).collect()
@@ -279,8 +281,9 @@ impl Cast {
 
     /// The form factor between the fronts of two parts.
     ///
-    /// The error treats the patches of the first part as independent. They cast their own rays, and a ray from the second
-    /// part that hits one of them misses the others. So variances at most add up.
+    /// The error treats the patches of the first part as independent. They cast their own rays, and a ray from the
+    /// second part that hits one of them misses the others. So the variance of the sum is at most the sum of
+    /// variances.
     pub fn form_factor(&self, from: u32, to: u32) -> Measured {
         let mut indicator = vec![0.0; self.patches.len()];
         for j in self.of_part(to) {
@@ -291,7 +294,7 @@ impl Cast {
         self.mean(&self.of_part(from), &irradiance, &errors)
     }
 
-    /// The mean over some patches, by area.
+    /// The mean over some patches, weighted by area.
     pub fn mean(&self, patches: &[usize], values: &[f64], errors: &[f64]) -> Measured {
         let areas = self.form_factors.areas();
         let total: f64 = patches.iter().map(|&i| areas[i]).sum();
@@ -301,7 +304,7 @@ impl Cast {
     }
 }
 
-/// Numbers in \[0, 1) from a seed.
+/// Random numbers in \[0, 1) from a seed.
 pub struct Random(u64);
 
 impl Random {
@@ -319,7 +322,7 @@ impl Random {
     }
 }
 
-/// Stores the exchange areas of `n` patches.
+/// The matrix of the exchange areas of `n` patches.
 pub fn store(n: usize, exchange: impl Fn(usize, usize) -> f64) -> Matrix {
     let (mut starts, mut columns, mut values) = (vec![0], Vec::new(), Vec::new());
     for i in 0..n {
@@ -335,8 +338,8 @@ pub fn store(n: usize, exchange: impl Fn(usize, usize) -> f64) -> Matrix {
     Matrix::new((n, n), starts, columns, values)
 }
 
-/// Exact form factors of a convex polyhedron seen from inside: nothing is in the way. Where faces of it are missing, what a row lacks to
-/// one escapes.
+/// Exact form factors of a convex polyhedron seen from inside, where nothing blocks. If faces are missing, the light
+/// that a row lacks to one escapes.
 pub fn convex_form_factors(triangles: &[Corners], is_closed: bool) -> FormFactors {
     let n = triangles.len();
     let areas: Vec<f64> = triangles.iter().map(|t| area(&[*t])).collect();

@@ -18,7 +18,7 @@ use radiosity::{
     trace::{Tracer, sampling::square_to_triangle},
 };
 
-/// Cuts random patches several times.
+/// Refines a tenth of the patches, chosen at random, in each of the rounds.
 fn refined_by_chance(scene: &Scene, edge: f64, rounds: usize, seed: u64) -> Patches {
     let mut random = Random::new(seed);
     let mut patches = Patches::subdivide(scene, &Subdivision::Edge(edge));
@@ -55,7 +55,8 @@ proptest! {
         ..ProptestConfig::default()
     })]
 
-    /// Every point is in exactly one patch, windings stay, and lookups on both sides find the right patch.
+    /// Patches tile their triangles: areas add up, windings are kept, and a lookup on either side finds the right
+    /// patch.
     #[test]
     fn patches_tile_every_triangle(seed in any::<u64>(), rounds in 1usize..6, x in 0f32..1.0, y in 0f32..1.0) {
         let scene = long_box();
@@ -65,7 +66,7 @@ proptest! {
         let mut areas = vec![0.0; scene.triangles.len()];
         for i in 0..patches.len() {
             let corners = corners_of(&scene, &patches, i);
-            // All are sums of few dyadic numbers.
+            // All coordinates are sums of few dyadic numbers, so only the area and its ratio round.
             prop_assert!((area(&[corners]) / patches.area(i) - 1.0).abs() < 1e-14);
             let turn = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
             prop_assert!(turn.dot(scene.normal(patches.triangle(i))) > 0.0);
@@ -91,8 +92,8 @@ proptest! {
         }
     }
 
-    /// No corner of a patch lies a quarter of the way along an edge of another, and in the middle of one edge at most:
-    /// within triangles, and across the edges that they share.
+    /// Restricted quadtrees: a corner of another patch divides at most one edge of a patch, and only in its middle.
+    /// This holds within triangles and across the edges that they share.
     #[test]
     fn neighbours_differ_by_one_level_on_one_edge(seed in any::<u64>(), rounds in 1usize..6) {
         let scene = long_box();
@@ -106,7 +107,8 @@ proptest! {
         }
     }
 
-    /// Means over one subdivision of another's patches, and runs of neighbours.
+    /// The parts of another subdivision that a patch overlaps cover it exactly. Families of neighbours are whole
+    /// ancestors, and together they are all patches in order.
     #[test]
     fn overlaps_and_families_are_whole(seed in any::<u64>(), rounds in 1usize..5, levels in 0u8..3) {
         let scene = long_box();
@@ -127,7 +129,7 @@ proptest! {
             next = family.end;
             let cells: Vec<_> = family.map(|i| patches.cell(i)).collect();
             let smallest = cells.iter().map(|c| c.level).max().unwrap();
-            // A family fills an ancestor of its first patch, and no patch of it is deeper than allowed.
+            // A family fills an ancestor of its first patch, and no patch of it is deeper than `levels` below that.
             let share: f64 = cells.iter().map(|c| 0.25f64.powi(c.level.into())).sum();
             let up = -share.log2() / 2.0;
             prop_assert!(up == up.round() && smallest <= up as u8 + levels);
@@ -137,8 +139,8 @@ proptest! {
         prop_assert_eq!(next, patches.len());
     }
 
-    /// Every edge of a closed box belongs to two faces: by position, and by vertex where creases are welded. Vertices inside
-    /// an edge have interpolated colours.
+    /// Every edge of a closed box belongs to two faces: by position, and by vertex if the creases are welded.
+    /// Vertices inside an edge have interpolated colours.
     #[test]
     fn meshes_are_closed_and_colours_continuous(seed in any::<u64>(), rounds in 1usize..5) {
         let scene = long_box();
@@ -175,7 +177,7 @@ proptest! {
                 prop_assert_eq!(mesh.positions()[hanging.vertex as usize], 0.5 * (a + b));
             }
         }
-        // Backs are surfaces of their own, and as closed.
+        // Backs are surfaces of their own and closed like the fronts.
         patches.add_backs(&scene, &(0..12).collect::<Vec<u32>>());
         let mesh = PatchMesh::new(&scene, &patches, 91.0);
         let mut uses: HashMap<_, usize> = HashMap::new();
@@ -193,7 +195,7 @@ fn cast_on(scene: Scene, mut patches: Patches, rays: f64, estimator: Estimator) 
     Cast { scene, tracer, patches, form_factors }
 }
 
-/// Be = 1 - rho gives B = 1 everywhere in a closed scene, whatever its patches: rows sum to one.
+/// Be = 1 - ρ gives B = 1 everywhere in a closed scene, whatever its patches, because rows sum to one.
 #[test]
 fn furnace_on_patches_of_all_sizes() {
     let faces = room_faces(DVec3::ZERO, dvec3(1.0, 2.0, 4.0));
@@ -207,13 +209,14 @@ fn furnace_on_patches_of_all_sizes() {
     let options = SolveOptions::default().with_tolerance(1e-12);
     let solution = solve(&cast.form_factors, &cast.patches, &options, &Progress::new()).unwrap();
     let worst = solution.radiosity.iter().map(|b| (b - 1.0).abs()).fold(0.0, f64::max);
-    // The largest reflectance is 0.9, so the error of the solver is at most ten times its tolerance.
+    // The largest reflectance is 0.9, so the error is at most ten times the tolerance of the solver.
     assert!(worst < 1e-11, "{worst:e}");
     let (closure, reciprocity) = deviations(&cast.form_factors);
     assert!(closure < 1e-12 && reciprocity < 1e-12, "{closure:e} {reciprocity:e}");
 }
 
-/// Unit squares a unit apart, and at a right angle with a common edge (Howell C-11 and C-14).
+/// Unit squares a unit apart, and at a right angle with a common edge (Howell C-11 and C-14), within the error bars
+/// of the rays.
 #[test]
 fn form_factors_between_patches_of_all_sizes() {
     let low = rectangle(DVec3::ZERO, DVec3::X, DVec3::Y);
@@ -237,13 +240,14 @@ fn solved(scene: &Scene, tracer: &Tracer, patches: Patches, rays: f64) -> Solved
     Solved::of_patches(scene, tracer, patches, &cast, &options, &Progress::new()).unwrap()
 }
 
-fn told(solved: &Solved) -> f64 {
+fn discretisation(solved: &Solved) -> f64 {
     let Solved { patches, form_factors, solution, .. } = solved;
     let found = Discretisation::of(form_factors, patches, solution, &Progress::new());
     found.unwrap().unwrap().relative
 }
 
-/// As where patches are uniform, the error falls with the square of the edge where light is smooth: between 2^-1.5 and 2^-3.
+/// Like on uniform patches, the error falls with the square of the edge if light is smooth: half the edge leaves 2^-3
+/// to 2^-1.5 of the error.
 #[test]
 fn discretisation_falls_with_the_square_of_the_edge() {
     let low = rectangle(DVec3::ZERO, DVec3::X, DVec3::Y);
@@ -255,14 +259,14 @@ fn discretisation_falls_with_the_square_of_the_edge() {
         let near = |i: usize| corners_of(&scene, &uniform, i).iter().all(|p| p.x <= 0.5);
         let patches = uniform.refined(&scene, &(0..uniform.len()).map(near).collect::<Vec<bool>>());
         assert!(!patches.is_uniform(0));
-        told(&solved(&scene, &tracer, patches, 4096.0))
+        discretisation(&solved(&scene, &tracer, patches, 4096.0))
     });
     println!("{coarse:e} {fine:e}");
     assert!(fine < coarse * 0.5f64.powf(1.5) && fine > coarse / 8.0, "{coarse} {fine}");
 }
 
-/// In a Cornell box with blocks, patches that are small where light varies beat twice as many patches of one size. The same
-/// seed gives the same patches and the same light for any number of threads.
+/// In a Cornell box with blocks, patches that are small where light varies have a smaller error than the same number
+/// of patches of one size. The same seed gives the same patches and the same light for any number of threads.
 #[test]
 fn patches_where_light_varies_pay() {
     let run = |threads: usize| {
@@ -276,7 +280,7 @@ fn patches_where_light_varies_pay() {
                 patches = finer(&scene, &solved, &solution, 2.0);
             }
             let solved = solved(&scene, &tracer, patches, 64.0);
-            let change = told(&solved);
+            let change = discretisation(&solved);
             (scene, tracer, solved, change)
         })
     };
@@ -289,9 +293,9 @@ fn patches_where_light_varies_pay() {
     let count = adapted.patches.fronts();
     let uniform = Patches::subdivide(&scene, &Subdivision::Count(2 * count));
     assert!(uniform.len() > count * 3 / 2);
-    // The error of the same number of patches of one size is larger, since it is proportional to their edge.
+    // With the same number of uniform patches the error is larger in proportion to their edge.
     let more = (uniform.len() as f64 / count as f64).sqrt();
-    let uniform = more * told(&solved(&scene, &tracer, uniform, 64.0));
+    let uniform = more * discretisation(&solved(&scene, &tracer, uniform, 64.0));
     println!("{count}: {change:.5}, uniform: {uniform:.5}");
     assert!(change < uniform, "{change} {uniform}");
 }

@@ -1,4 +1,4 @@
-//! Checkpoints: rays are taken from the file and the result is the same to the bit. Damaged files and files of other
+//! Checkpoints: rays are read from the file and the result is the same to the bit. Damaged files and files of other
 //! computations are refused and stay as they are.
 
 use std::{fs, path::Path, sync::Arc};
@@ -32,7 +32,7 @@ fn bits(f: &FormFactors) -> (Vec<u32>, Vec<(usize, u64)>, Vec<u64>) {
     ((0..f.len()).flat_map(|i| hits.of(i)).copied().collect(), rows.collect(), escaped.collect())
 }
 
-/// Casts with or without a checkpoint, with this number of threads.
+/// Casts with this number of threads, with or without a checkpoint.
 fn cast_with(
     scene: &Scene,
     patches: usize,
@@ -61,7 +61,7 @@ fn finished(scene: &Scene) -> (tempfile::TempDir, std::path::PathBuf) {
     (dir, path)
 }
 
-/// Where the records begin, and the end of the last.
+/// The start of every record, and the end of the last.
 fn records(bytes: &[u8]) -> Vec<usize> {
     let mut at = vec![48];
     while at[at.len() - 1] < bytes.len() {
@@ -73,8 +73,8 @@ fn records(bytes: &[u8]) -> Vec<usize> {
     at
 }
 
-/// Without a file, from an empty file, from a file cut anywhere between records, and from a whole one, with any number of
-/// threads before and after.
+/// The result has the same bits without a file, from an empty file, from a file cut anywhere between records, and
+/// from a whole file, whatever the number of threads before and after.
 #[test]
 fn the_result_is_the_same_wherever_rays_come_from() {
     let scene = furnished();
@@ -104,8 +104,8 @@ fn the_result_is_the_same_wherever_rays_come_from() {
     }
 }
 
-/// With fewer rays than the file has, more rays, or other patches, no ray is cast twice and no file is refused. The number of
-/// backs depends on the rays that found them.
+/// Runs with fewer rays, more rays or other patches continue the same file: no ray is cast twice and no file is
+/// refused. The number of backs depends on the rays that found them.
 #[test]
 fn other_runs_go_on_from_the_same_file() {
     let scene = furnished();
@@ -121,12 +121,12 @@ fn other_runs_go_on_from_the_same_file() {
         let added = file.rays() - kept;
         let all = with.rays();
         assert_eq!(added > 0, more, "{patches} patches, {rays} rays: {added} of {all}");
-        assert!(kept == 0 || patches != 200 || added < all, "nothing of what was known was used");
+        assert!(kept == 0 || patches != 200 || added < all, "no ray of the file was used");
         kept = file.rays();
     }
 }
 
-/// Casting on after a solution takes from the file too, and adds to it.
+/// Casting more rays after a solution also reads rays from the file and adds new ones to it.
 #[test]
 fn later_rounds_are_kept() {
     let scene = furnished();
@@ -151,9 +151,9 @@ fn later_rounds_are_kept() {
     assert_eq!(file.rays(), kept);
 }
 
-/// A kill leaves a record that is cut at any byte: it is removed. A header that is cut is written again.
+/// A killed run can leave a record that is cut at any byte: opening removes it. A cut header is written again.
 #[test]
-fn a_torn_tail_is_cut_off_at_whatever_byte() {
+fn a_torn_tail_is_cut_off_at_any_byte() {
     let scene = furnished();
     let (_dir, path) = finished(&scene);
     let bytes = fs::read(&path).unwrap();
@@ -178,7 +178,8 @@ fn a_torn_tail_is_cut_off_at_whatever_byte() {
     }
 }
 
-/// A loss of power may leave a longer file that ends with zeros: from any byte on, to the end of a record or beyond it.
+/// A loss of power may leave a longer file that ends with zeros, from any byte on, to the end of a record or beyond
+/// it.
 #[test]
 fn what_a_loss_of_power_leaves_is_cut_off() {
     let scene = furnished();
@@ -236,12 +237,13 @@ fn what_cannot_be_is_refused_even_with_right_checksums() {
     let scene = furnished();
     let (_dir, path) = finished(&scene);
     let bytes = fs::read(&path).unwrap();
-    // Of the first record, hemisphere rays, the first target; and of the last, shadow rays, the first piece and weight.
+    // The first target of the first record, hemisphere rays; and the first piece and weight of the last record,
+    // shadow rays.
     let records = records(&bytes);
     let body = |k: usize| (records[k] + 12, records[k + 1] - 4);
     let (first, last) = (body(0), body(records.len() - 2));
     let ray = |(start, _): (usize, usize)| start + 8 + 20;
-    // Patches that do not exist, a piece of no lamp, and no weight.
+    // Two patches that do not exist, a piece of no lamp, and a weight that is no number.
     for ((start, end), at, value) in [
         (first, ray(first), &[0xff, 0xff, 0xff, 0x7f]),
         (first, ray(first), &[0xf0, 0xff, 0xff, 0xff]),
@@ -264,7 +266,7 @@ fn what_cannot_be_is_refused_even_with_right_checksums() {
     }
 }
 
-/// Files of other computations cause an error with the reason and stay as they are.
+/// Files of other computations are refused with the reason and stay as they are.
 #[test]
 fn what_is_foreign_is_refused() {
     let scene = furnished();
@@ -295,14 +297,14 @@ fn what_is_foreign_is_refused() {
         fs::write(&other, text).unwrap();
         refused(&other, &scene, 5, "not a checkpoint");
     }
-    // A header whose checksum is right, of an other version.
+    // A header of another version with a right checksum.
     let mut newer = bytes.clone();
     newer[20] ^= 1;
     let check = crc32fast::hash(&newer[..44]);
     newer[44..48].copy_from_slice(&check.to_le_bytes());
     fs::write(&path, &newer).unwrap();
     refused(&path, &scene, 5, "another version");
-    // Rays that continue missing ones, and rays that are in the file twice.
+    // Rays whose predecessors are missing, and rays that are in the file twice.
     let second = records(&bytes)[1];
     for mixed in
         [[&bytes[..48], &bytes[second..], &bytes[48..second]].concat(), [&bytes, &bytes[48..]].concat()]
@@ -323,7 +325,7 @@ fn what_is_foreign_is_refused() {
     refused(&of_texture, &repainted, 5, "of another scene");
 }
 
-/// Two runs never write to one file. A run that kept no rays removes its file. A folder or a device is not a checkpoint.
+/// Two runs never write to one file. A run that kept no rays removes its file. A folder or a device is no checkpoint.
 #[test]
 fn a_checkpoint_is_one_runs_own() {
     let scene = furnished();
@@ -338,7 +340,7 @@ fn a_checkpoint_is_one_runs_own() {
     assert!(matches!(Checkpoint::open(&dir.path().join("no/file"), &scene, 5), Err(Error::Io { .. })));
 }
 
-/// Both cast the same hemisphere rays, of which one-way form factors want more.
+/// Both estimators cast the same hemisphere rays, but one-way form factors cast more of them. One file serves both.
 #[test]
 fn estimators_do_not_take_each_others_rays() {
     let scene = furnished();

@@ -11,7 +11,7 @@ const GROUND: u32 = 0;
 const WALL: u32 = 1;
 const LAMP: u32 = 2;
 
-/// A box without its lower face: walls from height `from`, and a lid; faces outward, or inward where `low` is above `high`.
+/// A box without its lower face: walls from height `from`, and a lid. Its faces look outward, or inward with `inward`.
 fn hood(low: [f64; 2], high: [f64; 2], from: f64, to: f64, inward: bool) -> Vec<(Corners, u32)> {
     let [p, q, r, s] = [[low[0], low[1]], [low[0], high[1]], [high[0], high[1]], [high[0], low[1]]];
     let at = |p: [f64; 2], y: f64| dvec3(p[0], y, p[1]);
@@ -31,7 +31,7 @@ struct Room {
     thickness: f64,
     /// Height above the ground at which the walls begin.
     from: f64,
-    /// Whether it is turned in space and rounded to the six digits of a file.
+    /// Whether the scene is rotated and rounded to the six digits of a file.
     rounded: bool,
 }
 
@@ -68,16 +68,16 @@ impl Room {
         scene
     }
 
-    /// Where a point of the placed scene was.
+    /// The point before the rotation of the scene.
     fn back(&self, p: DVec3) -> DVec3 {
         let turn = DQuat::from_axis_angle(dvec3(0.3, -0.5, 0.8).normalize(), 1.1);
         if self.rounded { turn.inverse() * p } else { p }
     }
 }
 
-/// Sealed rooms of thick and thin walls in the middle of a large ground; with a gap of a micrometre, which lets in no light that
-/// counts; poking through the ground; turned, so that contact is exact to rounding only. A ray that goes astray by rounding
-/// would bring light, hence the bound: a thousandth of the light outside.
+/// Sealed rooms of thick and thin walls in the middle of a large ground. One has a gap of a micrometre, which lets in
+/// no light that counts. Two poke through the ground. Two are rotated, so that contact is exact only up to rounding.
+/// The ground inside is black up to rays that rounding leads astray: the bound is a thousandth of the light outside.
 #[test]
 fn sealed_rooms_on_a_large_ground_are_dark_inside() {
     let cases = [
@@ -113,9 +113,10 @@ fn sealed_rooms_on_a_large_ground_are_dark_inside() {
     }
 }
 
-/// A block stands on a black ground and against a wall that shines. What the ground gets is the form factor of the whole ground to the
-/// wall with the block in between, 0.1552, by an independent integral; the ground under the block gets nothing, nor does the
-/// inside of the block from the part of the wall behind it.
+/// A black block stands on a black ground and against a wall that emits. The mean irradiance of the ground is the form
+/// factor of the whole ground to the wall with the block in between: 0.1552 by an independent integral, with a
+/// tolerance of 0.001 for the sampling error. The ground under the block gets nothing: no light from the wall behind
+/// the block leaks into it.
 #[test]
 fn a_block_against_a_wall_keeps_the_light_out() {
     let mut parts: Vec<(Corners, u32)> = Vec::new();

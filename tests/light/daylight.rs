@@ -29,7 +29,9 @@ fn sum(coefficients: &Coefficients, i: usize) -> f64 {
     coefficients.total[i * many..][..many].iter().map(|&c| f64::from(c)).sum()
 }
 
-/// On an open floor each part sends its solid angle times the cosine, and the daylight factor is 1; the sun's part reflects nothing.
+/// On an open floor the coefficient of each part is its solid angle times the cosine, within 5 % for the sampling error
+/// of one part. They sum to π, and to π / 2 on a vertical plane. The daylight factor is 1. The sun's own coefficients,
+/// which hold reflected light only, are zero.
 #[test]
 fn an_open_floor() {
     let floor = scene(&[part(level_square(2.0, 0.0, true), 0.5, 0.0)]);
@@ -47,13 +49,13 @@ fn an_open_floor() {
     }
     assert!((sum(&found, 0) - PI).abs() < 1e-3 && (sum(&found, 1) - 0.5 * PI).abs() < 0.02 * PI);
     let factors = daylight_factors(&found, Up::Z);
-    // A wall under an overcast sky: (π/6 + 4/9) / (7π/9).
+    // A wall under the CIE overcast sky has the daylight factor (π/6 + 4/9) / (7π/9).
     let wall = (PI / 6.0 + 4.0 / 9.0) / (7.0 * PI / 9.0);
     assert!((factors[0] - 1.0).abs() < 2e-3 && (factors[1] - wall).abs() < 0.01, "{factors:?}");
     assert!(daylight.sees(&points[0], DVec3::Z) && !daylight.sees(&points[1], -DVec3::Y));
 }
 
-/// A courtyard: its sum over the parts of a sky is the solution under that sky.
+/// A courtyard with a floor and two walls, open to the sky.
 fn courtyard() -> Scene {
     let wall = |corner: DVec3, u: DVec3| flipped(rectangle(corner, u, 2.0 * DVec3::Z));
     scene(&[
@@ -63,6 +65,8 @@ fn courtyard() -> Scene {
     ])
 }
 
+/// Daylight coefficients times the luminance of the parts of an overcast sky sum to the solution under that sky. The
+/// two castings of 256 rays per patch and the 145 steps of the sky differ by less than 2 % RMS.
 #[test]
 fn coefficients_sum_to_the_solution() {
     let scene = courtyard();
@@ -83,12 +87,11 @@ fn coefficients_sum_to_the_solution() {
         size += area * solved.solution.irradiance[i].powi(2);
         assert!(found.of_sun(i, 60) >= 0.0);
     }
-    // Two castings of 256 rays a patch, and a sky in 145 steps.
     assert!((difference / size).sqrt() < 0.02, "{}", (difference / size).sqrt());
 }
 
-/// Hours of a weather file over an open floor: the sun times the sine of its altitude, and the sky's diffuse light, both as luminous as
-/// the efficacies say.
+/// Hours of a weather file over an open floor: the illuminance is direct sunlight times the sine of the altitude plus
+/// diffuse light, each times its luminous efficacy. The tolerance of 1 % covers the rays to the sky.
 #[test]
 fn hours_over_an_open_floor() {
     let folder = tempfile::tempdir().unwrap();

@@ -11,7 +11,7 @@ use radiosity::{
     trace::Tracer,
 };
 
-/// Everything a run computes, bit by bit.
+/// All results of a run, bit by bit.
 #[derive(PartialEq)]
 struct Bytes {
     hits: Vec<u32>,
@@ -40,7 +40,7 @@ fn run_by(tracer: Tracer, scene: &Scene, estimator: Estimator, seed: u64, thread
         values.extend(f.escaped());
         let before_after = [f.row_sum_deviation(), f.reciprocity_deviation()];
         values.extend(before_after.iter().flat_map(|d| [d.before, d.after]));
-        // All solvers that suit the estimator, and the automatic choice.
+        // All solvers that suit both estimators.
         let solvers = [Solver::Auto, Solver::Jacobi, Solver::Southwell];
         let solutions: Vec<_> = solvers
             .iter()
@@ -65,9 +65,10 @@ fn run_by(tracer: Tracer, scene: &Scene, estimator: Estimator, seed: u64, thread
     })
 }
 
+/// The same seed gives the same bits for any number of threads; another seed gives other rays and results. One scene
+/// has colours and shadow rays. The other has backs that become patches while rays are cast.
 #[test]
 fn threads_change_nothing_and_seeds_everything() {
-    // With backs that become patches while casting, and with colours and shadow rays.
     let plate = black(level_square(0.6, 0.1, true));
     let cell = part(room(glam::DVec3::splat(-0.5), glam::DVec3::splat(0.5)), 0.6, 0.0);
     let lamp = part(level_square(0.2, 0.4, false), 0.0, 1.0);
@@ -88,7 +89,7 @@ fn threads_change_nothing_and_seeds_everything() {
     }
 }
 
-/// Light from form factors and light from paths use every kind of ray query.
+/// The tracer without AVX2 gives the same bits. Form factors and paths together use every kind of ray query.
 #[test]
 fn the_portable_tracer_gives_the_same_bytes() {
     let scene = load("door-ajar");
@@ -115,7 +116,7 @@ fn patches_and_replicates_have_rays_of_their_own() {
     for k in 1..16 {
         assert_ne!(hits.of_replicate(0, 0), hits.of_replicate(0, k));
     }
-    // Opposite triangles of faces see the room alike but for a symmetry of the cube; their counts differ by chance.
+    // The two triangles of a face see the room alike up to a symmetry of the cube. Their counts differ by chance.
     let sorted = |i: usize| {
         let mut counts: Vec<u64> = cell.form_factors.row(i).map(|(_, x)| x.to_bits()).collect();
         counts.sort_unstable();

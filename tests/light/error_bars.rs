@@ -1,4 +1,4 @@
-//! Whether error bars are as long as errors.
+//! Error bars are as long as the errors.
 
 use crate::common::*;
 use glam::DVec3;
@@ -15,14 +15,14 @@ use radiosity::{
 };
 
 const SEEDS: u64 = 12;
-/// 95 % of a Student distribution with 15 degrees of freedom lie within.
+/// 95 % of Student's t distribution with 15 degrees of freedom lie within this.
 const T95: f64 = 2.131;
-/// Two-sided quantile for 11 degrees of freedom and a probability of 10⁻³ to be outside by chance.
+/// Two-sided quantile of Student's t with 11 degrees of freedom for a probability of 10⁻³ to be exceeded by chance.
 const T11: f64 = 4.437;
 
-/// The share of patches within [`T95`] error bars of the truth, seed by seed. The patches of one seed share rays, so
-/// that the share varies more than a binomial one: what it may be off by is taken from its spread between seeds. That
-/// the bars are an approximation (replicates are neither normal, nor is the closure linear) is allowed for by 2 %.
+/// Asserts that 95 % of the patches are within [`T95`] error bars of the truth. The patches of one seed share rays, so
+/// the share varies more than a binomial one: its tolerance comes from its spread between seeds. Another 2 % is allowed
+/// because error bars are an approximation: replicates are not normal and closure is not linear.
 fn calibrate(name: &str, scene: &radiosity::Scene, edge: f64, radiosity: &[f64], truth: &[f64]) {
     let tracer = Tracer::new(scene);
     for estimator in BOTH {
@@ -51,7 +51,7 @@ fn calibrate(name: &str, scene: &radiosity::Scene, edge: f64, radiosity: &[f64],
     }
 }
 
-/// A shining wall of a cube of 192 patches, against exact form factors.
+/// A cube of 192 patches whose ceiling emits, against exact form factors.
 #[test]
 fn bars_in_a_room() {
     let [x0, x1, y0, y1, floor, ceiling] = room_faces(DVec3::ZERO, DVec3::ONE);
@@ -62,7 +62,7 @@ fn bars_in_a_room() {
     let shares: Vec<Vec<f64>> = (0..n)
         .map(|i| (0..n).map(|j| polygon_exchange_area(&corners[i], &corners[j]) / patches.area(i)).collect())
         .collect();
-    // The light of the room itself, after so many bounces that what is left out is 10⁻¹² of it.
+    // Light after 40 bounces of half the light each: what is left out is 10⁻¹² of it.
     let mut radiosity = patches.emission().to_vec();
     let mut truth = Vec::new();
     for _ in 0..40 {
@@ -72,7 +72,8 @@ fn bars_in_a_room() {
     calibrate("room", &room, 0.4, &radiosity, &truth);
 }
 
-/// Occluded and open, no lamp: against 64 times the rays, which add less than 1 % to the variance.
+/// Blocked and open pairs without a lamp, against 64 times as many rays, whose error adds less than 1 % to the
+/// variance.
 #[test]
 fn bars_with_an_occluder() {
     let parts = [
@@ -89,9 +90,10 @@ fn bars_with_an_occluder() {
     calibrate("occluder", &reference.scene, 0.2, &radiosity, &truth);
 }
 
-/// What a lamp sends past nothing that blocks is known exactly, and closing rows that 64 rays have measured, elsewhere, leaves it
-/// alone: every black patch of a cube whose ceiling shines has the light of Lambert's formula, within its bar. Whole triangles and
-/// small patches, and a tile in the middle.
+/// The light of a lamp that nothing blocks is known exactly. Closing rows that 64 rays have measured elsewhere leaves
+/// it unchanged. So every black patch of a cube whose ceiling emits has the irradiance of Lambert's formula, within its
+/// error bar and within 10⁻⁵, the least relative bar. The cube has whole triangles or small patches, and a tile in the
+/// middle.
 #[test]
 fn unblocked_light_of_lamps_is_known_to_its_bar() {
     let [x0, x1, y0, y1, floor, ceiling] = room_faces(DVec3::ZERO, DVec3::ONE);
@@ -105,7 +107,7 @@ fn unblocked_light_of_lamps_is_known_to_its_bar() {
             let radiosity = lit.patches.emission();
             let irradiance = lit.form_factors.light(radiosity, radiosity, 1);
             let errors = standard_errors(&lit.form_factors, radiosity);
-            // The tile holds back a hundred millionth of what lights the floor; its back sees no lamp.
+            // The tile blocks 10⁻⁸ of the light of the floor. Its back sees no lamp.
             for i in (0..lit.patches.fronts()).filter(|&i| radiosity[i] == 0.0) {
                 let corners = lit.patches.corners(&lit.scene, i);
                 let truth = polygon_form_factor(&corners, &above);
@@ -118,9 +120,9 @@ fn unblocked_light_of_lamps_is_known_to_its_bar() {
     }
 }
 
-/// Off and told of the irradiance of all black patches that a scene's lamps light, against Lambert's formula: the lamps that each
-/// patch sees, and their radiosity; patches that see none are left out. Returns the share within [`T95`] bars, and the root
-/// mean squares of errors and of bars, weighted by area, over the mean irradiance.
+/// Compares the irradiance of all black patches with Lambert's formula. `lamps` gives the lamps that a point sees, and
+/// their radiosity; patches that see none are left out. Returns the share of patches within [`T95`] error bars, and the
+/// root mean squares of errors and of error bars, weighted by area, relative to the mean irradiance.
 fn against_lambert<'a, L>(lit: &Cast, lamps: impl Fn(DVec3) -> L) -> [f64; 3]
 where
     L: IntoIterator<Item = (&'a [DVec3], f64)>,
@@ -128,7 +130,7 @@ where
     let radiosity = lit.patches.emission();
     let irradiance = lit.form_factors.light(radiosity, radiosity, 1);
     let errors = standard_errors(&lit.form_factors, radiosity);
-    let (mut within, mut many, mut off, mut told, mut light, mut area) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    let (mut within, mut many, mut off, mut estimated, mut light, mut area) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     for i in (0..lit.patches.fronts()).filter(|&i| radiosity[i] == 0.0) {
         let corners = lit.patches.corners(&lit.scene, i);
         let mut lamps = lamps((corners[0] + corners[1] + corners[2]) / 3.0).into_iter().peekable();
@@ -141,30 +143,35 @@ where
         within += f64::from(u8::from((irradiance[i] - truth).abs() <= T95 * errors[i]));
         many += 1.0;
         off += a * (irradiance[i] - truth).powi(2);
-        told += a * errors[i].powi(2);
+        estimated += a * errors[i].powi(2);
         light += a * truth;
         area += a;
     }
     let relative = |squares: f64| (squares / area).sqrt() * area / light;
-    [within / many, relative(off), relative(told)]
+    [within / many, relative(off), relative(estimated)]
 }
 
-/// Of a patch close under a lamp no ray tells where the light goes that passes the lamp by. That must not be made good from the
-/// light of the lamp, which is known: in a black room all of it is.
+/// A lamp close above the floor of a black room. The few rays of a patch under it do not measure how much light passes
+/// the lamp. Closure must not correct that sampling error by changing the lamp's light, which is known exactly: it
+/// agrees with Lambert's formula within the error bars, which are at most 10⁻³.
 #[test]
 fn light_of_a_lamp_close_to_the_floor_is_known_to_its_bar() {
     let corners = [(0.3, 0.3), (0.3, 0.7), (0.7, 0.7), (0.7, 0.3)].map(|(x, y)| DVec3::new(x, y, 0.03));
     for rays in [64.0, 256.0] {
         let options = CastOptions::default().with_rays(rays);
         let lit = cast(low_lamp(), Subdivision::Count(1000), options);
-        let [within, off, told] = against_lambert(&lit, |at| (at.z < 1e-9).then_some((&corners[..], 1.0)));
-        println!("{rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
-        assert!(within >= 0.95 && off <= 2.0 * told && told <= 1e-3, "{within}, {off:e}, {told:e}");
+        let [within, off, estimated] =
+            against_lambert(&lit, |at| (at.z < 1e-9).then_some((&corners[..], 1.0)));
+        println!("{rays} rays: {within:.3} within, error {off:.1e}, estimated {estimated:.1e}");
+        assert!(
+            within >= 0.95 && off <= 2.0 * estimated && estimated <= 1e-3,
+            "{within}, {off:e}, {estimated:e}"
+        );
     }
 }
 
-/// Most patches are behind most of these lamps, or largely so, and a lamp gets three shadow rays of a patch or so: where none of them
-/// left from what is before the lamp, its light is not none.
+/// Most patches are wholly or largely behind most of these lamps, and a patch sends about three shadow rays to each
+/// lamp. If none of these rays starts in front of the lamp, its light must still not be estimated as zero.
 #[test]
 fn light_of_lamps_that_hardly_rise_above_a_patch_is_known_to_its_bar() {
     const GAP: f64 = 0.1;
@@ -173,7 +180,7 @@ fn light_of_lamps_that_hardly_rise_above_a_patch_is_known_to_its_bar() {
         let near = 0.35 * u + 0.42 * v + GAP * along;
         let far = near + (1.0 - 2.0 * GAP) * along;
         let (u, v) = (0.2 * u, 0.2 * v);
-        // Counterclockwise as seen from the wall that each shines on.
+        // Counterclockwise as seen from the wall that each lamp lights.
         [[near, near + v, near + u + v, near + u], [far, far + u, far + u + v, far + v]]
     };
     let lamps = [beside(u, v, w), beside(v, w, u), beside(w, u, v)].concat();
@@ -184,14 +191,18 @@ fn light_of_lamps_that_hardly_rise_above_a_patch_is_known_to_its_bar() {
     for rays in [64.0, 256.0] {
         let options = CastOptions::default().with_rays(rays);
         let lit = cast(scene(&parts), Subdivision::Count(300), options);
-        let [within, off, told] = against_lambert(&lit, seen);
-        println!("{rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
-        assert!(within >= 0.95 && off <= 2.0 * told && told <= 1e-3, "{within}, {off:e}, {told:e}");
+        let [within, off, estimated] = against_lambert(&lit, seen);
+        println!("{rays} rays: {within:.3} within, error {off:.1e}, estimated {estimated:.1e}");
+        assert!(
+            within >= 0.95 && off <= 2.0 * estimated && estimated <= 1e-3,
+            "{within}, {off:e}, {estimated:e}"
+        );
     }
 }
 
-/// What of a lamp's light passes a floor by is what does not arrive there. Few rays of a patch of the lamp tell how much of its own
-/// escapes, none or too much by chance, and that must not be made good from what arrives, which is known.
+/// A lamp above a floor in the open: light that does not reach the floor escapes. The few rays of a patch of the lamp
+/// measure by chance that none or too much of it escapes. Closure must not correct that by changing the light that
+/// arrives, which is known.
 #[test]
 fn light_of_a_lamp_in_the_open_is_known_to_its_bar() {
     let lamp = [(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)].map(|(x, y)| DVec3::new(x, y, 0.1));
@@ -200,14 +211,19 @@ fn light_of_a_lamp_in_the_open_is_known_to_its_bar() {
     for (patches, rays) in [(256, 64.0), (4096, 64.0), (4096, 256.0)] {
         let options = CastOptions::default().with_rays(rays);
         let lit = cast(scene(&parts), Subdivision::Count(patches), options);
-        let [within, off, told] = against_lambert(&lit, |_| Some((&lamp[..], 1.0)));
-        println!("{patches} patches, {rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
-        assert!(within >= 0.95 && off <= 2.0 * told && told <= 1e-3, "{within}, {off:e}, {told:e}");
+        let [within, off, estimated] = against_lambert(&lit, |_| Some((&lamp[..], 1.0)));
+        println!(
+            "{patches} patches, {rays} rays: {within:.3} within, error {off:.1e}, estimated {estimated:.1e}"
+        );
+        assert!(
+            within >= 0.95 && off <= 2.0 * estimated && estimated <= 1e-3,
+            "{within}, {off:e}, {estimated:e}"
+        );
     }
 }
 
-/// Two closed rooms, a ceiling in each, of which one shines ten thousand times as brightly: its power must not draw all shadow rays
-/// of the other room, where nobody sees it.
+/// Two closed rooms, each with a ceiling that emits, one ten thousand times as brightly. Nobody in the other room sees
+/// the bright lamp, so its power must not draw the shadow rays of that room.
 #[test]
 fn light_of_a_dim_lamp_is_known_to_its_bar() {
     let side = |x: f64| DVec3::new(x, 0.0, 0.0);
@@ -224,18 +240,19 @@ fn light_of_a_dim_lamp_is_known_to_its_bar() {
         let lit = cast(scene(&parts), Subdivision::Count(600), options);
         for (name, first, lamp, brightness) in [("dim", 0.0, &dim, 1.0), ("bright", 1.5, &bright, 1e4)] {
             let is_there = |at: DVec3| (first - 0.1..first + 1.1).contains(&at.x);
-            let [within, off, told] =
+            let [within, off, estimated] =
                 against_lambert(&lit, |at| is_there(at).then_some((&lamp[..], brightness)));
-            println!("{name}, {rays} rays: {within:.3} within, {off:.1e} off, {told:.1e} told");
+            println!("{name}, {rays} rays: {within:.3} within, error {off:.1e}, estimated {estimated:.1e}");
             assert!(
-                within >= 0.95 && off <= 2.0 * told && told <= 1e-3,
-                "{name} {within}, {off:e}, {told:e}"
+                within >= 0.95 && off <= 2.0 * estimated && estimated <= 1e-3,
+                "{name} {within}, {off:e}, {estimated:e}"
             );
         }
     }
 }
 
-/// Where everything shines alike, rows that are moved to sum to one change nothing; there are more lamps than are known by themselves.
+/// If everything emits alike, closing rows changes no light. There are more lamps than the number whose light is
+/// computed exactly, and still the error bars are at most 10⁻⁴ and contain the true irradiance of 1.
 #[test]
 fn bars_of_light_that_is_the_same_everywhere_are_short() {
     let lit = cast(load("furnace"), Subdivision::Count(500), CastOptions::default());

@@ -1,4 +1,4 @@
-//! Numbers at the extremes, each with the answer that physics gives. `cargo test --test light extremes:: -- --nocapture` prints
+//! Extreme numbers, each with the answer that physics gives. `cargo test --test light extremes:: -- --nocapture` prints
 //! the figures of docs/extremes.md.
 
 use std::f64::consts::PI;
@@ -21,7 +21,7 @@ use radiosity::{
 
 const WHOLE: Subdivision = Subdivision::Edge(f64::INFINITY);
 
-/// A scene cut, cast and solved.
+/// A scene that is cut, cast and solved.
 struct Lit {
     cast: Cast,
     solution: Solution,
@@ -29,8 +29,8 @@ struct Lit {
     ledger: EnergyLedger,
 }
 
-/// Solves, and checks what holds whatever the scene: shares are shares, nothing is negative or not a number, and the
-/// ledger closes to what tolerance and rounding leave of the light that goes round.
+/// Solves, and checks what holds in every scene: shares lie between 0 and 1, nothing is negative or not a number, and
+/// the ledger closes up to the solver's tolerance and the rounding of the light in circulation.
 fn light<'a>(cast: Cast, radiometry: Option<Radiometry<'a>>) -> Lit {
     let f = &cast.form_factors;
     let light = radiometry.unwrap_or_else(|| (&cast.patches).into());
@@ -43,13 +43,13 @@ fn light<'a>(cast: Cast, radiometry: Option<Radiometry<'a>>) -> Lit {
         assert!(f.row(i).all(|(_, x)| (0.0..=1.0 + 1e-12).contains(&x)), "row {i}");
     }
     let (closure, reciprocity) = deviations(f);
-    let told = f.row_sum_deviation();
-    assert!(closure <= 1e-12 && reciprocity <= 1e-12, "{closure:e} {reciprocity:e} {told:?}");
+    let row_sums = f.row_sum_deviation();
+    assert!(closure <= 1e-12 && reciprocity <= 1e-12, "{closure:e} {reciprocity:e} {row_sums:?}");
     assert_eq!(f.out_of_range(), 0);
     for values in [&solution.radiosity, &solution.irradiance, &errors] {
         assert!(values.iter().all(|x| x.is_finite() && *x >= 0.0));
     }
-    // Sums of some thousand terms, each rounded: some ten times what one rounding is on the light that leaves.
+    // Sums of some thousand rounded terms: their rounding is about ten times one rounding of the light that leaves.
     assert!(solution.residual <= 1e-10 || solution.residual <= 16.0 * ledger.rounding(), "{solution:?}");
     let allowed = 1e-10 + 64.0 * ledger.rounding();
     assert!(ledger.imbalance().abs() <= allowed, "{:e}, {allowed:e} allowed", ledger.imbalance());
@@ -60,7 +60,7 @@ fn solved(scene: Scene, subdivision: Subdivision) -> Lit {
     light(cast(scene, subdivision, CastOptions::default()), None)
 }
 
-/// Emits and reflects so that every patch, backs included, has radiosity 1 where no light leaves.
+/// Gives every patch, backs included, an emission of 1 - ρ, so that the radiosity is 1 everywhere if no light escapes.
 fn furnace(cast: Cast, reflectance: f64) -> Lit {
     let n = cast.patches.len();
     let (rho, be) = (vec![reflectance; n], vec![1.0 - reflectance; n]);
@@ -71,7 +71,7 @@ fn worst(values: &[f64], truth: f64) -> f64 {
     values.iter().map(|b| (b - truth).abs()).fold(0.0, f64::max)
 }
 
-/// For the table: the relative error, and in standard errors.
+/// For the table: the relative error, also in standard errors.
 fn off(measured: Measured, truth: f64) -> String {
     let Measured { value, error } = measured;
     format!("{:.1e} ({:.1} standard errors)", value / truth - 1.0, (value - truth) / error)
@@ -88,11 +88,11 @@ fn furnished(floor: (f64, f64), ceiling: (f64, f64), walls: (f64, f64)) -> Vec<P
     vec![of(z0, floor), of(z1, ceiling), of([x0, x1, y0, y1].concat(), walls)]
 }
 
-/// Two cubes joined by a channel of this width and length through the wall between; closed.
+/// Two cubes joined by a channel of this width and length through the wall between them. The surface is closed.
 fn two_chambers(width: f64, length: f64) -> Vec<Corners> {
     let (low, high) = (0.5 - 0.5 * width, 0.5 + 0.5 * width);
     let at = |x: f64, y: f64, z: f64| dvec3(x, y, z);
-    // The wall at x, looking back along x: strips around the hole.
+    // The wall at x, seen against the x axis: four strips around the hole.
     let wall = |x: f64| -> Vec<Corners> {
         let strip = |y0: f64, y1: f64, z0: f64, z1: f64| {
             flipped(rectangle(at(x, y0, z0), DVec3::Y * (y1 - y0), DVec3::Z * (z1 - z0)))
@@ -116,7 +116,7 @@ fn two_chambers(width: f64, length: f64) -> Vec<Corners> {
     all
 }
 
-/// Black walls reflect nothing: B = Be to the bit, and the floor has what the ceiling sends, 0.1998 of it.
+/// Black walls reflect nothing: B = Be to the bit, and the floor gets 0.1998 of the light of the ceiling (Howell C-11).
 #[test]
 fn reflectance_zero() {
     let parts = furnished((0.0, 0.0), (0.0, 1.0), (0.0, 0.0));
@@ -124,8 +124,8 @@ fn reflectance_zero() {
     assert_eq!(lit.solution.radiosity, lit.cast.patches.emission());
     assert_eq!((lit.solution.iterations, lit.solution.residual), (0, 0.0));
 
-    // Nothing blocks the ceiling: its light is known, and closing what few rays measured elsewhere leaves it alone but for some
-    // millionths, which the least error bar, 10⁻⁵, stands for.
+    // Nothing blocks the ceiling, so its light is known. Closing rows that few rays measured elsewhere changes it by
+    // some millionths at most. The least error bar, 10⁻⁵, stands for that.
     let truth = 0.199_824_895_698_387_46;
     let floor = lit.cast.of_part(0);
     for rays in [16.0, 64.0, 256.0] {
@@ -138,8 +138,8 @@ fn reflectance_zero() {
     }
 }
 
-/// Furnaces that hardly absorb, in one chamber and in two that light exchanges through a pinhole of 1/2500 of the wall.
-/// B is 1, of which rounding leaves a unit in the last place over 1 - ρ.
+/// Furnaces that hardly absorb: one chamber, and two chambers that exchange light through a pinhole of 1/2500 of the
+/// wall. B is 1 everywhere. Rounding changes it by a unit in the last place over 1 - ρ, 10⁻⁷ here; 10⁻⁶ is allowed.
 #[test]
 fn furnaces_that_hardly_absorb() {
     for (name, triangles) in [("cube", unit_room()), ("two chambers", two_chambers(0.02, 0.05))] {
@@ -168,9 +168,9 @@ fn furnaces_that_hardly_absorb() {
     }
 }
 
-/// A lamp on one side of a pinhole in white but for a little: what the far chamber absorbs comes through the pinhole.
-/// With N = ρ-free chambers of even light, E₁ - E₂ drives A_hole F_through (E₁ - E₂) = absorbed₂, to the order of the
-/// hole's share of the wall; the ledger must close, and the solver must get there.
+/// A lamp in one of two nearly white chambers that are joined by a pinhole. All that is emitted is absorbed, so the
+/// mean irradiance is Φ / (A (1 - ρ)), up to rounding over 1 - ρ. The ledger must close, and the solver must converge
+/// although the chambers are far from balance.
 #[test]
 fn chambers_far_from_balance() {
     for k in [3, 6, 9] {
@@ -191,7 +191,6 @@ fn chambers_far_from_balance() {
             },
             Some(Radiometry { channels: 1, emission: &be, reflectance: &rho }),
         );
-        // All that is emitted is absorbed: the mean irradiance is Φ / (A (1 - ρ)).
         let area: f64 = f.areas().iter().sum();
         let mean: f64 =
             f.areas().iter().zip(&lit.solution.irradiance).map(|(a, e)| a * e).sum::<f64>() / area;
@@ -206,7 +205,7 @@ fn chambers_far_from_balance() {
     }
 }
 
-/// White walls send back all: what is emitted leaves by the opening, all of it.
+/// White walls reflect all light, so all that is emitted leaves by the opening, up to the solver's tolerance.
 #[test]
 fn white_with_an_opening() {
     let mut parts = furnished((1.0, 1.0), (1.0, 0.0), (1.0, 0.0));
@@ -217,7 +216,7 @@ fn white_with_an_opening() {
     assert_eq!(absorbed[0], 0.0);
     assert!((escaped[0] / emitted[0] - 1.0).abs() <= 1e-10);
 
-    // Light that comes in evenly by the opening fills the room evenly.
+    // A black ceiling that emits evenly fills the white room evenly.
     let parts = furnished((1.0, 0.0), (0.0, 1.0), (1.0, 0.0));
     let lit = solved(scene(&parts), Subdivision::Count(300));
     let off = worst(&lit.solution.radiosity, 1.0);
@@ -225,7 +224,8 @@ fn white_with_an_opening() {
     assert!(off <= 1e-8, "{off:e}");
 }
 
-/// Nothing absorbs what is emitted: no equilibrium, in whichever channel that is.
+/// In a closed white room nothing absorbs the emitted light. There is no equilibrium, in whichever channel that
+/// happens.
 #[test]
 fn white_and_closed_is_refused() {
     let all = part(unit_room(), 1.0, 1.0);
@@ -239,12 +239,13 @@ fn white_and_closed_is_refused() {
             assert!(matches!(solution, Err(Error::NoEquilibrium)), "{solver:?}: {solution:?}");
         }
     }
-    // Where nothing is emitted there is one: darkness.
+    // Without emission there is an equilibrium: darkness.
     let lit = solved(scene(&[part(unit_room(), 1.0, 0.0)]), WHOLE);
     assert!(lit.solution.radiosity.iter().all(|&b| b == 0.0));
 }
 
-/// The system is linear: twice the light is twice the answer, to the bit; powers of ten to the rounding of Be.
+/// The system is linear: scaling the emission scales the answer, by powers of two to the bit, by powers of ten up to
+/// the rounding of Be.
 #[test]
 fn emission_from_1e_minus_30_to_1e30() {
     let at = |factor: f64| {
@@ -268,13 +269,13 @@ fn emission_from_1e_minus_30_to_1e30() {
         if factor.log2().fract() == 0.0 {
             assert_eq!([b, e, s], [0.0; 3], "{factor:e}");
         } else {
-            // Rows are calibrated, and error bars told, in single precision.
+            // Rows are calibrated, and error bars computed, in single precision.
             assert!(b <= 1e-7 && e <= 1e-7 && s <= 1e-5, "{factor:e}: {b:e} {e:e} {s:e}");
         }
     }
 }
 
-/// A flat surface sees nothing of itself: B = Be, all of it leaves.
+/// A flat surface does not see itself: B = Be, and all light leaves.
 #[test]
 fn one_triangle_in_one_patch_or_many() {
     let triangle = vec![[DVec3::ZERO, DVec3::X, DVec3::Y]];
@@ -290,7 +291,7 @@ fn one_triangle_in_one_patch_or_many() {
     assert_eq!(dark.solution.radiosity, [0.0]);
 }
 
-/// Behind walls, or looking away: not a trace of its light arrives.
+/// No light at all arrives from an emitter behind walls, or from one that faces away.
 #[test]
 fn an_emitter_that_nobody_sees() {
     let inner = room(DVec3::splat(0.4), DVec3::splat(0.6));
@@ -305,7 +306,7 @@ fn an_emitter_that_nobody_sees() {
         }
         let lamp = lit.cast.of_part(2);
         assert!(lamp.iter().all(|&i| lit.solution.radiosity[i] > 0.5), "{name}");
-        println!("emitter nobody sees, {name}: all else 0");
+        println!("emitter that nobody sees, {name}: all else 0");
     }
 }
 
@@ -315,9 +316,10 @@ fn moved(scene: &Scene, factor: f64, offset: DVec3) -> Scene {
     moved
 }
 
-/// Rays run in unit space: by powers of two, or by whole multiples, nothing changes to the bit. Other factors and offsets
-/// round the file's coordinates, to 1e-16 of them: of the size at an offset of 10⁶ sizes 1e-10, which moves some
-/// coordinates of unit space by one rounding of single precision, 6e-8, and the few rays that pass so close to an edge.
+/// Rays run in unit space, so scaling by powers of two changes nothing, to the bit. Other factors and offsets round the
+/// coordinates of the file to 1e-16 of their size. At an offset of 10⁶ sizes that is 1e-10 of the scene's size. It
+/// moves some coordinates of unit space by one rounding of single precision, 6e-8, and so the few rays that pass so
+/// close to an edge.
 #[test]
 fn scale_and_offset() {
     let original = load("cornell-box");
@@ -358,12 +360,12 @@ fn scale_and_offset() {
         if offset == 0.0 && factor.log2().fract() == 0.0 {
             assert_eq!((differ, off), (0, 0.0));
         }
-        // A ray meets some ten edges of patches across its way; within 1e-7 of one in 1e-5 of the cases at most.
+        // A ray passes about ten edges of patches. It comes within 1e-7 of one in at most 1e-5 of all cases.
         assert!(differ as f64 <= 1.0 + 1e-5 * rays as f64 && off <= 1e-3, "{differ} of {rays}, {off:e}");
     }
 }
 
-/// The share of what `from` sends that arrives at `to`, both convex and unblocked.
+/// The share of the light of `from` that arrives at `to`. Both are convex, and nothing blocks.
 fn exact(from: &[DVec3], to: &[DVec3]) -> f64 {
     polygon_form_factor(from, to)
 }
@@ -372,7 +374,7 @@ fn quad(corner: DVec3, u: DVec3, v: DVec3) -> [DVec3; 4] {
     [corner, corner + u, corner + u + v, corner + v]
 }
 
-/// Strips a million times as long as wide: one that shines, one that is lit, and one in the wall of a furnace.
+/// Strips a million times as long as wide: one emits, one is lit, and one is in the wall of a furnace.
 #[test]
 fn slivers() {
     const W: f64 = 1e-6;
@@ -389,11 +391,12 @@ fn slivers() {
         let truth = exact(&quad(lit_part.0, lit_part.1, lit_part.2), &quad(lamp.0, lamp.1, lamp.2));
         println!("{name}: E off by {:.1e}", mean.value / truth - 1.0);
         if name == "a sliver shines" {
-            // Nothing blocks: known to single precision, in which its width is rounded at 1/2 by 6e-8 / 1e-6.
+            // Nothing blocks, so the light is known up to the single precision of the strip's width: 6e-8 / 1e-6 at a
+            // position of 1/2.
             assert!((mean.value / truth - 1.0).abs() <= 0.06, "{} instead of {truth}", mean.value);
         } else {
-            // Rays keep 6e-7 of half of the scene away from edges. That leaves them a part of the sliver only: what is
-            // found is the light on that part, within what it is at the middle and at the ends.
+            // Rays keep 6e-7 of half of the scene away from edges, so they start on a part of the sliver only. The
+            // result is the light on that part: between the light at the ends and in the middle.
             let at = |y: f64| point_to_polygon(dvec3(0.5, y, 0.0), DVec3::Z, &quad(lamp.0, lamp.1, lamp.2));
             assert!(at(0.0) < mean.value && mean.value < at(0.5), "{} to {}", at(0.0), at(0.5));
         }
@@ -408,10 +411,12 @@ fn slivers() {
     let lit = furnace(cast(room, Subdivision::Count(300), CastOptions::default()), 0.9);
     let off = worst(&lit.solution.radiosity, 1.0);
     println!("a sliver in a furnace: off by {off:.1e}");
+    // The solver's tolerance over 1 - ρ = 0.1.
     assert!(off <= 1e-9, "{off:e}");
 }
 
-/// A tile of 10⁻⁴ of the room's size amid it: the ceiling shines on it as on a point.
+/// A tile of 10⁻⁴ of the room's size in its middle: the ceiling lights it like a point. In a furnace its radiosity is
+/// 1.
 #[test]
 fn patches_from_1_to_1e_minus_4() {
     const W: f64 = 1e-4;
@@ -423,7 +428,7 @@ fn patches_from_1_to_1e_minus_4() {
     let ceiling = quad(DVec3::Z, DVec3::Y, DVec3::X);
     let truth = exact(&quad(tile.0, tile.1, tile.2), &ceiling);
     println!("a tile of 1e-4: E off by {}", off(mean, truth));
-    // Nothing blocks, and what the rounding of its corners, by 1e-7 / 1e-4 at most, takes from its area it takes from its light.
+    // Nothing blocks. Rounding its corners, by 1e-7 / 1e-4 at most, changes its area and its light alike.
     mean.assert_is(truth, 0.0);
 
     parts.iter_mut().for_each(|p| (p.reflectance, p.exitance) = ([0.0; 3], [0.0; 3]));
@@ -433,7 +438,8 @@ fn patches_from_1_to_1e_minus_4() {
     assert!(off <= 1e-9, "{off:e}");
 }
 
-/// A wall of two faces 10⁻⁵ apart holds all light back, and so does one without thickness.
+/// A wall of two faces 10⁻⁵ apart lets no light through, and neither does a wall without thickness. The furnace on its
+/// bright side has B = 1, up to the solver's tolerance.
 #[test]
 fn thin_walls_hold_light_back() {
     for gap in [1e-5, 1e-6, 0.0] {
@@ -442,7 +448,7 @@ fn thin_walls_hold_light_back() {
         for first in [0, 1] {
             let parts = if first == 0 { [bright(), dark()] } else { [dark(), bright()] };
             let lit = solved(scene(&parts), Subdivision::Count(400));
-            // Of two faces back to back each is seen from its own room.
+            // Each of two faces back to back is seen from its own room.
             assert_eq!(lit.cast.patches.len(), lit.cast.patches.fronts());
             let [b, d] = [first, 1 - first].map(|k| lit.cast.of_part(k));
             let through = d.iter().map(|&i| lit.solution.irradiance[i]).fold(0.0, f64::max);
@@ -454,8 +460,9 @@ fn thin_walls_hold_light_back() {
     }
 }
 
-/// A lamp that is there twice, as exporters leave them, shines once: the second is hidden, and what it emits is lost. Both where
-/// lamps are few, and known exactly, and where they are many. The rays are the same, what calibrates their rows is not.
+/// A lamp that is there twice, as exporters leave them, emits once: the second is hidden, and its light is lost. This
+/// holds for few lamps, whose light is known exactly, and for many. Both scenes cast the same rays but calibrate rows
+/// differently, so irradiances agree within error bars.
 #[test]
 fn doubled_lamps_shine_once() {
     for pieces in [1, 3] {
@@ -491,7 +498,7 @@ fn doubled_lamps_shine_once() {
     }
 }
 
-/// In a closed furnace B is 1 on whatever surfaces, wherever they lie.
+/// In a closed furnace B is 1 on all surfaces, wherever they lie, up to the solver's tolerance over 1 - ρ.
 #[test]
 fn touching_coplanar_doubled_and_intersecting_faces() {
     let solid = |low: DVec3, high: DVec3| flipped(room(low, high));
@@ -540,7 +547,8 @@ fn faces_without_area() {
     println!("faces without area: same bits");
 }
 
-/// Areas beyond what single precision can hold, in all and one beside the others.
+/// Areas beyond the range of single precision, of all surfaces or of one among others. Scaling changes no light, and a
+/// tiny tile in a furnace has B = 1.
 #[test]
 fn areas_beyond_single_precision() {
     let original = scene(&furnished((0.5, 0.0), (0.5, 1.0), (0.5, 0.0)));
@@ -548,7 +556,7 @@ fn areas_beyond_single_precision() {
     for exponent in [-450, -100, 100, 450] {
         let lit = solved(moved(&original, 2f64.powi(exponent), DVec3::ZERO), Subdivision::Count(200));
         assert_eq!(lit.solution, one.solution, "2^{exponent}");
-        // A logarithm of areas is in them, as large as the exponent.
+        // They contain a logarithm of areas, which is as large as the exponent.
         for (a, b) in lit.errors.iter().zip(&one.errors) {
             assert!((a / b - 1.0).abs() <= 1e-12, "2^{exponent}: {a} {b}");
         }
@@ -558,7 +566,7 @@ fn areas_beyond_single_precision() {
     for width in [1e-3, 1e-8, 1e-12, 1e-20, 1e-30, 1e-100] {
         let tile = rectangle(DVec3::ZERO, DVec3::X * width, DVec3::Y * width);
         let mut parts = vec![black(unit_room())];
-        // Amid the room, where coordinates are smallest.
+        // In the middle of the room, where coordinates are smallest.
         parts[0].triangles.iter_mut().flatten().for_each(|p| *p -= 0.5);
         parts.push(black(tile));
         for lamp in [0.0, 1.0] {
@@ -576,7 +584,7 @@ fn areas_beyond_single_precision() {
     }
 }
 
-/// The same bytes for any number of threads, on scenes of this file.
+/// The scenes of this file give the same bits for any number of threads.
 #[test]
 fn threads_change_nothing_at_the_extremes() {
     let run = |scene: &Scene, threads: usize| {
@@ -600,7 +608,7 @@ fn threads_change_nothing_at_the_extremes() {
     }
 }
 
-/// Emission too weak to count by the side of another, and reflectances next to 0: nothing is lost in between.
+/// Emission too weak to count beside others, and reflectances from 0 to 1 in one furnace: B is 1 on all of them.
 #[test]
 fn materials_side_by_side() {
     let material = |rho: f64, be: f64| Material::new("m", [rho; 3], [be / PI; 3]);

@@ -1,5 +1,5 @@
 //! Form factors by rays against exact ones. Tolerances are 5.24 of the standard errors that the library itself reports
-//! (10⁻⁴ by chance, see `common::T15`), plus what tessellation is known to change.
+//! (exceeded by chance in 10⁻⁴ of cases, see `common::T15`), plus the known effect of tessellation.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
 
@@ -8,8 +8,8 @@ use glam::{DVec3, dvec3};
 use radiosity::form_factor::{CastOptions, Estimator, exact::*};
 use radiosity::patch::Subdivision;
 
-/// Subdivided and with few large triangles, one-way, pooled, and with shadow rays to an emitting second part; an error
-/// bar above `precision` would let wrong programs pass.
+/// Checks the form factor from the first to the second part: one-way, pooled, and with shadow rays to an emitting
+/// second part. A standard error above `precision` fails, since it would let wrong programs pass.
 fn check(parts: &[(Vec<Corners>, f64)], rays: f64, edge: f64, truth: f64, slack: f64, precision: f64) {
     for (estimator, exitance) in
         [(Estimator::OneWay, 0.0), (Estimator::Pooled, 0.0), (Estimator::Pooled, 1.0)]
@@ -18,27 +18,30 @@ fn check(parts: &[(Vec<Corners>, f64)], rays: f64, edge: f64, truth: f64, slack:
         let options = CastOptions::default().with_rays(rays).with_estimator(estimator).with_seed(7);
         let measured = cast(scene(&parts), Subdivision::Edge(edge), options).form_factor(0, 1);
         println!("{estimator:?} {exitance}: {measured:?} for {truth}");
-        // What lamps send unoccluded has no error bar. Points keep ten roundings away from the edges of their triangle: of
-        // squares a tenth as wide as the scene that is 2e-5 of the area.
+        // The unblocked light of lamps has no error bar. Start points keep ten roundings away from the edges of their
+        // triangle: 2e-5 of the area for squares a tenth as wide as the scene.
         measured.assert_is(truth, slack + 2e-5 * truth);
-        assert!(measured.error <= precision * truth, "{measured:?} tells nothing");
+        assert!(measured.error <= precision * truth, "{measured:?} is too imprecise");
     }
 }
 
-/// Fails without cosines at either end, with rays from centroids only, or with the wrong area in the pooling.
+/// Howell C-11. Fails without the cosine at either end, with rays from centroids only, or with a wrong area in the
+/// pooling.
 #[test]
 fn parallel_rectangles() {
     for (a, b, c) in [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 1.0, 0.1), (1.0, 1.0, 10.0)] {
         let low = rectangle(DVec3::ZERO, DVec3::X * a, DVec3::Y * b);
         let high = rectangle(DVec3::Z * c, DVec3::Y * b, DVec3::X * a);
-        // At ten sides' distance 3 rays in 1000 arrive, 200 of 65536: 7 % of error at most, spread over 4 triangles.
+        // At a distance of ten sides 3 rays in 1000 arrive, 200 of 65536: an error of at most 7 %, spread over 4
+        // triangles.
         let (rays, precision) = if c > 5.0 { (65536.0, 0.05) } else { (4096.0, 0.02) };
         let edge = if c > 5.0 { f64::INFINITY } else { 0.75 };
         check(&[(low, 0.0), (high, 1.0)], rays, edge, opposed_rectangles(a, b, c), 0.0, precision);
     }
 }
 
-/// Edge-sharing surfaces: the kernel is singular along the edge, and shadow rays to points there must not blow up.
+/// Howell C-14. The kernel is singular along the common edge, and shadow rays to points there must not give huge
+/// weights.
 #[test]
 fn perpendicular_rectangles_with_a_common_edge() {
     for (l, w, h) in [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 1.0, 2.0)] {
@@ -49,8 +52,8 @@ fn perpendicular_rectangles_with_a_common_edge() {
     }
 }
 
-/// The polygons P lie in the disks D. The exchange areas differ by the light between D1 and what D2 exceeds P2 by, and
-/// the other way round: no more than what those slivers have of area.
+/// The polygons P lie in the disks D. The exchange areas differ by the light between D1 and the slivers of D2 outside
+/// P2, and the other way round: at most the area of those slivers.
 #[test]
 fn coaxial_disks_as_polygons() {
     const N: usize = 96;
@@ -58,7 +61,7 @@ fn coaxial_disks_as_polygons() {
     let deficit = 1.0 - round.sin() / round;
     for (r1, r2, h) in [(1.0, 1.0, 1.0), (1.0, 2.0, 1.0), (1.0, 0.5, 2.0)] {
         let q: f64 = r2 / r1;
-        // Per area of the polygon instead of the disk: F grows by the deficit once more, at most.
+        // F is per area of the polygon instead of the disk, and so grows at most by the deficit once more.
         let slack = deficit * (2.0 + q * q);
         let parts = [(disk(N, r1, 0.0, true), 0.0), (disk(N, r2, h, false), 1.0)];
         check(&parts, 2048.0, f64::INFINITY, coaxial_disks(r1, r2, h), slack, 0.02);
@@ -73,7 +76,7 @@ fn squares_with_blocker(side: f64) -> Vec<Part> {
     parts
 }
 
-/// Both sides of the blocker are surfaces that stop light; a program that culls backs lets the light from below through.
+/// Both sides of the blocker stop light. A program that culls backs lets light from below through.
 #[test]
 fn squares_with_a_blocker_between() {
     for side in [0.25, 0.5] {
@@ -82,7 +85,8 @@ fn squares_with_a_blocker_between() {
         let parts = [(parts[0].clone(), 0.0), (parts[1].clone(), 1.0), (parts[2].clone(), 0.0)];
         check(&parts, 8192.0, 0.75, truth, 0.0, 0.02);
     }
-    // Every line between the squares passes the middle inside of the square that is their mean.
+    // Every line between the squares passes their middle square, at half height, so a blocker of that size stops all
+    // light.
     for estimator in BOTH {
         let hidden = cast_whole(&squares_with_blocker(1.0), 65536.0, estimator, 3);
         assert_eq!(hidden.form_factor(0, 1).value, 0.0);
@@ -90,7 +94,7 @@ fn squares_with_a_blocker_between() {
     }
 }
 
-/// The same rays are cast with the blocker and without it, so that every single count can only fall.
+/// The same rays are cast with and without the blocker, so every single count can only fall.
 #[test]
 fn a_blocker_takes_hits_and_gives_none() {
     let [without, with] = [0.0, 0.5].map(|side| {
@@ -108,8 +112,8 @@ fn a_blocker_takes_hits_and_gives_none() {
     assert!(fewer > 0, "the blocker blocks nothing");
 }
 
-/// The inner sphere sees the outer one alone, however coarse: F12 = 1, and F21 is the ratio of areas, 1/4 for two
-/// similar polyhedra as for spheres.
+/// The inner sphere sees only the outer one, however coarse: F12 = 1. F21 is the ratio of areas, 1/4 for two similar
+/// polyhedra as for spheres.
 #[test]
 fn concentric_spheres() {
     for level in 1..=2 {
@@ -124,15 +128,15 @@ fn concentric_spheres() {
                 spheres.form_factor(1, 0).assert_is(0.25, 0.0);
                 spheres.form_factor(1, 1).assert_is(0.75, 0.0);
             } else {
-                // Reciprocity and F12 = 1 fix the pooled value, whatever the rays did.
+                // Reciprocity and F12 = 1 fix the pooled value, whatever the rays found.
                 assert!((spheres.form_factor(1, 0).value - 0.25).abs() < 1e-12);
             }
         }
     }
 }
 
-/// Crossed strings give 1/4 for endless strips. Strips of length L lose at their ends at most as much as strips without the
-/// blocker, and that loss follows from the formula for rectangles.
+/// Crossed strings give 1/4 for endless strips. The ends of strips of length L lose at most as much as without the
+/// blocker, and the formula for rectangles gives that loss.
 #[test]
 fn long_strips_with_a_blocker() {
     const LENGTH: usize = 60;
@@ -150,14 +154,14 @@ fn long_strips_with_a_blocker() {
     check(&parts, 2048.0, f64::INFINITY, 0.25 - 0.5 * lost, 0.5 * lost, 0.01);
 }
 
-/// A base sees nothing but its dome; what the dome sees of the base follows from the areas, which are 1 : 2 up to the
+/// A base sees only its dome. The form factor from dome to base follows from the areas, which are 2 : 1 up to the
 /// tessellation.
 #[test]
 fn hemisphere_on_its_base() {
     let (dome, base) = (zone(0.0, FRAC_PI_2, 6, 24), disk(24, 1.0, 0.0, true));
     let slack = (area(&base) / area(&dome) - 0.5).abs();
     assert!(slack < 0.01, "{slack}");
-    // The rim of the dome lies at cos(π/2) = 6e-17 instead of 0, a gap that single precision does not resolve.
+    // The rim of the dome lies at cos(π/2) = 6e-17 instead of 0, a gap below single precision.
     let parts = [black(dome), black(base)];
     for estimator in BOTH {
         let closed = cast_whole(&parts, 4096.0, estimator, 11);
@@ -169,7 +173,8 @@ fn hemisphere_on_its_base() {
     }
 }
 
-/// A cap sees itself as much as its opening, as a base, leaves of it: (1 - cos t) / 2 for a sphere's.
+/// A spherical cap of half-angle t sees itself by 1 less the area of its opening over its own: (1 - cos t) / 2. The
+/// tessellation changes that by less than 1 %.
 #[test]
 fn cap_of_a_sphere() {
     for t in [FRAC_PI_3, 2.0] {
@@ -187,9 +192,9 @@ fn cap_of_a_sphere() {
     }
 }
 
-/// With 16 and 256 times the rays the error falls to at most 1/4 and 1/16; scrambled sequences may do better. The RMS of
-/// 32 seeds is known to 1 / sqrt(62) = 13 %, the ratio of two to 18 %; four times that is allowed. Rays from centroids,
-/// or any bias, would make the error stand still.
+/// With 16 and 256 times the rays the error falls to at most 1/4 and 1/16; scrambled sequences may do better. The RMS
+/// of 32 seeds is known to 1 / sqrt(62) = 13 %, the ratio of two to 18 %; four times that is allowed. With rays from
+/// centroids, or any other bias, the error would stop falling.
 #[test]
 fn more_rays_less_error() {
     const SEEDS: u64 = 32;
@@ -206,7 +211,7 @@ fn more_rays_less_error() {
         println!("{estimator:?}: {rms:?}");
         let slack = 1.0 + 4.0 * 0.18;
         assert!(rms[1] <= rms[0] / 4.0 * slack && rms[2] <= rms[0] / 16.0 * slack, "{rms:?}");
-        // And 64 rays from each of two triangles are no worse than independent ones.
+        // Also, 64 rays from each of two triangles are no worse than independent ones.
         assert!(rms[0] <= (truth * (1.0 - truth) / 128.0).sqrt() * (1.0 + 4.0 * 0.13), "{rms:?}");
     }
 }

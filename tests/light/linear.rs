@@ -41,8 +41,9 @@ fn room_with_block() -> Scene {
     scene(&[part(walls, 0.6, 0.0), part(flipped(block), 0.6, 0.0), part(ceiling, 0.6, 1.0)])
 }
 
-/// The light of a lamp that nothing blocks has the slopes of Lambert's formula, projected by a lattice of points. The quadrature of
-/// the program is off by less than a thousandth of the light on patches that are small beside their distance from the lamp.
+/// The light of an unblocked lamp has the slopes of Lambert's formula, projected with a lattice of points. On patches
+/// that are small beside their distance from the lamp, the program's quadrature has an error below a thousandth of the
+/// light; twice that is allowed.
 #[test]
 fn slopes_of_unblocked_light_are_exact() {
     const N: usize = 24;
@@ -79,7 +80,8 @@ fn slopes_of_unblocked_light_are_exact() {
     assert!(floor > 10);
 }
 
-/// Slopes move light and make none: the books balance as without them, and nothing escapes from a closed room. No light is negative.
+/// Slopes move light and make none: the ledger balances as without them, and nothing escapes from a closed room. No
+/// light is negative at any corner.
 #[test]
 fn the_ledger_is_exact_and_no_light_is_negative() {
     for (name, scene, closed) in [
@@ -96,7 +98,7 @@ fn the_ledger_is_exact_and_no_light_is_negative() {
             assert!(ledger.escaped.iter().all(|e| e.abs() < 1e-9 * ledger.emitted[0]), "{name}: {ledger:?}");
         }
         let linear = solution.linear.as_ref().unwrap();
-        // All but a few patches have light that varies, or the test would test nothing.
+        // Most patches have light that varies; otherwise the test would check nothing.
         let varying = linear.slopes.iter().filter(|s| **s != [0.0; 2]).count();
         assert!(2 * varying > linear.slopes.len(), "{name}: {varying} vary");
         for q in 0..solution.irradiance.len() {
@@ -107,14 +109,15 @@ fn the_ledger_is_exact_and_no_light_is_negative() {
     }
 }
 
-/// Where all shines alike there are no slopes, however few the rays; and in the dark there is no light.
+/// If everything emits alike there are no slopes, however few the rays. Irradiance is 1 with linear and with constant
+/// light.
 #[test]
 fn a_furnace_has_no_slopes() {
     let furnace = load("furnace");
     let patches = Patches::subdivide(&furnace, &Subdivision::Count(300));
     let Solved { solution, .. } = solved(&furnace, patches, 32.0, 1);
     let linear = solution.linear.as_ref().unwrap();
-    // Rows are closed to some 10⁻¹² of single precision; light that lamps send straight is as exact as its quadrature.
+    // Rows are closed to 10⁻¹² of single precision. The light straight from lamps is as exact as its quadrature.
     assert!(solution.irradiance.iter().all(|e| (e - 1.0).abs() < 1e-4));
     assert!(linear.slopes.iter().flatten().all(|slope| slope.abs() < 1e-3), "{:?}", linear.slopes);
     assert!(
@@ -122,8 +125,8 @@ fn a_furnace_has_no_slopes() {
     );
 }
 
-/// RMS errors of linear and of constant light, relative to the mean irradiance. The reference has patches of a quarter of the edge.
-/// Products of the errors of two seeds have no noise in the mean.
+/// RMS errors of linear and of constant light, relative to the mean irradiance. The patches of the reference have a
+/// quarter of the edge. Products of the errors of two seeds have no noise on average.
 fn errors(scene: &Scene, patches: usize, rays: f64) -> [f64; 2] {
     const SEEDS: u64 = 4;
     let coarse = Patches::subdivide(scene, &Subdivision::Count(patches));
@@ -156,8 +159,8 @@ fn errors(scene: &Scene, patches: usize, rays: f64) -> [f64; 2] {
     ]
 }
 
-/// Linear light has at most half of the discretisation error of constant light at equal patches where nothing touches; where a block
-/// stands on patches of the floor, it has less.
+/// At equal patches linear light has at most half of the discretisation error of constant light if nothing touches. If
+/// a block stands on patches of the floor, it has at most 80 %.
 #[test]
 fn errors_are_halved() {
     for (name, scene, most) in [("lamp", lamp_room(0.7), 0.5), ("block", room_with_block(), 0.8)] {
@@ -173,7 +176,7 @@ fn errors_are_halved() {
     }
 }
 
-/// Light is linear where an option says so, and else that of [`radiosity::solve::solve`].
+/// Light is linear only with its option. Otherwise it is the light of [`radiosity::solve::solve`].
 #[test]
 fn linear_light_is_an_option() {
     let lit = cast(load("cornell-box"), Subdivision::Count(300), CastOptions::default());

@@ -1,4 +1,4 @@
-//! What every matrix of form factors by rays must keep: closure, reciprocity and bounds, whatever the scene.
+//! Invariants of every matrix of form factors by rays: closure, reciprocity and bounds, whatever the scene.
 
 use crate::common::*;
 use glam::{DVec3, dvec3};
@@ -8,7 +8,7 @@ use radiosity::{
     patch::Subdivision,
 };
 
-/// A room of 100 by 100 in few triangles with a cube of a hundredth on its floor: areas from 2e-5 to 5e3.
+/// A room of 100 by 100 in few triangles, with a cube of a hundredth in it: areas from 5e-5 to 5e3.
 fn uneven(exitance: f64) -> Scene {
     let [x0, x1, y0, y1, floor, ceiling] = room_faces(DVec3::ZERO, dvec3(100.0, 100.0, 40.0));
     let crumb = flipped(room(dvec3(50.0, 50.0, 0.5), dvec3(50.01, 50.01, 0.51)));
@@ -36,7 +36,8 @@ fn scenes() -> Vec<(&'static str, Cast)> {
     cases.into_iter().map(|(name, scene, cut)| (name, cast(scene, cut, CastOptions::default()))).collect()
 }
 
-/// Bounds are met to the 1e-12 of the closure, for F_ij ≤ 1 and A_i F_ij ≤ A_j are partial sums of closed rows.
+/// Rows sum to one and are reciprocal to 1e-12, the tolerance of the closure. The bounds F_ij ≤ 1 and A_i F_ij ≤ A_j
+/// hold to the same tolerance, since they are partial sums of closed rows.
 #[test]
 fn pooled_matrices_are_closed_reciprocal_and_bounded() {
     for (name, cast) in scenes() {
@@ -60,9 +61,9 @@ fn pooled_matrices_are_closed_reciprocal_and_bounded() {
     }
 }
 
-/// The bounds on one-way counts, which nothing enforces: with R rays, hits on patch j have a mean m of at most
-/// R A_j / A_i. By Bernstein's inequality more than m + x of them have a probability below e^-l for
-/// x = l/3 + sqrt(l²/9 + 2 m l).
+/// One-way form factors keep the bounds although nothing enforces them. With R rays, the hits on patch j have a mean m
+/// of at most R A_j / A_i. By Bernstein's inequality more than m + x hits have a probability below e^-l for x = l/3 +
+/// sqrt(l²/9 + 2 m l).
 #[test]
 fn one_way_counts_keep_the_bounds() {
     for (name, lit) in scenes() {
@@ -84,7 +85,7 @@ fn one_way_counts_keep_the_bounds() {
     }
 }
 
-/// Before the repairs: both figures recomputed from the rays alone.
+/// The reported deviations before the repairs agree with deviations recomputed from the rays alone.
 #[test]
 fn deviations_before_are_those_of_the_rays() {
     let options =
@@ -96,9 +97,9 @@ fn deviations_before_are_those_of_the_rays() {
     assert_eq!(one_way.len(), n);
 
     let (_, reciprocity) = deviations(&one_way);
-    let told = [pooled.reciprocity_deviation().before, one_way.reciprocity_deviation().before];
-    for told in told.into_iter().chain([one_way.reciprocity_deviation().after]) {
-        assert!((told / reciprocity - 1.0).abs() < 1e-12, "{told}, recomputed {reciprocity}");
+    let reported = [pooled.reciprocity_deviation().before, one_way.reciprocity_deviation().before];
+    for reported in reported.into_iter().chain([one_way.reciprocity_deviation().after]) {
+        assert!((reported / reciprocity - 1.0).abs() < 1e-12, "{reported}, recomputed {reciprocity}");
     }
     assert!(reciprocity > 0.1, "48 rays are not reciprocal by chance");
 
@@ -119,20 +120,20 @@ fn deviations_before_are_those_of_the_rays() {
         }
     }
     let worst = (0..n).map(|i| (sums[i] / a[i] + escaped[i] - 1.0).abs()).fold(0.0, f64::max);
-    let told = pooled.row_sum_deviation().before;
-    // Entries are stored in single precision: a row is off by no more than its own sum times that.
-    assert!((told - worst).abs() <= F32 * (1.0 + worst), "{told}, recomputed {worst}");
+    let reported = pooled.row_sum_deviation().before;
+    // Entries are stored in single precision: the error of a row sum is at most the sum times that rounding.
+    assert!((reported - worst).abs() <= F32 * (1.0 + worst), "{reported}, recomputed {worst}");
     assert!(worst > 0.01, "48 rays are not closed by chance");
 }
 
-/// Backs become unknowns where rays see them, and only there.
+/// Backs become patches if rays see them, and only then.
 #[test]
 fn backs_that_are_seen() {
     let closed = cast(load("furnace"), Subdivision::Edge(0.3), CastOptions::default());
     assert_eq!(closed.patches.len(), closed.patches.fronts());
     assert_eq!(closed.form_factors.ray_set().unwrap().back_hits(), 0);
 
-    // The plate is the third part of seven: its backs come last all the same.
+    // The plate is the third part of seven, but its backs come last.
     let [x0, x1, y0, y1, floor, ceiling] = room_faces(DVec3::ZERO, DVec3::ONE).map(black);
     let corner = dvec3(0.3, 0.3, 0.5);
     let plate = black(rectangle(corner, DVec3::X * 0.4, DVec3::Y * 0.4));
@@ -152,7 +153,7 @@ fn backs_that_are_seen() {
                 assert!(!room.patches.is_front(back));
                 assert_eq!(room.patches.barycentric_corners(back), room.patches.barycentric_corners(i));
                 assert_eq!(room.patches.area(back), room.patches.area(i));
-                // Two sides of a plane see nothing of each other or themselves.
+                // The two sides of a plane see neither each other nor themselves.
                 for (p, q) in [(i, back), (back, i), (i, i), (back, back)] {
                     assert_eq!(room.form_factors.get(p, q), 0.0);
                 }
@@ -160,15 +161,15 @@ fn backs_that_are_seen() {
         }
     }
 
-    // Two floors, both looking up: the lower sees the back of the upper.
+    // Two floors that both look up: the lower sees the back of the upper.
     let stage = [black(level_square(1.0, 0.0, true)), black(level_square(1.0, 1.0, true))];
     let stage = cast_whole(&stage, 256.0, Estimator::Pooled, 0);
     assert_eq!((stage.patches.fronts(), stage.patches.len()), (4, 6));
     assert_eq!([0, 1].map(|i| stage.patches.back_of(i)), [None; 2]);
 }
 
-/// A triangle that faces away from all others and that none of them sees has an empty row. Its light escapes, and the light of
-/// the others does not depend on it.
+/// A triangle that faces away from all others, and that none of them sees, has an empty row. Its light escapes, and the
+/// rows of the others do not refer to it.
 #[test]
 fn a_patch_that_sees_nothing_loses_everything() {
     let lit = |lonely: bool| {
