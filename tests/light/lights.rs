@@ -1,4 +1,4 @@
-//! Lights that are no surfaces against closed forms, the energy that enters, and both referees.
+//! Lights that are no surfaces, against closed forms, the energy that enters, path tracing and light tracing.
 
 use std::f64::consts::PI;
 
@@ -44,7 +44,7 @@ fn with_light(mut scene: Scene, kind: LightKind) -> Scene {
     scene
 }
 
-/// z up: the sun at this azimuth and altitude in degrees, 1000 W/m².
+/// The sun at this azimuth and altitude in degrees with 1000 W/m²; z is up.
 fn sun(azimuth: f64, altitude: f64) -> LightKind {
     let towards = Up::Z.direction(azimuth.to_radians(), altitude.to_radians());
     LightKind::Distant(Distant::new(towards, [1000.0; 3], SUN_DIAMETER.to_radians()))
@@ -63,13 +63,14 @@ fn mean(solved: &Solved) -> (f64, f64) {
     (mean, solved.error_bars.of_mean[0])
 }
 
+/// Asserts agreement within four standard errors, which are below 2 %, and 1e-4 for single precision.
 fn close((found, error): (f64, f64), wanted: f64) {
     assert!((found - wanted).abs() < 4.0 * error + 1e-4 * wanted, "{found} ± {error} for {wanted}");
     assert!(error < 0.02 * wanted, "{found} ± {error} for {wanted}");
 }
 
-/// π L from a uniform sky onto a horizontal plane, half of it onto a wall; 7π/9 and π/6 + 4/9 times the zenith's radiance from an overcast
-/// one.
+/// A uniform sky of radiance L gives π L on a horizontal plane and half of that on a wall. An overcast sky gives 7π/9
+/// and π/6 + 4/9 times the radiance of its zenith.
 #[test]
 fn skies_over_planes() {
     let floor = || scene(&[part(level_square(2.0, 0.0, true), 0.5, 0.0)]);
@@ -82,7 +83,7 @@ fn skies_over_planes() {
     close(mean(&solved(&with_sky(wall(), overcast(100.0)), 32, 256.0)), zenith * (PI / 6.0 + 4.0 / 9.0));
 }
 
-/// At the bottom of a black pit a uniform sky is as good as a lid that emits π L: E = π L F.
+/// At the bottom of a black pit a uniform sky equals a lid that emits π L: E = π L F.
 #[test]
 fn sky_at_the_bottom_of_a_pit() {
     let [faces @ .., _] = room_faces(DVec3::ZERO, dvec3(1.0, 1.0, 2.0));
@@ -104,7 +105,7 @@ fn sky_at_the_bottom_of_a_pit() {
     close((found, variance.sqrt()), 2.0 * PI * opposed_rectangles(1.0, 1.0, 2.0));
 }
 
-/// Unblocked sun is exact, with any number of rays: E sin(altitude). Straight from above it lights a floor, and no wall.
+/// Unblocked sunlight is exact with any number of rays: E = E₀ sin(altitude) on a floor.
 #[test]
 fn sun_on_a_floor_is_exact() {
     let floor = scene(&[part(level_square(2.0, 0.0, true), 0.5, 0.0)]);
@@ -115,10 +116,11 @@ fn sun_on_a_floor_is_exact() {
     }
 }
 
-/// Behind an edge the sun's disc goes down as the segment of a circle does, over a length that its diameter and the distance give.
+/// Behind an edge the visible part of the sun's disc is the segment of a circle. Its diameter and the distance give the
+/// width of the penumbra.
 #[test]
 fn penumbra_of_the_sun() {
-    // The sun stands at the zenith; an edge at x = 0 and a height of 10, above which there is nothing for x > 0.
+    // The sun stands at the zenith. A roof with an edge at x = 0 and a height of 10 covers x < 0.
     let height = 10.0;
     let roof = rectangle(dvec3(-50.0, -50.0, height), 50.0 * DVec3::X, 100.0 * DVec3::Y);
     let parts = [part(level_square(100.0, 0.0, true), 0.0, 0.0), part(roof, 0.0, 0.0)];
@@ -139,7 +141,8 @@ fn penumbra_of_the_sun() {
     }
 }
 
-/// Through a window the sun draws a patch of light of the window's size, shifted by its altitude: its power is the window's.
+/// Sun through a window lights an area of the window's size on the floor, shifted as its altitude requires. The power
+/// on the floor is the power through the window.
 #[test]
 fn sun_through_a_window() {
     let [left, right, top] = [
@@ -148,11 +151,11 @@ fn sun_through_a_window() {
         rectangle(dvec3(-0.5, 0.0, 2.0), DVec3::X, DVec3::Z),
     ];
     let sill = rectangle(dvec3(-0.5, 0.0, 0.0), DVec3::X, DVec3::Z);
-    // Narrower than the wall, past whose ends the sun's disc shines.
+    // Narrower than the wall: part of the sun's disc shines past the ends of the wall.
     let floor = rectangle(dvec3(-1.5, 0.0, 0.0), 3.0 * DVec3::X, 4.0 * DVec3::Y);
     let roof = flipped(rectangle(dvec3(-2.0, 0.0, 3.0), 4.0 * DVec3::X, 4.0 * DVec3::Y));
     let parts = [left, right, top, sill, floor, roof].map(|face| part(face, 0.0, 0.0));
-    // From the south, y < 0: light goes towards +y, down by tan 45.
+    // From the south, y < 0: light travels towards +y, downward at 45 degrees.
     let scene = with_light(scene(&parts), sun(180.0, 45.0));
     let solved = solved(&scene, 4000, 64.0);
     let inside = |i: usize| {
@@ -183,13 +186,14 @@ fn sun_through_a_window() {
     }
 }
 
-/// Ω of a square of this side seen from a height above its middle.
+/// Solid angle of a square of this side, seen from a height above its middle.
 fn solid_angle_of_square(side: f64, height: f64) -> f64 {
     let a = 0.5 * side;
     4.0 * (a * a / (height * (2.0 * a * a + height * height).sqrt())).atan()
 }
 
-/// A point of intensity I sends I Ω to a square: near and far, exact with any number of rays, and in any unit of length the same watts.
+/// A point of intensity I sends the power I Ω to a square: near and far, exact with any number of rays, and the same
+/// watts in any unit of length.
 #[test]
 fn a_point_over_a_square() {
     for (height, scale) in [(0.3, 1.0), (2.0, 1.0), (2.0, 1000.0)] {
@@ -203,7 +207,8 @@ fn a_point_over_a_square() {
     }
 }
 
-/// A cone within the square sends all of its flux to it, wherever it points.
+/// A cone within the square sends all of its flux there, wherever it points. The quadrature over patches has an error
+/// below 1e-3.
 #[test]
 fn a_spot_over_a_square() {
     let square = || scene(&[part(level_square(4.0, 0.0, true), 0.0, 0.0)]);
@@ -216,7 +221,7 @@ fn a_spot_over_a_square() {
         let areas = solved.form_factors.areas();
         let power: f64 = areas.iter().zip(&solved.solution.irradiance).map(|(a, e)| a * e).sum();
         assert!((power / flux - 1.0).abs() < 1e-3, "{axis}: {power} for {flux}");
-        // Where the axis meets the square, the full intensity over the squared distance.
+        // On the axis the square gets the full intensity over the squared distance.
         let tracer = Tracer::new(&scene);
         let at = light.position - axis * (light.position.z / axis.z);
         let place = Receiver::free(&tracer, at, DVec3::Z);
@@ -228,7 +233,7 @@ fn a_spot_over_a_square() {
     }
 }
 
-/// A disc of 0.2 m that shines downward with an intensity of 100 cd times the cosine.
+/// A disc of 0.2 m in diameter that emits downward with an intensity of 100 cd times the cosine.
 fn cosine_disc() -> Photometry {
     let angles: Vec<String> = (0..=90).step_by(2).map(|angle| angle.to_string()).collect();
     let candela = (0..=90).step_by(2).map(|angle| (100.0 * f64::from(angle).to_radians().cos()).to_string());
@@ -244,7 +249,8 @@ fn cosine_disc() -> Photometry {
     Photometry::load(&path).unwrap()
 }
 
-/// 2 m under the disc: π L r² / (r² + d²) with L = I / (π r²), 24.94 lx, where a point would give 25; and a small patch there receives as much.
+/// At 2 m below the disc: E = π L r² / (r² + d²) with L = I / (π r²), 24.94 lx; a point would give 25. A small patch
+/// there receives as much, within its error bar.
 #[test]
 fn a_disc_of_a_photometric_file() {
     let floor = scene(&[part(level_square(0.02, 0.0, true), 0.0, 0.0)]);
@@ -262,7 +268,7 @@ fn a_disc_of_a_photometric_file() {
     assert!((e / wanted - 1.0).abs() < 1e-3 + 4.0 * error / wanted, "{e} ± {error} for {wanted}");
 }
 
-/// A court with a block in it, that sky, sun, a spot and a lamp light.
+/// A court with a block in it, lit by sky, sun, a spot and a lamp.
 fn court() -> Scene {
     let block = room_faces(dvec3(-0.4, -0.3, 0.0), dvec3(0.2, 0.3, 0.8)).map(flipped);
     let mut parts = vec![
@@ -278,7 +284,7 @@ fn court() -> Scene {
     scene(&parts)
 }
 
-/// What is emitted and enters is absorbed or escapes.
+/// All power that is emitted or enters is absorbed or escapes.
 #[test]
 fn the_ledger_has_an_outside() {
     let mut scene = with_light(with_sky(court(), overcast(150.0)), sun(150.0, 50.0));
@@ -298,7 +304,7 @@ fn the_ledger_has_an_outside() {
     assert!(ledger.imbalance().abs() < 1e-9);
 }
 
-/// Each kind passes the validation: radiosity, paths and particles agree within their errors.
+/// Every kind of light passes the validation: radiosity, paths and particles agree within their errors.
 #[test]
 fn each_kind_passes_the_validation() {
     let lamp = |mut scene: Scene, shines: bool| {
@@ -347,7 +353,7 @@ fn each_kind_passes_the_validation() {
     }
 }
 
-/// The last bounce gathered from a solution sees what paths see.
+/// Final gather from a solution agrees with path tracing under a sky and a sun.
 #[test]
 fn final_gather_sees_the_lights() {
     let scene = with_light(with_sky(court(), overcast(100.0)), sun(150.0, 50.0));
@@ -362,12 +368,12 @@ fn final_gather_sees_the_lights() {
     for (found, wanted) in found.iter().zip(&wanted) {
         let (a, b) = (found.mean[0], wanted.mean[0]);
         let error = found.standard_error[0].hypot(wanted.standard_error[0]);
-        // What is left is the size of the patches, in reflected light only.
+        // The remaining difference is the size of the patches, in reflected light only.
         assert!((a - b).abs() < 4.0 * error + 0.01 * b, "{a} for {b} ± {error}");
     }
 }
 
-/// Lights that send nothing leave no trace: the same numbers as without.
+/// Lights without power change nothing: the results have the same bits as without them.
 #[test]
 fn dark_lights_cost_nothing() {
     let plain = solved(&court(), 200, 64.0);

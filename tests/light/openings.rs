@@ -1,5 +1,5 @@
-//! What escapes through small openings, against exact form factors: in surroundings that are convex but for what is missing of them
-//! all patches see each other, and what a patch's form factors lack to one escapes.
+//! Escape of light through small openings, against exact form factors. In convex surroundings with an opening all
+//! patches see each other, and the light that a row of form factors lacks to one escapes.
 
 use crate::common::*;
 use glam::DVec3;
@@ -17,10 +17,10 @@ use radiosity::{
     trace::Tracer,
 };
 
-/// Seeds of every case.
+/// Seeds per case.
 const SEEDS: u64 = 12;
 
-/// A sphere of facets without the lowest of them; the highest shine.
+/// A sphere of facets without the lowest ones. The highest six emit.
 fn sphere(missing: usize) -> (Vec<Corners>, Vec<bool>) {
     let mut facets = flipped(icosphere(1.0, 2));
     let height = |[a, b, c]: &Corners| (*a + *b + *c).z;
@@ -30,7 +30,7 @@ fn sphere(missing: usize) -> (Vec<Corners>, Vec<bool>) {
     (facets, lamps)
 }
 
-/// A room of 4 x 3 x 5 m whose sides are cut into 5 x 5 cells, and of one of them a cell is missing; the middle of the ceiling shines.
+/// A room of 4 x 3 x 5 m whose sides are cut into 5 x 5 cells. One cell is missing. The middle of the ceiling emits.
 fn room_with_window() -> (Vec<Corners>, Vec<bool>) {
     const CELLS: usize = 5;
     let (mut triangles, mut lamps) = (Vec::new(), Vec::new());
@@ -39,7 +39,7 @@ fn room_with_window() -> (Vec<Corners>, Vec<bool>) {
         let (u, v) = ((along - corner) / CELLS as f64, (across - along) / CELLS as f64);
         for cell in 0..CELLS * CELLS {
             let at = corner + u * (cell % CELLS) as f64 + v * (cell / CELLS) as f64;
-            // The ceiling is the last side, the window in the first.
+            // The ceiling is the last side. The window is in the first.
             if (side, cell) != (0, 7) {
                 triangles.extend(rectangle(at, u, v));
                 lamps.extend([side == 5 && cell == 12; 2]);
@@ -61,7 +61,7 @@ impl Truth {
         Truth { form_factors, lamps, triangles }
     }
 
-    /// Irradiance, and the share of the emitted power that escapes.
+    /// Irradiance of all patches, and the share of the emitted power that escapes.
     fn light(&self, rho: f64) -> (Vec<f64>, f64) {
         let emission: Vec<f64> = self.lamps.iter().map(|&lamp| f64::from(u8::from(lamp))).collect();
         let reflectance = vec![rho; emission.len()];
@@ -86,7 +86,7 @@ fn whole(estimator: Estimator, rays: f64, seed: u64, scene: &radiosity::Scene) -
         .unwrap()
 }
 
-/// The share of the power that escapes and its standard error, and how many patches are within their intervals of 95 %.
+/// The share of the power that escapes, its standard error, and the share of patches within their 95 % intervals.
 fn measure(solved: &Solved, irradiance: &[f64]) -> [f64; 3] {
     let ledger = EnergyLedger::of(&solved.form_factors, &solved.patches, &solved.solution);
     let bars = &solved.error_bars;
@@ -100,12 +100,13 @@ fn measure(solved: &Solved, irradiance: &[f64]) -> [f64; 3] {
     [ledger.escaped[0] / emitted, bars.of_escaped[0] / emitted, within as f64 / irradiance.len() as f64]
 }
 
-/// Compares what escapes with several seeds with the truth, and returns the share of patches within their intervals.
+/// Compares the escaped power of several seeds with the truth, and returns the share of patches within their intervals.
 ///
-/// The mean is within four of the standard errors that the seeds give for themselves, and of what is off to second order: a patch of
-/// which more rays escape than should is darker by as much, so that what escapes there lacks ρ / R of itself with R hemisphere rays,
-/// of which a patch has a quarter of all rays at least. Standard errors have 15 degrees of freedom: twelve errors over them have a
-/// root mean square of 1.07, and of 1.6 at most in 97.5 % of cases. Where most light escapes, they are up to four times too long.
+/// The mean is within four standard errors, as the seeds report them, plus an error of second order. A patch with too
+/// many escaping rays is darker by as much, so that its escaped power lacks ρ / R of itself with R hemisphere rays. At
+/// least a quarter of a patch's rays are hemisphere rays. Standard errors have 15 degrees of freedom: the root mean
+/// square of twelve errors over their standard errors is 1.07 on average, and at most 1.6 in 97.5 % of cases. If most
+/// light escapes, standard errors are up to four times too long.
 fn compare(name: &str, found: &[[f64; 3]], wanted: f64, rho: f64, rays: f64) -> f64 {
     let many = found.len() as f64;
     let mean = |value: &dyn Fn(&[f64; 3]) -> f64| found.iter().map(value).sum::<f64>() / many;
@@ -114,8 +115,8 @@ fn compare(name: &str, found: &[[f64; 3]], wanted: f64, rho: f64, rays: f64) -> 
     let error = (squares / many).sqrt();
     let ratio = (mean(&|f| (f[0] - wanted).powi(2)) / squares).sqrt();
     println!(
-        "{name}, rho {rho}, {rays} rays: {escaped:.5} for {wanted:.5}: {:+.2} ± {:.2} %, errors {ratio:.2} of what they \
-         should be, {:.1} % within",
+        "{name}, rho {rho}, {rays} rays: {escaped:.5} for {wanted:.5}: {:+.2} ± {:.2} %, errors over standard errors \
+         {ratio:.2}, {:.1} % within",
         100.0 * (escaped / wanted - 1.0),
         100.0 * error / wanted,
         100.0 * within
@@ -126,7 +127,8 @@ fn compare(name: &str, found: &[[f64; 3]], wanted: f64, rho: f64, rays: f64) -> 
     within
 }
 
-/// Intervals of patches are looked at but for the `smallest` opening, of which they hold hardly more than what all patches share.
+/// Checks the escaped power at three reflectances, and at the lowest also the intervals of patches. The `smallest`
+/// opening is exempt from the latter: there the error of a patch is little more than the error that all patches share.
 fn check(name: &str, shape: (Vec<Corners>, Vec<bool>), smallest: bool) {
     let truth = Truth::of(shape);
     for rho in [0.8, 0.95, 0.99] {
@@ -134,7 +136,7 @@ fn check(name: &str, shape: (Vec<Corners>, Vec<bool>), smallest: bool) {
         for rays in [64.0, 256.0] {
             let one = |seed| measure(&whole(Estimator::Pooled, rays, seed, &scene), &irradiance);
             let within = compare(name, &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, rays);
-            // Where light is reflected more often, all patches share more of an error than their bars know of.
+            // If light is reflected more often, all patches share more of an error than their bars contain.
             assert!(rho > 0.8 || smallest || (0.91..=0.985).contains(&within), "{name}: {within} within");
         }
     }
@@ -155,9 +157,9 @@ fn a_room_with_a_window() {
     check("window", room_with_window(), false);
 }
 
-/// Rounds that go on until an error is reached look at what came before; what escapes must not depend on it.
+/// Sampling in rounds until an error is reached depends on earlier results. The escaped power must stay unbiased.
 #[test]
-fn an_error_that_was_asked_for_leaves_what_escapes_alone() {
+fn a_wanted_error_leaves_the_escaped_power_unbiased() {
     let (truth, rho) = (Truth::of(sphere(2)), 0.9);
     let (scene, (irradiance, escaped)) = (truth.scene(rho), truth.light(rho));
     let tracer = Tracer::new(&scene);
@@ -173,7 +175,7 @@ fn an_error_that_was_asked_for_leaves_what_escapes_alone() {
     compare("error of 0.2 %", &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, 64.0);
 }
 
-/// Where much emits, what both ends of a ray tell is no worse than what one does.
+/// If all patches emit, the estimate from both ends of a ray is no worse than the one-way estimate.
 #[test]
 fn where_all_emit_both_directions_are_no_worse_than_one() {
     let sides = room_faces(DVec3::ZERO, DVec3::new(4.0, 3.0, 5.0));
@@ -207,13 +209,14 @@ fn where_all_emit_both_directions_are_no_worse_than_one() {
             (squares.sum::<f64>() / (8 * wanted.len()) as f64).sqrt()
         });
         println!("{rays} rays: one-way {one_way:.5}, pooled {pooled:.5}");
-        // Eight times 192 errors tell each root mean square to 2 %.
-        assert!(pooled <= 1.06 * one_way, "{pooled} with both, {one_way} with one");
+        // From eight times 192 errors each root mean square is known to 2 %.
+        assert!(pooled <= 1.06 * one_way, "pooled {pooled}, one-way {one_way}");
     }
 }
 
-/// A lamp above a black grille whose cells are as high as wide. Of its light the form factor between opposite faces of a cube
-/// escapes. Cut along the blades, the lamp is hundreds of small ones, of which a blade sees two in full and most not at all.
+/// A lamp above a black grille whose cells are as high as wide. The share of its light that escapes is the form factor
+/// between opposite faces of a cube. Cut along the blades, the lamp becomes hundreds of small ones: a blade sees two of
+/// them in full and most not at all. The tolerance is four standard errors.
 #[test]
 fn a_lamp_cut_by_the_grille_below_it() {
     const CELLS: usize = 8;
