@@ -48,7 +48,7 @@ fn subdivide(scene: &Scene, edge: f64) -> Patches {
     Patches::subdivide(scene, &Subdivision::Edge(edge))
 }
 
-/// Light as a solver could have found it.
+/// Radiosity and irradiance of patches, without a solver.
 struct Lit {
     radiosity: Vec<f64>,
     irradiance: Vec<f64>,
@@ -60,7 +60,7 @@ impl<'a> From<&'a Lit> for Light<'a> {
     }
 }
 
-/// Triangle `t`'s front patches have value `f` of their centroid.
+/// The values of `f` at the centroids of all patches.
 fn field(scene: &Scene, patches: &Patches, f: impl Fn(DVec3) -> f64) -> Vec<f64> {
     (0..patches.len()).map(|i| f(patches.centroid(scene, i))).collect()
 }
@@ -69,7 +69,7 @@ fn place(p: DVec3) -> [u64; 3] {
     (p + 0.0).to_array().map(f64::to_bits)
 }
 
-/// How often each edge occurs, in each direction, with vertices named by `name`.
+/// Counts each directed edge of the mesh. `name` gives the key of a vertex.
 fn edge_uses<K: std::hash::Hash + Eq + Copy>(
     mesh: &PatchMesh,
     patches: usize,
@@ -85,6 +85,7 @@ fn edge_uses<K: std::hash::Hash + Eq + Copy>(
     uses
 }
 
+/// With the default crease angle the six sides of a cube share positions, so the mesh is watertight, but no vertices.
 #[test]
 fn a_closed_cube_is_watertight_by_position_and_open_by_index() {
     let scene = cube();
@@ -98,11 +99,12 @@ fn a_closed_cube_is_watertight_by_position_and_open_by_index() {
     // Euler: V - E + F = 2 for a sphere.
     let places: std::collections::HashSet<_> = (0..mesh.positions().len() as u32).map(position).collect();
     assert_eq!(places.len() + patches.len(), uses.len() / 2 + 2);
-    // Six smooth squares: (2^l + 1)^2 vertices each, none shared between them.
+    // Six smooth squares of (2^l + 1)² vertices each, none shared between squares.
     let n = (patches.len() / 12).isqrt();
     assert_eq!(mesh.positions().len(), 6 * (n + 1) * (n + 1));
 }
 
+/// With a crease angle above 90 degrees the sides of a cube share vertices, and the mesh is watertight by index.
 #[test]
 fn a_crease_angle_above_a_right_angle_welds_the_cube() {
     let scene = cube();
@@ -112,6 +114,7 @@ fn a_crease_angle_above_a_right_angle_welds_the_cube() {
     assert!(uses.iter().all(|(&(a, b), &count)| count == 1 && uses.get(&(b, a)) == Some(&1)));
 }
 
+/// A flat wall shares vertices, but not across materials, opposite windings or edges with a third triangle.
 #[test]
 fn materials_windings_and_third_triangles_split_a_flat_wall() {
     let (o, x, y) = (DVec3::ZERO, DVec3::X, DVec3::Y);
@@ -128,6 +131,7 @@ fn materials_windings_and_third_triangles_split_a_flat_wall() {
     assert_eq!(two([x, x + y, y], 0, Some([x, y, DVec3::Z])), 9);
 }
 
+/// Triangles that touch only in a corner do not share its vertex.
 #[test]
 fn triangles_that_only_touch_in_a_vertex_share_none() {
     let (o, x, y) = (DVec3::ZERO, DVec3::X, DVec3::Y);
@@ -136,6 +140,8 @@ fn triangles_that_only_touch_in_a_vertex_share_none() {
     assert_eq!(mesh.positions().len(), 6);
 }
 
+/// Interpolation to vertices reproduces constant values everywhere and linear values inside smooth surfaces, to
+/// rounding.
 #[test]
 fn constant_radiosity_gives_constant_vertices_and_linear_is_reproduced_inside() {
     let scene = cube();
@@ -153,16 +159,17 @@ fn constant_radiosity_gives_constant_vertices_and_linear_is_reproduced_inside() 
             inside += 1;
             assert!((value - linear(p)).abs() < 1e-12, "{value} at {p}");
         } else {
-            // At a crease there is no other side to balance it: off, but by less than a patch.
+            // At a crease only one side contributes: the error is below the change over a patch.
             assert!((value - linear(p)).abs() < 0.07);
         }
     }
     assert!(inside > 1000);
 }
 
+/// The patches around a vertex count by their angle: three thin corners weigh as much as one wide corner.
 #[test]
 fn a_corner_counts_by_its_angle_not_by_the_number_of_triangles() {
-    // Half of the surface round the origin is one triangle's, the other half is cut in three.
+    // One triangle covers half of the surface around the origin. Three triangles cover the other half.
     let scene = Scene::new(
         &[
             ([DVec3::ZERO, DVec3::X, DVec3::Y], 0),
@@ -178,9 +185,10 @@ fn a_corner_counts_by_its_angle_not_by_the_number_of_triangles() {
     assert!((values[mesh.corners(0)[0] as usize] - 2.0).abs() < 1e-12);
 }
 
+/// A vertex in the middle of a coarse edge lies on that edge, in position and in colour.
 #[test]
 fn hanging_vertices_lie_on_the_coarse_edge_in_place_and_in_colour() {
-    // A long sliver of a triangle on a short edge: it is cut more finely than its neighbour.
+    // A long thin triangle on a short edge is cut more finely than its neighbour.
     let (a, b) = (DVec3::ZERO, DVec3::X);
     let scene = Scene::new(&[([a, b, DVec3::Y], 0), ([b, a, DVec3::new(0.3, -5.0, 0.0)], 0)], grey());
     let patches = subdivide(&scene, 1.5);
@@ -202,6 +210,7 @@ fn hanging_vertices_lie_on_the_coarse_edge_in_place_and_in_colour() {
     assert!(middle.ends.iter().all(|v| mesh.corners(0).contains(v)));
 }
 
+/// The back of a triangle has vertices and values of its own and the opposite winding.
 #[test]
 fn a_back_is_another_surface_and_faces_the_other_way() {
     let scene = cube();
@@ -224,6 +233,8 @@ fn a_back_is_another_surface_and_faces_the_other_way() {
     assert!((0..values.len()).all(|v| values[v] == if backs.contains(&(v as u32)) { 5.0 } else { 1.0 }));
 }
 
+/// Vertices do not depend on the order of triangles and corners. Values do not depend on the unit of length, down to
+/// 1e-200.
 #[test]
 fn any_order_of_triangles_and_any_unit_give_the_same_vertices() {
     let scene = cube();
@@ -238,7 +249,7 @@ fn any_order_of_triangles_and_any_unit_give_the_same_vertices() {
     for triangle in &mut reversed.triangles {
         triangle.vertices.rotate_left(1);
     }
-    // On the cube's dyadic lattice every order of corners finds the very same points.
+    // The cube's coordinates are dyadic, so every order of corners gives exactly the same points.
     assert_eq!(there(&scene), there(&reversed));
 
     let mut tiny = scene.clone();
@@ -265,7 +276,7 @@ fn coloured() -> (Scene, Patches, Lit, Vec<f64>) {
     let materials =
         vec![Material::new("a", [0.5, 0.4, 0.3], DARK), Material::new("b", [0.1, 0.2, 0.3], DARK)];
     let (o, x, y, z) = (DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z);
-    // The second triangle has no area: the file's numbering runs on past it.
+    // The second triangle has no area. The numbering of the file counts it.
     let scene = Scene::new(&[([o, x, y], 0), ([o, o, y], 0), ([o, y, z], 1)], materials);
     let mut patches = subdivide(&scene, 0.8);
     patches.add_backs(&scene, &[1]);
@@ -275,6 +286,7 @@ fn coloured() -> (Scene, Patches, Lit, Vec<f64>) {
     (scene, patches, solution, errors)
 }
 
+/// Another library reads exactly the positions, colours, values, areas and sides that were written.
 #[test]
 fn what_is_written_is_what_another_reader_reads() {
     let (scene, patches, solution, errors) = coloured();
@@ -323,7 +335,8 @@ fn what_is_written_is_what_another_reader_reads() {
     }
 }
 
-/// A face of a cut patch has the values of its patch and an area of its own, so that sums over faces equal sums over patches.
+/// Each face of a cut patch has the values of its patch and an area of its own, so sums over faces equal sums over
+/// patches.
 #[test]
 fn patches_of_several_sizes_are_one_face_or_two() {
     let scene = cube();
@@ -338,7 +351,8 @@ fn patches_of_several_sizes_are_one_face_or_two() {
     encode(&mut bytes, &scene, &patches, &solution, &options).unwrap();
     let ply = read(&bytes);
     let faces = &ply.payload["face"];
-    // Three neighbours of the four small patches, and those on the back where it is the same triangle.
+    // The three neighbours of the four small patches are cut, and neighbours on the back if they lie on the same
+    // triangle.
     assert!(faces.len() >= patches.len() + 3);
     let mut areas = vec![0.0; patches.len()];
     for (f, face) in faces.iter().enumerate() {
@@ -351,7 +365,7 @@ fn patches_of_several_sizes_are_one_face_or_two() {
     assert!(areas.iter().enumerate().all(|(i, area)| *area == patches.area(i)));
 }
 
-/// Faces of a PLY: the places of their corners, the triangle, whether it is a back, and the red irradiance.
+/// The faces of a PLY: the positions of the corners, the triangle, whether it is a back, and the red irradiance.
 fn faces_of(ply: &Ply<DefaultElement>) -> Vec<([[u32; 3]; 3], i32, bool, f32)> {
     let vertices = &ply.payload["vertex"];
     let place = |v: &i32| ["x", "y", "z"].map(|axis| (float(&vertices[*v as usize], axis) + 0.0).to_bits());
@@ -365,7 +379,7 @@ fn faces_of(ply: &Ply<DefaultElement>) -> Vec<([[u32; 3]; 3], i32, bool, f32)> {
     ply.payload["face"].iter().map(face).collect()
 }
 
-/// The area in which faces lie on others, in units of the smallest face.
+/// The area of faces that lie on others, in units of the smallest face.
 fn overlap(faces: &[[DVec3; 3]]) -> f64 {
     let cross = |[a, b, c]: &[DVec3; 3]| (*b - *a).cross(*c - *a);
     let smallest = faces.iter().map(|face| 0.5 * cross(face).length()).fold(f64::INFINITY, f64::min);
@@ -375,7 +389,7 @@ fn overlap(faces: &[[DVec3; 3]]) -> f64 {
         if other.iter().any(|&p| (p - one[0]).dot(normal).abs() > 1e-6 * longest) {
             return 0.0;
         }
-        // What the planes through the edges of `one` leave of `other` (Sutherland and Hodgman, 1974).
+        // The part of `other` inside the planes through the edges of `one` (Sutherland and Hodgman, 1974).
         let mut polygon = other.to_vec();
         for k in 0..3 {
             let inward = normal.cross(one[(k + 1) % 3] - one[k]);
@@ -400,8 +414,8 @@ fn overlap(faces: &[[DVec3; 3]]) -> f64 {
     faces.iter().enumerate().map(of_face).sum::<f64>() / smallest
 }
 
-/// How many vertices of faces lie inside an edge that only one face has. A viewer draws the two sides of such an edge
-/// apart, and what is behind shows between them.
+/// The number of vertices inside an edge that only one face has. A viewer draws a gap along such an edge, through which
+/// the background shows.
 fn gaps(faces: &[[DVec3; 3]]) -> usize {
     let mut vertices: Vec<DVec3> = faces.iter().flatten().copied().collect();
     vertices.sort_by(|p, q| p.x.total_cmp(&q.x).then(p.y.total_cmp(&q.y)).then(p.z.total_cmp(&q.z)));
@@ -427,14 +441,14 @@ fn gaps(faces: &[[DVec3; 3]]) -> usize {
     edges.iter().filter(|&&edge| uses[&name(edge)] == 1).map(|&[a, b]| of_edge(a, b)).sum()
 }
 
-/// The places of the corners of faces.
+/// The positions of the corners of all faces.
 fn corners_of(ply: &Ply<DefaultElement>) -> Vec<[DVec3; 3]> {
     let at = |bits: [u32; 3]| DVec3::from(bits.map(|x| f64::from(f32::from_bits(x))));
     faces_of(ply).into_iter().map(|(corners, ..)| corners.map(at)).collect()
 }
 
-/// A lamp below a sheet that is in the scene twice, front down and front up, and a curtain with a lamp on each side. Each
-/// patch is one face, on the brighter side. With backs the file has both sides.
+/// A sheet above a lamp, present twice with opposite windings, and a curtain with a lamp on each side. Each patch gives
+/// one face, on its brighter side. With backs the file has both sides.
 #[test]
 fn one_face_a_patch_shows_the_side_with_more_light() {
     let (x, z) = (DVec3::X, DVec3::Z);
@@ -446,8 +460,8 @@ fn one_face_a_patch_shows_the_side_with_more_light() {
     };
     let lamp = |name: &str, radiance: f64| Material::new(name, GREY, [radiance; 3]);
     let materials = vec![lamp("dim", 1.0), lamp("bright", 5.0), Material::new("grey", GREY, DARK)];
-    // From below: a dim lamp that shines up, a sheet, a bright lamp that shines down; and far away a lone sheet above
-    // a lamp, once in each winding.
+    // From below: a dim lamp that faces up, a sheet, a bright lamp that faces down. Far away: a lamp and a sheet above
+    // it, once in each winding.
     let triangles: Vec<_> = [
         square(0.0, false, 0),
         square(1.0, true, 2),
@@ -474,7 +488,7 @@ fn one_face_a_patch_shows_the_side_with_more_light() {
     let a_square = patches.fronts() / 6;
     assert_eq!((one.len(), areas[0]), (5 * a_square, 0.0));
     assert!(areas[1] > 1.0);
-    // The sheet between the lamps is lit from above, where its back is; the one written twice has light from below.
+    // The sheet between the lamps is lit from above, on its back. The doubled sheet has light from below.
     assert!(one.iter().filter(|f| matches!(f.1, 2 | 3)).all(|f| f.2 && f.3 > 0.0));
     assert_eq!(one.iter().filter(|f| matches!(f.1, 8..12) && f.3 > 0.0).count(), a_square);
     assert_eq!(both.len(), patches.len());
@@ -482,8 +496,8 @@ fn one_face_a_patch_shows_the_side_with_more_light() {
     assert_eq!(one.iter().filter(|f| matches!(f.1, 2 | 3)).map(|f| f.3).fold(0.0, f32::max), most);
 }
 
-/// A room with boxes whose bottoms lie on the floor. The floor is not cut around them. One box crosses a diagonal of the
-/// floor, and another box stands on the first.
+/// A room with boxes whose bottoms lie on the floor. The floor is not cut around them. One box crosses a diagonal of
+/// the floor, and another box stands on the first one.
 fn furnished() -> Scene {
     let axes = |low: DVec3, high: DVec3, inward: bool| {
         let at = move |k: u32| DVec3::select(glam::BVec3::new(k & 1 > 0, k & 2 > 0, k & 4 > 0), high, low);
@@ -500,7 +514,7 @@ fn furnished() -> Scene {
         triangles.extend(quad(side, u32::from(k == 1)));
     }
     for (low, high) in [
-        // No vertex of the floor lies on the rim of a box by chance.
+        // No vertex of the floor lies on the rim of a box by accident.
         (point(0.53, 0.7, 0.0), point(1.2, 1.6, 0.9)),
         (point(0.6, 0.8, 0.9), point(1.1, 1.4, 1.3)),
         (point(2.2, 1.0, 0.0), point(3.1, 2.9, 0.4)),
@@ -511,7 +525,7 @@ fn furnished() -> Scene {
     Scene::new(&triangles, materials)
 }
 
-/// A sheet of two quadrangles back to back that are cut along different diagonals, below a lamp.
+/// A sheet of two quadrangles back to back, cut along different diagonals, below a lamp.
 fn two_diagonals() -> Scene {
     let at = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
     let square = |z: f64| [at(0.0, 0.0, z), at(1.0, 0.0, z), at(1.0, 1.0, z), at(0.0, 1.0, z)];
@@ -522,7 +536,7 @@ fn two_diagonals() -> Scene {
     Scene::new(&triangles, vec![Material::new("grey", GREY, DARK), Material::new("lamp", DARK, [1.0; 3])])
 }
 
-/// Meshes have no faces that lie on others, no gaps where patches of different size meet, and all of the irradiance.
+/// Meshes have no faces that lie on others, no gaps between patches of different size, and all of the irradiance.
 #[test]
 fn meshes_have_no_overlaps_and_no_gaps() {
     let shipped = ["cornell-box", "door-ajar", "furnace", "textured"].map(|name| (name, load(name)));
@@ -538,7 +552,7 @@ fn meshes_have_no_overlaps_and_no_gaps() {
         let ply = read(&bytes);
         let faces = corners_of(&ply);
         println!("{name}: {} faces, overlap {}, gaps {}", faces.len(), overlap(&faces), gaps(&faces));
-        // Positions are of single precision.
+        // Positions have single precision.
         assert!(overlap(&faces) < 1e-3, "{name}");
         assert_eq!(gaps(&faces), 0, "{name}");
         let power = |face: &DefaultElement| match face["area"] {
@@ -550,7 +564,7 @@ fn meshes_have_no_overlaps_and_no_gaps() {
         let arriving: f64 = (0..patches.len())
             .map(|i| patches.area(i) * solution.irradiance[i * channels + channels / 2])
             .sum();
-        // Covered surfaces are left out, with the light that patches across their rim send to them.
+        // Covered surfaces are left out, with the light that patches across their rims send to them.
         let left_out = (patches.fronts() - distinct_patches(&ply)) as f64 / patches.fronts() as f64;
         assert_eq!(left_out > 0.0, matches!(name, "furnished" | "two diagonals"), "{name}");
         let share = written / arriving;
@@ -558,7 +572,7 @@ fn meshes_have_no_overlaps_and_no_gaps() {
     }
 }
 
-/// How many patches the faces of a PLY belong to.
+/// The number of patches that the faces of a PLY belong to.
 fn distinct_patches(ply: &Ply<DefaultElement>) -> usize {
     let faces = &ply.payload["face"];
     let patch = |(f, face): (usize, &DefaultElement)| match face.get("patch") {
@@ -568,11 +582,13 @@ fn distinct_patches(ply: &Ply<DefaultElement>) -> usize {
     faces.iter().enumerate().map(patch).collect::<std::collections::HashSet<_>>().len()
 }
 
+/// Grey light gives three equal channels, missing standard errors are NaN, and radiosities slightly below zero are
+/// written as 0.
 #[test]
 fn grey_is_written_as_three_equal_channels_and_unknown_errors_as_nan() {
     let scene = cube();
     let patches = subdivide(&scene, 0.6);
-    // A little below zero, as iterative solvers leave dark patches.
+    // Slightly below zero, as iterative solvers may leave dark patches.
     let mut radiosity = vec![2.0; patches.len()];
     radiosity[5] = -1e-20;
     let solution = Lit { radiosity, irradiance: vec![3.0; patches.len()] };
@@ -586,10 +602,11 @@ fn grey_is_written_as_three_equal_channels_and_unknown_errors_as_nan() {
             assert!(float(face, &format!("error_{channel}")).is_nan());
         }
     }
-    // 0.8 of white, the brightness at which automatic exposure shows a uniformly lit wall.
+    // 0.8 of white: automatic exposure shows an evenly lit wall at this brightness.
     assert!(ply.payload["vertex"].iter().any(|v| v["green"] == Property::UChar(231)));
 }
 
+/// Values beyond single precision, or no numbers, are errors.
 #[test]
 fn what_single_precision_cannot_hold_is_an_error() {
     let scene = cube();
@@ -602,6 +619,7 @@ fn what_single_precision_cannot_hold_is_an_error() {
     }
 }
 
+/// A file of three million faces has the expected size and is written in linear time.
 #[test]
 fn a_million_vertices_are_written_in_seconds() {
     let scene = cube();
@@ -616,6 +634,6 @@ fn a_million_vertices_are_written_in_seconds() {
     println!("{vertices} vertices and {} faces in {time:?}", patches.len());
     let payload = 27 * vertices + 62 * patches.len();
     assert!((payload..payload + 2000).contains(&bytes.len()));
-    // Loose, since the machine may be slow and busy: this only tells linear from quadratic time.
+    // Loose, since the machine may be slow and busy: this only separates linear from quadratic time.
     assert!(time.as_secs() < 30, "{time:?}");
 }

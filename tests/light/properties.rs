@@ -1,4 +1,4 @@
-//! Subdivision, sampling and matrices, for whatever comes.
+//! Subdivision, sampling and matrices of random input.
 
 use crate::common::*;
 use glam::{DVec3, Vec3A, dvec3};
@@ -14,7 +14,7 @@ fn point() -> impl Strategy<Value = DVec3> {
     (-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64).prop_map(|(x, y, z)| dvec3(x, y, z))
 }
 
-/// Any triangle, from well shaped to a sliver a millionth as wide as long.
+/// Any triangle, from a well-shaped one to a sliver a millionth as wide as long.
 fn triangle() -> impl Strategy<Value = Corners> {
     (point(), point(), point(), -6.0..0.0f64).prop_map(|(a, b, c, squeeze)| {
         let along = a + (b - a) * 0.3;
@@ -41,7 +41,7 @@ fn patch_corners(scene: &Scene, patches: &Patches, i: usize) -> Corners {
     patches.barycentric_corners(i).map(|b| t[0] * b[0] + t[1] * b[1] + t[2] * b[2])
 }
 
-/// Number of patches at one edge length, by the definition: each triangle halved until no edge is longer.
+/// The number of patches for an edge length, by definition: each triangle is halved until no edge is longer.
 fn patches_at(scene: &Scene, edge: f64) -> f64 {
     let levels = |t| (longest_edge(scene.corners(t)) / edge).log2().ceil().max(0.0);
     (0..scene.triangles.len()).map(|t| 4f64.powf(levels(t))).sum()
@@ -55,7 +55,8 @@ proptest! {
         ..ProptestConfig::default()
     })]
 
-    /// Areas are sums of some hundred patches; edges are halved exactly but for the corners' own rounding.
+    /// Patches have the area of the mesh, and no edge is longer than asked. The tolerances are the rounding of a sum
+    /// over some hundred patches and of halved corners.
     #[test]
     fn patches_cover_the_mesh_and_respect_the_edge(scene in soup(8), edge in 0.1..3.0f64) {
         let patches = Patches::subdivide(&scene, &Subdivision::Edge(edge));
@@ -66,24 +67,24 @@ proptest! {
         for i in 0..patches.len() {
             let corners = patch_corners(&scene, &patches, i);
             prop_assert!(longest_edge(corners) <= edge * (1.0 + 1e-11));
-            // Of a sliver the corners' rounding, 2e-16 of the length, is the larger part of the width.
+            // In a sliver the rounding of corners, 2e-16 of the length, is a larger part of the width.
             let slack = 1e-14 * longest_edge(scene.corners(patches.triangle(i)));
             prop_assert!((area(&[corners]) - patches.area(i)).abs() <= slack);
         }
-        // No coarser level would have done.
+        // One level less would leave a longer edge.
         for t in (0..scene.triangles.len()).filter(|&t| patches.level(t) > 0) {
             let coarser = longest_edge(scene.corners(t)) / f64::from(1u32 << (patches.level(t) - 1));
             prop_assert!(coarser > edge * (1.0 - 1e-11));
         }
     }
 
-    /// As a ratio, no edge length gives a number of patches nearer to the wanted one.
+    /// No edge length gives a number of patches whose ratio to the wanted number is nearer to one.
     #[test]
     fn counts_are_the_nearest(scene in soup(8), count in 1usize..3000) {
         let patches = Patches::subdivide(&scene, &Subdivision::Count(count));
         let off = |n: f64| (n / count as f64).ln().abs();
         let got = off(patches.len() as f64);
-        // Numbers change only where an edge length halves some triangle exactly: look on both sides of all of them.
+        // The number changes only at edge lengths that halve some triangle exactly. Try both sides of all of them.
         for t in 0..scene.triangles.len() {
             for level in 0..12 {
                 let step = longest_edge(scene.corners(t)) / f64::from(1u32 << level);
@@ -100,7 +101,7 @@ proptest! {
     fn points_are_found_in_their_patch(scene in soup(4), edge in 0.1..1.0f64, x in 0f32..1.0, y in 0f32..1.0) {
         let mut patches = Patches::subdivide(&scene, &Subdivision::Edge(edge));
         let b = square_to_triangle(x, y).map(f64::from);
-        // Away from the rim by more than single precision resolves at the finest level here, 1e-7 times 32.
+        // Away from the rim by more than the single precision of the finest level here, 32 times 1e-7.
         let b = b.map(|w| 0.999 * w + 0.001 / 3.0);
         let fronts = patches.fronts();
         for i in 0..fronts {
@@ -122,7 +123,8 @@ proptest! {
         }
     }
 
-    /// Whatever intersects whatever: no form factor is negative, pairs are reciprocal, rows close.
+    /// Whatever surfaces intersect, no form factor is negative, pairs are reciprocal and rows sum to one, to the
+    /// tolerance of the closure.
     #[test]
     fn matrices_of_soups(scene in soup(12), seed in any::<u64>()) {
         let options = CastOptions::default().with_seed(seed);
@@ -138,6 +140,8 @@ proptest! {
         }
     }
 
+    /// Sampled directions have unit length and keep their cosine when they are rotated to a normal, to single
+    /// precision.
     #[test]
     fn directions_keep_length_and_side(x in 0f32..1.0, y in 0f32..1.0, u in 0f32..1.0, v in 0f32..1.0) {
         let lifted = square_to_cosine_hemisphere(x, y);
@@ -145,14 +149,15 @@ proptest! {
         prop_assert!((lifted.length() - 1.0).abs() <= 6.0 * f32::EPSILON && lifted.z >= 0.0);
         let normal = square_to_cosine_hemisphere(u, v) * if u < 0.5 { 1.0 } else { -1.0 };
         let turned = around(normal, lifted);
-        // Turned about a normal whose length is off by as much.
+        // The length of the normal has the same rounding.
         prop_assert!((turned.length() - 1.0).abs() <= 16.0 * f32::EPSILON);
         prop_assert!((turned.dot(normal) - lifted.z).abs() <= 16.0 * f32::EPSILON);
     }
 }
 
-/// Means over 2¹⁶ points of the sequence, which errs less than independent points would: five times their standard
-/// error is allowed. Fails with uniform directions (mean cosine 1/2) or the square folded without its density.
+/// Means over 2¹⁶ points of the sequence. Their errors are smaller than those of independent points, of which five
+/// standard errors are allowed. Fails with uniform directions (mean cosine 1/2), or with the square folded without its
+/// density.
 #[test]
 fn samples_have_the_moments_of_their_densities() {
     const N: u32 = 1 << 16;

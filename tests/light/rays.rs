@@ -11,7 +11,7 @@ use radiosity::{
 };
 use rayon::prelude::*;
 
-/// Rays that left a closed scene, and rays that met a back.
+/// The number of rays that left a closed scene, and of rays that met a back.
 #[derive(Debug, PartialEq, Default)]
 struct Lost {
     escaped: u64,
@@ -29,7 +29,7 @@ impl Lost {
     }
 }
 
-/// Cosine-distributed rays, as many from every triangle, however small it is.
+/// Cosine-distributed rays, equally many from every triangle, however small.
 fn hemispheres(tracer: &Tracer, rays: u64, seed: u64) -> Lost {
     let each = rays.div_ceil(tracer.triangles().len() as u64) as u32;
     let cast_from = |(t, triangle): (usize, &radiosity::trace::UnitTriangle)| {
@@ -44,7 +44,7 @@ fn hemispheres(tracer: &Tracer, rays: u64, seed: u64) -> Lost {
     tracer.triangles().par_iter().enumerate().map(cast_from).reduce(Lost::default, Lost::sum)
 }
 
-/// Rays at vertices and at points of edges, exactly and beside them by some roundings.
+/// Rays to vertices and to points of edges, exactly or beside them by some roundings.
 fn aimed(tracer: &Tracer, rays: u64, seed: u64) -> Lost {
     const BLOCK: u64 = 10_000;
     let triangles = tracer.triangles();
@@ -63,7 +63,7 @@ fn aimed(tracer: &Tracer, rays: u64, seed: u64) -> Lost {
             let target = p + (q - p) * along + Vec3A::splat(beside);
             let origin = Tracer::leave(from.point(square_to_triangle(x, y)), from.normal);
             let direction = target - origin;
-            // Steeper than the rounding of the target, so that the ray does leave its surface.
+            // Steeper than the rounding of the target, so that the ray leaves its surface.
             if direction.dot(from.normal) > 1e-5 {
                 lost = lost.sum(Lost::count(tracer, origin, direction));
                 left -= 1;
@@ -74,13 +74,13 @@ fn aimed(tracer: &Tracer, rays: u64, seed: u64) -> Lost {
     (0..rays.div_ceil(BLOCK)).into_par_iter().map(cast_block).reduce(Lost::default, Lost::sum)
 }
 
-/// So that no coordinate is exact.
+/// Rotated, so that no coordinate is exact.
 fn turned(triangles: Vec<Corners>) -> Vec<Corners> {
     let turn = DQuat::from_euler(EulerRot::XYZ, 0.3, 1.1, -2.0);
     triangles.into_iter().map(|t| t.map(|p| turn * p)).collect()
 }
 
-/// A closed roof on a floor of 12 by 10, seen from within, whose two sides rise by this angle.
+/// A closed attic on a floor of 12 by 10, seen from inside. The two sides of the roof rise by this angle.
 fn attic(degrees: f64) -> Vec<Corners> {
     let ridge = 5.0 * degrees.to_radians().tan();
     let at = |x: f64, y: f64| dvec3(x, y, if y == 5.0 { ridge } else { 0.0 });
@@ -94,7 +94,7 @@ fn attic(degrees: f64) -> Vec<Corners> {
     [&floor[..], sides.as_flattened(), &gables[..]].concat()
 }
 
-/// Cosine-distributed rays from as close to the edges of every triangle as any may start: there a roof is lowest.
+/// Cosine-distributed rays that start as close as possible to the edges of every triangle, where a roof is lowest.
 fn from_edges(tracer: &Tracer, rays: u64, seed: u64) -> Lost {
     let each = rays.div_ceil(tracer.triangles().len() as u64) as u32;
     let cast_from = |(t, triangle): (usize, &radiosity::trace::UnitTriangle)| {
@@ -120,7 +120,7 @@ fn closed_scenes() -> Vec<(&'static str, Scene)> {
         ("icosphere", scene(&[black(flipped(icosphere(1.0, 3)))])),
         // Millimetres, far from the origin.
         ("far", scene(&[black(flipped(icosphere(1.0, 2)).into_iter().map(far).collect())])),
-        // Long thin triangles, whose interpolated distances single precision does not resolve.
+        // Long thin triangles, on which single precision does not resolve the interpolated distance.
         ("needle", scene(&[black(turned(room(DVec3::ZERO, dvec3(1.0, 1e-3, 2e-3))))])),
         ("plate", scene(&[black(turned(room(DVec3::ZERO, dvec3(1.0, 0.9, 1e-4))))])),
         ("roof of 16 degrees", scene(&[black(attic(16.0))])),
@@ -133,8 +133,8 @@ fn closed_scenes() -> Vec<(&'static str, Scene)> {
     scenes
 }
 
-/// Of triangles with the same corners the first is met, and the hierarchy holds no other: obvhs merges boxes that are all the same
-/// one pair a pass, which takes quadratic time.
+/// Of triangles with the same corners, rays hit the first, and the hierarchy contains no other. Otherwise obvhs, which
+/// merges one pair of equal boxes per pass, would take quadratic time.
 #[test]
 fn triangles_at_one_place_are_met_once() {
     const TIMES: usize = 50;
@@ -163,31 +163,32 @@ fn leak_test(hemisphere_rays: u64, aimed_rays: u64) {
         assert_eq!(spread, Lost::default(), "{name}");
         assert_eq!(edges, Lost::default(), "{name}, from edges");
         assert_eq!(aimed.escaped, 0, "{name}");
-        // A ray that ends on an outline to the last bit meets front and back at one distance. The front should win, and
-        // where both are grazed rounding may still hide it: hardly ever, where ties decided by chance gave 4 in 100.
+        // A ray that ends on an outline to the last bit meets front and back at one distance. The front should win.
+        // Where the ray grazes both, rounding may hide the front, but hardly ever; random ties gave 4 in 100.
         assert!(aimed.backs * 50_000 <= aimed_rays / n, "{name}: {} backs met by aimed rays", aimed.backs);
     }
 }
 
+/// No ray escapes from a closed scene, or meets a back, among ten million.
 #[test]
 fn ten_million_rays_stay_in_closed_scenes() {
     leak_test(10_000_000, 2_000_000);
 }
 
-/// Half a minute:
-/// `cargo test --test light rays:: -- --ignored`
+/// The same with ten times the rays, in half a minute: `cargo test --test light rays:: -- --ignored`
 #[test]
 #[ignore = "takes long: cargo test --test light rays:: -- --ignored"]
 fn a_hundred_million_rays_stay_in_closed_scenes() {
     leak_test(100_000_000, 20_000_000);
 }
 
-/// A room is cut where a block stands on its floor, another one in a wall, and walls go from wall to wall, in the middle of its triangles
-/// and turned. Pieces share the places of their vertices, so that no ray finds a way out between them.
+/// A room is cut where a block stands on its floor, another one touches a wall, and a wall crosses it. The cuts run
+/// through its triangles, and the room may be rotated. The pieces share vertex positions, so that no ray escapes
+/// between them.
 #[test]
 fn rays_stay_in_rooms_that_are_cut_where_surfaces_touch() {
     let size = dvec3(5.0, 4.0, 3.0);
-    // Faces against the room's would send their rays out of it.
+    // Faces that lie on the room's walls would send their rays out of the room.
     let is_against = |t: &Corners| {
         (0..3).any(|axis| [0.0, size[axis]].iter().any(|wall| t.iter().all(|p| p[axis] == *wall)))
     };
@@ -216,7 +217,7 @@ fn rays_stay_in_rooms_that_are_cut_where_surfaces_touch() {
     }
 }
 
-/// A body without dents never sees itself: every ray from it goes free.
+/// A convex body never sees itself: every ray from it escapes.
 #[test]
 fn rays_do_not_hit_the_surface_they_leave() {
     let shifted = |t: Corners| t.map(|p| p + dvec3(100.0, -70.0, 30.0));
@@ -234,13 +235,14 @@ fn rays_do_not_hit_the_surface_they_leave() {
         let tracer = Tracer::new(&scene(&[black(body)]));
         let rays = 200_000 / tracer.triangles().len() * tracer.triangles().len();
         let lost = hemispheres(&tracer, rays as u64, 3);
-        assert_eq!(lost, Lost { escaped: rays as u64, backs: 0 }, "{name}: some rays came back");
+        assert_eq!(lost, Lost { escaped: rays as u64, backs: 0 }, "{name}: rays hit the body");
     }
 }
 
-/// Whether two points see each other does not depend on who asks, but where the line grazes an edge within roundings
-/// of unit-space coordinates. With `E` edges no longer than the diagonal a random line does so with a probability of
-/// about E times the offset of 1e-6 of the origins on either side; the same share of 600,000 pairs is allowed.
+/// Visibility between two points does not depend on the direction of the ray, except if the line passes an edge within
+/// the rounding of unit-space coordinates. With E edges, none longer than the diagonal, a random line does so with a
+/// probability of about E times 2e-6, for the offset of 1e-6 of the origins on either side. That share of all pairs is
+/// allowed.
 #[test]
 fn visibility_is_symmetric() {
     const PAIRS: u64 = 200_000;
@@ -274,7 +276,7 @@ fn visibility_is_symmetric() {
     }
 }
 
-/// What `visible` says of two points is what `closest` meets on the way.
+/// `visible` is true exactly if the closest hit on the ray between the points lies beyond the second one.
 #[test]
 fn visibility_agrees_with_the_closest_hit() {
     let scene = load("furnace");
@@ -285,7 +287,7 @@ fn visibility_agrees_with_the_closest_hit() {
         let mut point = || Vec3A::from_array([0; 3].map(|_| random.between(-0.99, 0.99) as f32));
         let (p, q) = (point(), point());
         let hit = tracer.closest(p, q - p);
-        // Points just at a surface are left out.
+        // Points very close to a surface are left out.
         if hit.is_some_and(|hit| (hit.t - 1.0).abs() < 1e-5) {
             continue;
         }
@@ -293,5 +295,5 @@ fn visibility_agrees_with_the_closest_hit() {
         assert_eq!(tracer.visible(p, q), free, "{p} {q}");
         blocked += usize::from(!free);
     }
-    assert!(blocked > 1000, "the box in the middle is in the way of many");
+    assert!(blocked > 1000, "the box in the middle blocks many pairs");
 }

@@ -1,4 +1,4 @@
-//! Solvers on matrices known exactly: the unit cube's.
+//! Solvers on matrices that are known exactly, those of the unit cube.
 
 use crate::common::*;
 use glam::DVec3;
@@ -18,7 +18,7 @@ const ITERATIVE: [Solver; 4] =
 const ALL: [Solver; 5] =
     [Solver::Jacobi, Solver::GaussSeidel, Solver::Southwell, Solver::ConjugateGradient, Solver::Direct];
 
-/// The unit cube with `n` by `n` patches a face: the faces come one after the other.
+/// The unit cube with `n` by `n` patches per face. The faces follow one after the other.
 fn cube(n: usize) -> (DMatrix<f64>, FormFactors) {
     let patches = box_room_patches(DVec3::ONE, n);
     let exact = rectangle_form_factors(&patches);
@@ -28,7 +28,7 @@ fn cube(n: usize) -> (DMatrix<f64>, FormFactors) {
     (exact, FormFactors::from_exchange(matrix, areas, vec![0.0; count]))
 }
 
-/// Emission and reflectance with borrowed values for one call.
+/// Emission and reflectance of all patches.
 struct Light {
     channels: usize,
     emission: Vec<f64>,
@@ -41,7 +41,7 @@ impl Light {
         Light { channels: 1, emission, reflectance: vec![rho; n] }
     }
 
-    /// A tenth of the patches emit, none reflects more than `most`.
+    /// About a tenth of the patches emit. No reflectance is above `most`.
     fn random(n: usize, channels: usize, most: f64, seed: u64) -> Light {
         let mut random = Random::new(seed);
         let dark: Vec<bool> = (0..n).map(|i| i > 0 && random.next() < 0.9).collect();
@@ -65,7 +65,7 @@ impl Light {
         solve(f, Radiometry { channels: *channels, emission, reflectance }, &options, &Progress::new())
     }
 
-    /// Be + ρ F B - B, from the entries of the matrix one by one.
+    /// Be + ρ F B - B, computed from the entries of the matrix one by one.
     fn residuals(&self, f: &FormFactors, b: &[f64]) -> Vec<f64> {
         let k = self.channels;
         let at = |i: usize, c: usize| {
@@ -75,7 +75,7 @@ impl Light {
         (0..f.len() * k).map(|at_ik| at(at_ik / k, at_ik % k)).collect()
     }
 
-    /// Σ A |r| / Σ A Be of the worst channel.
+    /// Σ A |r| / Σ A Be, of the worst channel.
     fn relative_residual(&self, f: &FormFactors, b: &[f64]) -> f64 {
         let r = self.residuals(f, b);
         let (k, a) = (self.channels, f.areas());
@@ -89,12 +89,13 @@ fn farthest(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// Stored in single precision, closed rows are off by 6e-8 and the closure by as much again: with E at most
-/// max B and ‖(I - ρF)⁻¹‖ at most 1 / (1 - ρ), radiosity by at most 2 · 6e-8 ρ / (1 - ρ) max B.
+/// Error of radiosity by storage in single precision. Closed rows have an error of 6e-8, and the closure as much again.
+/// With E at most max B, and ‖(I - ρF)⁻¹‖ at most 1 / (1 - ρ), the error of B is at most 2 · 6e-8 ρ / (1 - ρ) max B.
 fn storage_error(rho: f64, radiosity: f64) -> f64 {
     2.0 * F32 * rho / (1.0 - rho) * radiosity
 }
 
+/// A cube of six patches has a solution in closed form. All solvers give it, up to storage in single precision.
 #[test]
 fn the_cube_of_six_patches() {
     let (_, f) = cube(1);
@@ -111,7 +112,8 @@ fn the_cube_of_six_patches() {
     }
 }
 
-/// The dense solution of the exact matrix in double precision, by a decomposition of the test's own.
+/// All solvers agree with the dense solution of the exact matrix in double precision, up to storage and their certified
+/// bounds.
 #[test]
 fn finer_cubes_against_dense_algebra() {
     for (n, seed) in [(3, 1), (5, 2)] {
@@ -131,15 +133,14 @@ fn finer_cubes_against_dense_algebra() {
     }
 }
 
-/// Certified: two solutions are no farther apart than the sum of their bounds. The bounds' own sums round at some
-/// 1e-15.
+/// Two solutions differ at most by the sum of their certified bounds. The sums of the bounds round at some 1e-15.
 #[test]
 fn solvers_agree_to_their_certified_bounds() {
     for (n, channels) in [(4, 1), (4, 3), (5, 3), (6, 1), (6, 3)] {
         let (_, f) = cube(n);
         let light = Light::random(f.len(), channels, 0.95, n as u64);
         let direct = light.solve(&f, Solver::Direct, 1e-12).unwrap();
-        // Rows of 200 sums and max B below 20.
+        // Rows of 200 terms, and max B below 20.
         assert!(direct.error_bound < 1e-12, "{}", direct.error_bound);
         for solver in ITERATIVE {
             for tolerance in [1e-2, 1e-4, 1e-6, 1e-10] {
@@ -153,7 +154,7 @@ fn solvers_agree_to_their_certified_bounds() {
     }
 }
 
-/// Residual, irradiance and bound of every solution, recomputed from F_ij one by one.
+/// The reported residual, irradiance and bound agree with values recomputed from each F_ij.
 #[test]
 fn reported_residuals_are_the_true_ones() {
     let (_, f) = cube(5);
@@ -163,12 +164,12 @@ fn reported_residuals_are_the_true_ones() {
             let solution = light.solve(&f, solver, tolerance).unwrap();
             let residual = light.relative_residual(&f, &solution.radiosity);
             assert!(residual <= tolerance);
-            // Radiosities below 10 in sums of 150 terms round at some 1e-15.
+            // Sums of 150 radiosities below 10 round at some 1e-15.
             assert!((solution.residual - residual).abs() <= 1e-13, "{solver:?}: {residual:e}");
             let worst_loss = light.reflectance.iter().copied().fold(0.0, f64::max);
             let largest = light.residuals(&f, &solution.radiosity);
             let largest = largest.iter().fold(0f64, |a, r| a.max(r.abs()));
-            // The bound may be sharper, channel by channel, but not beyond what this one says.
+            // The reported bound is computed per channel and may be sharper, but never larger than this one.
             assert!(solution.error_bound <= largest / (1.0 - worst_loss) + 1e-13);
             assert!(solution.error_bound >= largest - 1e-14);
             for (k, e) in solution.irradiance.iter().enumerate() {
@@ -180,9 +181,9 @@ fn reported_residuals_are_the_true_ones() {
     }
 }
 
-/// In a closed room of one reflectance a Jacobi sweep takes the residual's sum to exactly ρ times itself, from ρ at the
-/// start. Gauss-Seidel needs fewer sweeps (Stein and Rosenberg), conjugate gradients at most what Chebyshev's bound
-/// for eigenvalues between 1 - ρ and 1 + ρ says.
+/// In a closed room of one reflectance each Jacobi sweep multiplies the sum of the residual by exactly ρ, from ρ at the
+/// start. Gauss-Seidel needs fewer sweeps (Stein and Rosenberg). Conjugate gradients need at most as many iterations as
+/// Chebyshev's bound for eigenvalues between 1 - ρ and 1 + ρ.
 #[test]
 fn iterations_are_as_many_as_theory_says() {
     let (_, f) = cube(6);
@@ -195,7 +196,7 @@ fn iterations_are_as_many_as_theory_says() {
         assert_eq!(jacobi, wanted, "rho = {rho}");
         assert!(cg < gauss_seidel && gauss_seidel < jacobi, "rho = {rho}: {cg}, {gauss_seidel}, {jacobi}");
         assert!(southwell < jacobi * f.len(), "rho = {rho}: {southwell} shots");
-        // ‖r_k‖ ≤ 2 sqrt(κ) q^k ‖r_0‖; half the tolerance is what the solver aims at in this norm.
+        // ‖r_k‖ ≤ 2 sqrt(κ) q^k ‖r_0‖. In this norm the solver aims at half the tolerance.
         let kappa = ((1.0 + rho) / (1.0 - rho)).sqrt();
         let q = (kappa - 1.0) / (kappa + 1.0);
         let most = (0.5 * tolerance / (2.0 * kappa)).ln() / q.ln();
@@ -203,7 +204,7 @@ fn iterations_are_as_many_as_theory_says() {
     }
 }
 
-/// Shooting only ever adds light, and never more than there is.
+/// Shooting only adds light, and never more than the solution has.
 #[test]
 fn southwell_rises_from_below() {
     let (_, f) = cube(6);
@@ -215,7 +216,7 @@ fn southwell_rises_from_below() {
     let mut shooting = Shooting::<1>::new(&f, radiometry);
     let (mut before, mut residual) = (shooting.radiosity(), shooting.residual());
     assert_eq!(before.as_flattened(), emission);
-    assert!((residual - 1.0).abs() < 1e-15, "all is unshot");
+    assert!((residual - 1.0).abs() < 1e-15, "all light is unshot");
     for shot in 1..=3 * n {
         let i = shooting.shoot().unwrap();
         assert!(i < n && shooting.shots() == shot);
@@ -228,11 +229,12 @@ fn southwell_rises_from_below() {
         assert!(shooting.residual() <= residual * (1.0 + 1e-13), "shot {shot}");
         (before, residual) = (after, shooting.residual());
     }
-    // What waits is counted where it waits, but has not arrived elsewhere: the residual is at most 0.9 of it.
+    // Unshot light has not arrived elsewhere yet. One reflection of it is left as the residual: at most 0.9 of it.
     let recomputed = light.relative_residual(&f, before.as_flattened());
     assert!(recomputed <= 0.9 * residual && recomputed > 0.0, "{recomputed:e}, {residual:e} unshot");
 }
 
+/// In a black room B = Be to the bit, and E = F Be up to storage in single precision.
 #[test]
 fn black_rooms_hold_what_is_emitted() {
     let (exact, f) = cube(2);
@@ -246,7 +248,7 @@ fn black_rooms_hold_what_is_emitted() {
     }
 }
 
-/// White walls and one side open: all that is emitted leaves, and nothing else.
+/// White walls with one side open: exactly the emitted light leaves.
 #[test]
 fn white_with_an_opening() {
     let n = 3;
@@ -265,7 +267,7 @@ fn white_with_an_opening() {
         let solution = light.solve(&f, solver, tolerance).unwrap();
         assert!(solution.error_bound.is_finite());
         let out: f64 = (0..walls).map(|i| area * solution.radiosity[i] * f.escaped()[i]).sum();
-        // What has not left is the sum of the residual.
+        // Light that has not left is the sum of the residual.
         assert!((out / (4.0 * area) - 1.0).abs() <= tolerance + 1e-13, "{solver:?}: {out}");
     }
 }
@@ -277,6 +279,8 @@ fn two_chambers() -> FormFactors {
     FormFactors::from_exchange(matrix, vec![1.0; 12], vec![0.0; 12])
 }
 
+/// Light that enters a closed white chamber has no equilibrium, in whichever channel. One black patch, or no light,
+/// gives one.
 #[test]
 fn light_that_is_caught_is_refused() {
     let (_, f) = cube(2);
@@ -292,12 +296,13 @@ fn light_that_is_caught_is_refused() {
         assert!(matches!(white, Err(Error::NoEquilibrium)), "{solver:?}: {white:?}");
         let caught = lit(0).solve(&chambers, solver, 1e-6);
         assert!(matches!(caught, Err(Error::NoEquilibrium)), "{solver:?}: {caught:?}");
-        // One black patch, or a lamp in the other chamber, and there is an equilibrium.
+        // One black patch, or a lamp in the other chamber, gives an equilibrium.
         let mut drained = Light::uniform(24, 1, 1.0);
         drained.reflectance[7] = 0.0;
         drained.solve(&f, solver, 1e-6).unwrap();
     }
-    // Nothing is caught where nothing enters; the direct solver must not mind that part of its matrix being singular.
+    // A chamber that no light enters stays dark, although its part of the matrix is singular, also for the direct
+    // solver.
     for solver in ALL {
         let solution = lit(6).solve(&chambers, solver, 1e-9).unwrap();
         assert_eq!(solution.radiosity[..6], [0.0; 6], "{solver:?}");
@@ -309,8 +314,8 @@ fn light_that_is_caught_is_refused() {
     assert!(matches!(coloured.solve(&f, Solver::Auto, 1e-6), Err(Error::NoEquilibrium)));
 }
 
-/// Ten white patches in a row, each of which sees its neighbours only: light finds the grey one at the far end by nine bounces, and
-/// all that is emitted is absorbed there.
+/// Ten white patches in a row, each of which sees only its neighbours. Light reaches the grey one at the far end after
+/// nine bounces, and all of it is absorbed there.
 #[test]
 fn light_that_drains_by_many_bounces_is_not_refused() {
     let n = 10;
@@ -323,11 +328,12 @@ fn light_that_drains_by_many_bounces_is_not_refused() {
     light.reflectance[n - 1] = 0.5;
     for solver in ALL {
         let solution = light.solve(&row, solver, 1e-9).unwrap();
-        // What has not been absorbed is the sum of the residual.
+        // Light that has not been absorbed is the sum of the residual.
         assert!((0.5 * solution.irradiance[n - 1] - 1.0).abs() < 2e-9, "{solver:?}");
     }
 }
 
+/// A solver that runs out of iterations reports how far it came.
 #[test]
 fn running_out_of_iterations_is_an_error() {
     let (_, f) = cube(4);
@@ -339,7 +345,7 @@ fn running_out_of_iterations_is_an_error() {
                 assert_eq!((name, tolerance), (solver.name(), 1e-10));
                 assert_eq!(iterations, if solver == Solver::Southwell { f.len() } else { 1 });
                 assert!(residual > tolerance);
-                // Every bounce takes a twentieth; conjugate gradients lower another norm.
+                // Every bounce absorbs a twentieth. Conjugate gradients minimise another norm.
                 assert!(residual <= 0.95 + 1e-12 || solver == Solver::ConjugateGradient, "{residual}");
             }
             other => panic!("{solver:?}: {other:?}"),
@@ -347,7 +353,7 @@ fn running_out_of_iterations_is_an_error() {
     }
 }
 
-/// Colour is three problems side by side.
+/// The channels of a colour are solved as if each were alone, to rounding.
 #[test]
 fn channels_do_not_mix() {
     let (_, f) = cube(4);
@@ -358,7 +364,7 @@ fn channels_do_not_mix() {
         let of_c: Vec<f64> = together.radiosity.iter().skip(c).step_by(3).copied().collect();
         assert!(farthest(&of_c, &alone.radiosity) <= 1e-14);
     }
-    // Iterations stop for all channels at once, so those have to be alike.
+    // Iterations stop for all channels at once, so the channels have to be alike here.
     let grey = colour.channel(0);
     let triple = |v: &[f64]| v.iter().flat_map(|&x| [x; 3]).collect();
     let thrice =
@@ -373,6 +379,7 @@ fn channels_do_not_mix() {
     }
 }
 
+/// Conjugate gradients need a symmetric matrix: they refuse one-way form factors, and the automatic choice avoids them.
 #[test]
 fn conjugate_gradients_want_reciprocity() {
     for estimator in BOTH {

@@ -1,4 +1,4 @@
-//! The solution without a matrix, against the one with it.
+//! The solution without a matrix, against the solution with one.
 
 use glam::DVec3;
 use radiosity::{
@@ -27,7 +27,7 @@ fn by_sweeps(scene: &Scene, patches: usize, rays: f64, seed: u64) -> (Patches, S
     (patches, solution)
 }
 
-/// The same patches by a matrix with many more rays, whose own error is small beside that of the sweeps.
+/// The solution of the same patches with a matrix and many more rays, whose error is small beside that of the sweeps.
 fn by_matrix(scene: &Scene, patches: usize) -> (Patches, Vec<f64>) {
     let (tracer, progress) = (Tracer::new(scene), Progress::new());
     let mut patches = Patches::subdivide(scene, &Subdivision::Count(patches));
@@ -37,8 +37,9 @@ fn by_matrix(scene: &Scene, patches: usize) -> (Patches, Vec<f64>) {
     (patches, solution.irradiance)
 }
 
-/// Standard errors come from 16 batches. 95 % of the 95 % intervals with t quantiles should contain the truth. Errors of
-/// neighbouring patches are correlated, so single runs scatter by some per cent. Over three seeds 90 % are demanded.
+/// 95 % intervals from 16 batches contain the matrix solution. Errors of neighbouring patches are correlated, so the
+/// share of a run scatters by some percent; over three seeds 90 % is required. The energy balances within five standard
+/// errors.
 #[test]
 fn sweeps_agree_with_the_matrix_within_their_error_bars() {
     for name in ["cornell-box", "door-ajar", "corridor"] {
@@ -74,8 +75,8 @@ fn sweeps_agree_with_the_matrix_within_their_error_bars() {
     }
 }
 
-/// White walls between black ends, lit at one end. Light takes tens of bounces to the dark end. The first sweeps lack this light,
-/// and the mean over all sweeps would lack more than the standard error says.
+/// White walls between black ends, lit at one end. Light takes tens of bounces to the dark end. The first sweeps lack
+/// this light, so the mean over all sweeps would have an error beyond its standard error.
 fn corridor() -> Scene {
     let [left, right, floor, ceiling, lit, dark] =
         crate::common::room_faces(DVec3::ZERO, DVec3::new(1.0, 1.0, 12.0));
@@ -87,8 +88,9 @@ fn corridor() -> Scene {
     ])
 }
 
-/// In a closed furnace every patch has Be / (1 - ρ), here with ρ = 0.9. Rows of few rays sum to 1, so the start is right to
-/// 10⁻⁸ over 1 - ρ, and every sweep keeps it. Without this start 0.95⁶⁴ = 4 % would still be missing after 64 sweeps.
+/// In a closed furnace every patch has Be / (1 - ρ), here with ρ = 0.9. Rows of few rays sum to 1, so the first
+/// solution has an error of 10⁻⁸ over 1 - ρ, and every sweep keeps it. Without this start 0.95⁶⁴ = 4 % would be missing
+/// after 64 sweeps.
 #[test]
 fn a_furnace_is_as_bright_as_it_must_be() {
     let room = crate::common::room(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
@@ -100,7 +102,7 @@ fn a_furnace_is_as_bright_as_it_must_be() {
     }
 }
 
-/// The Cornell box with this number of patches, by sweeps of 64 rays per patch. Sweeps continue while `more` says so.
+/// Sweeps of 64 rays per patch over the Cornell box with this number of patches, repeated while `more` returns true.
 fn sweeps_while(count: usize, more: impl FnMut(&Reached) -> bool) -> (Patches, StochasticSolution) {
     let scene = Scene::load("meshes/cornell-box.obj").unwrap();
     let (tracer, progress) = (Tracer::new(&scene), Progress::new());
@@ -111,33 +113,33 @@ fn sweeps_while(count: usize, more: impl FnMut(&Reached) -> bool) -> (Patches, S
     (sweeper.patches().clone(), found.unwrap())
 }
 
-/// Continues to three times the number of rays. 16 batches become 8 of twice the length, and 8 more follow. These 16 become 8,
-/// and 4 more of four times the first length make 48.
+/// Sampling continues to three times the number of rays. 16 batches become 8 of twice the length, and 8 more follow.
+/// These 16 become 8 again, and 4 more, each four times as long as at first, make 48.
 #[test]
 fn sweeps_go_on_batch_by_batch() {
-    let mut told = Vec::new();
+    let mut reports = Vec::new();
     let (patches, found) = sweeps_while(300, |reached| {
-        told.push(*reached);
+        reports.push(*reached);
         reached.rays < 192.0
     });
-    let rays: Vec<f64> = told.iter().map(|reached| reached.rays).collect();
+    let rays: Vec<f64> = reports.iter().map(|reached| reached.rays).collect();
     let halves = (16..32).step_by(2).chain((32..=48).step_by(4)).map(|batches| f64::from(4 * batches));
     assert_eq!(rays, halves.collect::<Vec<_>>());
-    // The forecast of each step.
-    for pair in told.windows(2) {
+    // Each report forecasts the rays of the next one.
+    for pair in reports.windows(2) {
         assert!((pair[0].rays * (1.0 + pair[0].next) / pair[1].rays - 1.0).abs() < 1e-12);
     }
-    assert_eq!(found.reached, *told.last().unwrap());
+    assert_eq!(found.reached, *reports.last().unwrap());
     assert_eq!(found.sweeps, 48);
     let n = patches.len() as u64;
     assert_eq!(found.tally.hemisphere, n * (32 + 48 * 3));
-    // The error falls at least like that of independent rays. The estimate from 16 values scatters by 18 % and the ratio of two
-    // by 26 %. Twice that is allowed.
-    assert!(found.reached.error < told[0].error * 3f64.sqrt().recip() * 1.55, "{told:?}");
+    // The error falls at least like that of independent rays. An estimate from 16 values scatters by 18 %, and the
+    // ratio of two by 26 %. Twice that is allowed.
+    assert!(found.reached.error < reports[0].error * 3f64.sqrt().recip() * 1.55, "{reports:?}");
 }
 
-/// Errors do not grow with the number of sweeps of three rays: correlations of successive rays must not show in the energy. The
-/// mean over patches is then known to a thousandth.
+/// The energy balances within five standard errors after many sweeps of three rays: correlations between successive
+/// rays must not accumulate. The mean over patches is then known to a thousandth.
 #[test]
 fn many_short_sweeps_balance_their_energy() {
     let (_, found) = sweeps_while(1000, |reached| reached.rays < 8192.0);
@@ -148,8 +150,8 @@ fn many_short_sweeps_balance_their_energy() {
     assert!(found.balanced_to().abs() < 1e-12);
 }
 
-/// In a black room all light comes from shadow rays to unblocked lamps. All batches are equal, so the only standard error is
-/// that of unblocked light.
+/// In a black room all light comes from shadow rays to unblocked lamps. All batches are equal, so only the error of
+/// unblocked light remains, and the energy balances to that.
 #[test]
 fn light_without_noise_balances_to_what_is_known_of_it() {
     let (_, found) = by_sweeps(&crate::common::low_lamp(), 1000, 64.0, 1);
@@ -158,7 +160,7 @@ fn light_without_noise_balances_to_what_is_known_of_it() {
     assert!(found.is_balanced() && imbalance.abs() < 1e-6 && error < 1e-6, "{imbalance} with error {error}");
 }
 
-/// Light beyond the range of single precision and of its squares: powers of two change no digit.
+/// Light beyond the range of single precision, and whose squares are too: a factor of 2⁶⁰⁰ changes no digit.
 #[test]
 fn brightness_makes_no_difference() {
     let room = crate::common::room(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
@@ -177,6 +179,7 @@ fn brightness_makes_no_difference() {
     assert_eq!(dim.imbalance_error, bright.imbalance_error);
 }
 
+/// Sweeps give the same bits for any number of threads.
 #[test]
 fn sweeps_are_the_same_for_any_number_of_threads() {
     let scene = Scene::load("meshes/cornell-box.obj").unwrap();

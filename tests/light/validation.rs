@@ -1,4 +1,4 @@
-//! The verdict passes right answers and fails wrong ones.
+//! The verdict of the validation passes right answers and fails wrong ones.
 
 use radiosity::{
     Progress, Scene,
@@ -26,7 +26,7 @@ fn cornell_box() -> Scene {
     Scene::load("meshes/cornell-box.obj").unwrap()
 }
 
-/// The same scene with other materials, and with the triangles from `kept` on shrunk to next to nothing on the floor.
+/// The same scene with other materials. Triangles from `kept` on are shrunk to almost nothing on the floor.
 fn altered(scene: &Scene, kept: usize, change: impl Fn(&mut Material)) -> Scene {
     let shrunk = |t: usize| scene.corners(t).map(|p| if t < kept { p } else { 1e-3 * p });
     let corners: Vec<_> =
@@ -54,7 +54,7 @@ fn areas(patches: &Patches) -> Vec<f64> {
     (0..patches.fronts()).map(|i| patches.area(i)).collect()
 }
 
-/// Radiosity against both referees, which see `referee`.
+/// Compares radiosity with path tracing and light tracing of the scene `referee`.
 fn against(
     referee: &Scene,
     patches: &Patches,
@@ -67,8 +67,8 @@ fn against(
     [path, light].map(|seen| Comparison::of(radiosity, &seen, &areas(patches)))
 }
 
-/// The limits are set so that about one right answer in a hundred objects: of 16 seeds, two objections would be a
-/// one-in-a-hundred chance.
+/// The limits are set so that about one right answer in a hundred fails. With 16 seeds, two failures have a probability
+/// of one in a hundred.
 #[test]
 fn right_answers_pass() {
     let mut objecting = Vec::new();
@@ -86,7 +86,7 @@ fn right_answers_pass() {
     assert!(objecting.len() <= 1, "{objecting:#?}");
 }
 
-/// Files often hold faces twice. The second of two is never lit, and paths that begin on it are no reason to doubt that.
+/// Files often contain faces twice. The second of two is never lit, and paths from it must not cause objections.
 #[test]
 fn doubled_faces_pass() {
     let scene = cornell_box();
@@ -102,6 +102,7 @@ fn doubled_faces_pass() {
     assert_eq!(validation.objections(), Vec::<String>::new());
 }
 
+/// An error of 2 % in all reflectances is noticed by both referees.
 #[test]
 fn two_percent_of_reflectance_are_noticed() {
     let scene = cornell_box();
@@ -118,6 +119,7 @@ fn two_percent_of_reflectance_are_noticed() {
     }
 }
 
+/// A missing block is noticed by both referees.
 #[test]
 fn a_missing_blocker_is_noticed() {
     let scene = cornell_box();
@@ -130,8 +132,8 @@ fn a_missing_blocker_is_noticed() {
     }
 }
 
-/// Form factors between each pair of triangles off by up to a fifth, symmetrically, at both patch sizes, as a mistake in
-/// the program would have it: reciprocal, closed, in perfect energy balance, and wrong.
+/// Form factors between pairs of triangles have symmetric errors of up to a fifth at both patch sizes, like a mistake
+/// in the program would make: reciprocal, closed, in perfect energy balance, and wrong. Both referees notice.
 #[test]
 fn a_wrong_symmetric_matrix_is_noticed() {
     let scene = cornell_box();
@@ -166,9 +168,10 @@ fn perturbed(solved: Solved) -> Solved {
     Solved { patches, form_factors, solution, error_bars }
 }
 
-/// Whole triangles leave more than parts of them, and that is measured though no edge limits their size.
+/// The discretisation error of whole triangles is measured although no edge limits their size, and is larger than that
+/// of their parts.
 #[test]
-fn what_whole_triangles_cost_is_measured() {
+fn the_discretisation_error_of_whole_triangles_is_measured() {
     let scene = cornell_box();
     let tracer = Tracer::new(&scene);
     let left = |subdivision: Subdivision| {

@@ -15,7 +15,7 @@ use radiosity::{
     },
 };
 
-/// The six sides of a box, cut into n × n each; outwards with side 1, inwards with side -1.
+/// The six sides of a box, each cut into n × n. They face outward with side 1, and inward with side -1.
 fn sides(centre: DVec3, half: DVec3, turn: f64, side: f64, n: u32) -> Vec<Vec<DVec3>> {
     let turned = DQuat::from_rotation_z(turn);
     let mut polygons = Vec::new();
@@ -55,6 +55,7 @@ fn compute(polygons: &[Vec<DVec3>], error: f64, enclosed: bool) -> ViewFactors {
     view_factors(polygons, &options, &Progress::new()).unwrap()
 }
 
+/// Nothing blocks in a cube, so all view factors are the closed forms, without sampling.
 #[test]
 fn a_cube_is_exact_without_chance() {
     let cube = sides(DVec3::ZERO, DVec3::splat(0.5), 0.0, -1.0, 1);
@@ -66,7 +67,7 @@ fn a_cube_is_exact_without_chance() {
             } else {
                 perpendicular_rectangles(1.0, 1.0, 1.0)
             };
-            // Stored in single precision; rows that did not sum to one would move by as much as closed forms are off.
+            // Stored in single precision. Rows that do not sum to one would move by the error of the closed forms.
             assert!(
                 (form_factors.get(i, j) - exact).abs() < 1e-6,
                 "{i} {j}: {} not {exact}",
@@ -76,6 +77,8 @@ fn a_cube_is_exact_without_chance() {
     }
 }
 
+/// A square between two squares blocks as much as the closed form says, within 4.5 standard errors. The standard error
+/// is as large as the wanted error allows: this pair has all of it.
 #[test]
 fn a_blocker_hides_what_the_closed_form_says() {
     let error = 1e-3;
@@ -84,7 +87,7 @@ fn a_blocker_hides_what_the_closed_form_says() {
     let form_factors = compute(&polygons, error, false);
     let exact = opposed_squares_with_blocker(1.0, 1.0, 0.6);
     let (found, sigma) = (form_factors.get(0, 1), form_factors.standard_error(0, 1));
-    // All of the error, Σ σ² = non-zeros error², is this pair's, in both directions.
+    // All of the error, Σ σ² = non-zeros error², belongs to this pair, in both directions.
     let most = error * (form_factors.non_zeros() as f64 / 2.0).sqrt();
     assert!(sigma < most && sigma > 0.3 * most, "{sigma} of {most}");
     assert!((found - exact).abs() < 4.5 * sigma, "{found}, not {exact}");
@@ -94,6 +97,8 @@ fn a_blocker_hides_what_the_closed_form_says() {
     }
 }
 
+/// Hemisphere rays give the same view factors, in any unit and at any place. The RMS difference is at most the wanted
+/// error and the standard error of the rays together.
 #[test]
 fn hemisphere_rays_find_the_same_in_any_unit_and_place() {
     let (error, rays) = (2e-4, 40_000.0);
@@ -113,15 +118,15 @@ fn hemisphere_rays_find_the_same_in_any_unit_and_place() {
             .sum::<f64>()
     };
     let n = polygons.len();
-    // Independent rays would have variances of F / rays, here of 2 rays patches a polygon; stratified ones have less, and so
-    // have those of both ends together.
+    // Independent rays would have variances of F / rays, with 2 rays patches per polygon here. Stratified rays from
+    // both ends have less.
     let bound = (error * error + 1.0 / n as f64 / (2.0 * rays)).sqrt();
     for (unit, place) in [(1.0, DVec3::ZERO), (1e-3, dvec3(1e3, -5e2, 2e2))] {
         let moved: Vec<Vec<DVec3>> =
             polygons.iter().map(|p| p.iter().map(|&v| v * unit + place).collect()).collect();
         let form_factors = compute(&moved, error, true);
-        let told = form_factors.error;
-        assert!(told <= error, "{told} is more than {error}");
+        let reported = form_factors.error;
+        assert!(reported <= error, "{reported} is more than {error}");
         let area: f64 = form_factors.areas().iter().sum::<f64>() / (unit * unit);
         assert!((area - 6.0 - 8.0 * (0.2 * 0.15 + 0.2 * 0.25 + 0.15 * 0.25)).abs() < 1e-9, "area {area}");
         let mut sum = 0.0;
@@ -135,6 +140,8 @@ fn hemisphere_rays_find_the_same_in_any_unit_and_place() {
     }
 }
 
+/// The view factors of parallelograms are the area-weighted sums of those of their triangles, within the wanted errors
+/// of both.
 #[test]
 fn triangles_and_parallelograms_agree() {
     let polygons = room_with_block();
@@ -144,21 +151,21 @@ fn triangles_and_parallelograms_agree() {
     let (whole, half) = (compute(&polygons, error, true), compute(&halves, error, true));
     let n = polygons.len();
     let difference = |p: usize, q: usize| {
-        // Halves have equal areas. Their errors add up to at most twice those of one.
+        // Halves have equal areas. Their errors add up to at most twice the error of one.
         let sum: f64 =
             [2 * p, 2 * p + 1].map(|i| 0.5 * (half.get(i, 2 * q) + half.get(i, 2 * q + 1))).iter().sum();
         whole.get(p, q) - sum
     };
     let rms = (0..n * n).map(|k| difference(k / n, k % n).powi(2)).sum::<f64>().sqrt() / n as f64;
-    // The mean of two rows, of the sum of two columns each: as large an error as that of one entry.
+    // The mean of two rows, each a sum of two columns, has an error as large as that of one entry.
     assert!(rms < error * 2f64.sqrt(), "differ by {rms:.2e}");
 }
 
-/// Walls that are not cut meet at edges, where the kernel has no bound; a box hides parts of each from the others. Were the
-/// errors of rows as large as told, their z-scores had a mean square of 1, here with a standard deviation of about
-/// sqrt(2 / 18), since rows share pairs.
+/// Walls that are not cut meet at edges, where the kernel is unbounded, and a box blocks parts of each from the others.
+/// The z-scores of row sums have a mean square of 1 if the reported standard errors are right, with a standard
+/// deviation of about sqrt(2 / 18), since rows share pairs.
 #[test]
-fn errors_between_neighbours_are_as_large_as_told() {
+fn errors_between_neighbours_are_as_large_as_reported() {
     let mut polygons = sides(DVec3::splat(0.5), DVec3::splat(0.5), 0.0, -1.0, 1);
     polygons.extend(sides(dvec3(0.45, 0.52, 0.45), dvec3(0.15, 0.17, 0.2), 0.0, 1.0, 1));
     let (mut sum, seeds) = (0.0, 6);
@@ -180,20 +187,22 @@ fn errors_between_neighbours_are_as_large_as_told() {
     assert!(mean > 0.2 && mean < 2.0, "mean square of z-scores {mean}");
 }
 
-/// Rays cross a room a thousand times as large as the box they go to, which nothing hides.
+/// A box that nothing blocks, a thousandth as large as the room: its rows sum to one although rays cross the whole
+/// room.
 #[test]
-fn what_is_small_beside_the_room_is_seen_whole() {
+fn a_small_box_in_a_large_room_is_seen_whole() {
     let mut polygons = sides(DVec3::splat(50.0), DVec3::splat(50.0), 0.0, -1.0, 1);
     polygons.extend(sides(dvec3(31.0, 47.0, 22.0), DVec3::splat(0.05), 0.3, 1.0, 1));
     let error = 1e-4;
     let found = compute(&polygons, error, false);
     for i in 6..12 {
-        // What is unoccluded may be off by a tenth of the error times the surfaces, relatively.
+        // Unblocked view factors may have a relative error of a tenth of the wanted error times the number of surfaces.
         let off = found.row_sums[i] - 1.0;
         assert!(off.abs() < 2.0 * 0.1 * error * 12.0, "row {i} is off one by {off:.1e}");
     }
 }
 
+/// A room with a missing side is an error that names the surface and its row sum.
 #[test]
 fn a_room_that_is_none_is_an_error() {
     let mut polygons = sides(DVec3::ZERO, DVec3::splat(0.5), 0.0, -1.0, 1);
@@ -201,18 +210,20 @@ fn a_room_that_is_none_is_an_error() {
     let options = ViewFactorOptions::default();
     let error = view_factors(&polygons, &options, &Progress::new()).unwrap_err();
     assert!(matches!(error, Error::NotEnclosed { sum, .. } if (sum - 0.8).abs() < 1e-3), "{error}");
-    // Behind the wall across from the opening there is nothing to see.
+    // Behind the wall opposite the opening nothing is visible.
     polygons.push(vec![dvec3(0.0, -2.0, 0.0), dvec3(1.0, -2.0, 0.0), dvec3(1.0, -1.0, 0.0)]);
     let error = view_factors(&polygons, &options, &Progress::new()).unwrap_err();
     assert!(matches!(error, Error::NotEnclosed { surface: 5, sum: 0.0 }), "{error}");
 }
 
+/// Surfaces of several polygons have the area-weighted sums of the view factors of their parts, within the errors of
+/// both.
 #[test]
 fn surfaces_of_several_polygons_see_each_other_and_themselves() {
     let polygons = room_with_block();
     let error = 3e-4;
     let whole = compute(&polygons, error, true);
-    // The six sides of the room, of four each, and the block.
+    // The six sides of the room, of four polygons each, and the block.
     let mut surfaces: Vec<&[Vec<DVec3>]> = polygons[..24].chunks(4).collect();
     surfaces.push(&polygons[24..]);
     let options = ViewFactorOptions::default().with_error(error).with_seed(5);
@@ -229,12 +240,13 @@ fn surfaces_of_several_polygons_see_each_other_and_themselves() {
             squares += (found.get(i, j) - of(i).map(exchange).sum::<f64>() / area).powi(2);
         }
     }
-    // That of these and that of the parts, of which sixteen make one: their variances are averaged over four and summed over
-    // four.
+    // The error of these, and of sums over sixteen parts: the variances are averaged over four rows and summed over
+    // four columns.
     let rms = squares.sqrt() / 7.0;
     assert!(rms < error * 2f64.sqrt(), "differ by {rms:.2e}");
 }
 
+/// View factors have the same bits for any number of threads.
 #[test]
 fn the_number_of_threads_does_not_matter() {
     let polygons = room_with_block();
@@ -248,26 +260,28 @@ fn the_number_of_threads_does_not_matter() {
     assert!(one == run(2) && one == run(5), "different bytes");
 }
 
+/// What polygons do not exchange escapes: from no polygon, from one, and from four of very different sizes.
 #[test]
 fn few_polygons_lose_what_they_do_not_exchange() {
     assert!(compute(&[], 1e-3, false).is_empty());
     let alone = compute(&[square(2.0, 0.0, true)], 1e-3, false);
     assert_eq!((alone.non_zeros(), alone.escaped(0)), (0, 1.0));
-    // Of very different sizes, one of them a triangle that is out of sight of the room's coordinates.
+    // One of them is a triangle of a size and at a distance of ten thousand others.
     let far = vec![dvec3(-1e4, -1e4, 1e4), dvec3(0.0, 1e4, 1e4), dvec3(1e4, -1e4, 1e4)];
     let polygons = [square(1.0, 0.0, true), square(0.5, 0.25, true), square(0.5, 0.25, false), far];
     let form_factors = compute(&polygons, 1e-3, false);
-    // The triangle's plane is 10⁴ away: from there all but the small square is a point that sees the same.
+    // The plane of the triangle is 10⁴ away: for the small square it looks like from a point.
     let up = exact_from_a_point(&polygons[3]);
     assert!((form_factors.get(1, 3) - up).abs() < 1e-4, "{} not {up}", form_factors.get(1, 3));
     assert!(form_factors.get(0, 2) > 0.0 && form_factors.get(2, 3) == 0.0);
 }
 
-/// From the origin, facing up.
+/// The form factor from the origin, facing up, to a polygon.
 fn exact_from_a_point(polygon: &[DVec3]) -> f64 {
     radiosity::form_factor::exact::point_to_polygon(DVec3::ZERO, DVec3::Z, polygon)
 }
 
+/// Polygons that are not planar are refused.
 #[test]
 #[should_panic(expected = "not planar")]
 fn bent_quadrilaterals_are_refused() {
@@ -276,7 +290,7 @@ fn bent_quadrilaterals_are_refused() {
     compute(&[odd], 1e-3, false);
 }
 
-/// A regular polygon of `n` corners round the z-axis.
+/// A regular polygon of `n` corners around the z axis.
 fn disk(n: u32, radius: f64, height: f64, up: bool) -> Vec<DVec3> {
     let corner = |k: u32| {
         let angle = std::f64::consts::TAU * f64::from(k) / f64::from(n) * if up { 1.0 } else { -1.0 };
@@ -285,9 +299,9 @@ fn disk(n: u32, radius: f64, height: f64, up: bool) -> Vec<DVec3> {
     (0..n).map(corner).collect()
 }
 
-/// A sphere of many facets over a disk: nothing is hidden but by the bodies themselves, so there is no chance and no ray, and the sum
-/// over all facets is as right as the formula. The net flux through the disk of what leaves a convex body: facets of the sphere see the
-/// solid angle of the disk, F = (1 - 1 / sqrt(1 + (r / h)²)) / 2 for a sphere, and less of a polyhedron by the square of its facets.
+/// A sphere of many facets over a disk. Only the bodies themselves hide anything, so no ray is cast, and the sum over
+/// all facets is as exact as the formula. The form factor of the sphere to the disk is its share of the solid angle,
+/// F = 0.5 (1 - 1 / sqrt(1 + (r / h)²)). That of the polyhedron differs by the square of the size of its facets.
 #[test]
 fn sums_over_facets_have_no_bias() {
     let (n, m) = (24u32, 12u32);
@@ -322,7 +336,7 @@ fn sums_over_facets_have_no_bias() {
     }
 }
 
-/// Nearly all of the floor is behind the wall. Of the rest all is seen.
+/// Nearly all of the floor is behind the wall. The rest is seen fully, for every seed.
 #[test]
 fn what_is_mostly_behind_is_seen_for_every_seed() {
     let wall = vec![dvec3(0.0, 0.0, 0.0), dvec3(0.0, 1.0, 0.0), dvec3(0.0, 1.0, 1.0), dvec3(0.0, 0.0, 1.0)];
@@ -340,8 +354,9 @@ fn rectangle(origin: DVec3, a: DVec3, b: DVec3) -> Vec<DVec3> {
     vec![origin, origin + a, origin + a + b, origin + b]
 }
 
-/// A box that stands on the floor of a room: its bottom sees the floor beneath and nothing else, rows close without a word of the rest
-/// changing, and the floor sees what is left. With a gap of 10⁻⁶ the same comes out, but for what the gap lets through.
+/// A box on the floor of a room: its bottom sees only the floor below it, rows sum to one without other changes, and
+/// the floor sees the bottom by reciprocity. A gap of 10⁻⁶ gives the same view factors, up to five standard errors and
+/// the light through the gap.
 #[test]
 fn a_box_on_the_floor_sees_what_it_stands_on() {
     let room = sides(dvec3(2.0, 1.5, 1.0), dvec3(2.0, 1.5, 1.0), 0.0, -1.0, 1);
@@ -369,7 +384,8 @@ fn a_box_on_the_floor_sees_what_it_stands_on() {
     }
 }
 
-/// A window drawn in the plane of a wall is in front of it: the wall has its area less, and what sees both sees the window there.
+/// A window in the plane of a wall is in front of it. The wall has its area less, and shares its view factors with the
+/// window.
 #[test]
 fn of_faces_in_one_plane_the_smaller_is_in_front() {
     let ground = rectangle(DVec3::ZERO, DVec3::X * 3.0, DVec3::Y * 5.0);
@@ -385,7 +401,8 @@ fn of_faces_in_one_plane_the_smaller_is_in_front() {
     assert!((both.escaped(0) - plain.escaped(0)).abs() < 1e-6);
 }
 
-/// Plates 2 cm apart under a dome of 20 km: 10⁻⁶ of the scene. The gap lets out what opposed squares do not exchange.
+/// Plates 2 cm apart under a dome of 20 km, 10⁻⁶ of the scene. The gap lets out the light that opposed squares do not
+/// exchange.
 #[test]
 fn sizes_do_not_matter_to_each_other() {
     let (r, gap) = (2e4, 0.02);
@@ -405,9 +422,9 @@ fn sizes_do_not_matter_to_each_other() {
     );
 }
 
-/// Coverage of 95 % intervals. A panel of 100 m that touches the ground hides a part of it from a wall behind: near singularities, and
-/// sampled shares of all sizes. The reference has a tenth of the error. Of 25 seeds and all pairs 92 to 98 % would be in; of as few as
-/// here, three standard deviations of a binomial count are allowed.
+/// 95 % intervals contain a reference with a tenth of the error. A panel of 100 m that touches the ground hides a part
+/// of it from a wall behind it: near singularities, and sampled shares of all sizes. At least 92 % is required, or
+/// three standard deviations of a binomial count below 95 % if that is less.
 #[test]
 fn intervals_hold() {
     let along = DVec3::Y * 100.0;
@@ -430,7 +447,7 @@ fn intervals_hold() {
         for i in 0..polygons.len() {
             for (j, f, sure) in reference.entries(i).filter(|e| e.1 > 1e-4) {
                 let error = found.standard_error(i, j);
-                // Not what nothing hides: there is no chance in it. Each pair once.
+                // Each pair once, and without unblocked pairs, which are not sampled.
                 if i < j && error > 2e-5 * f {
                     all += 1.0;
                     inside += f64::from(u8::from((found.get(i, j) - f).abs() < 1.96 * error.hypot(sure)));
@@ -443,8 +460,8 @@ fn intervals_hold() {
     assert!(all >= 100.0 && share > 0.95 - slack.max(0.03), "{share} of {all}");
 }
 
-/// A street of infinite length nearly: the ground between walls as high as it is wide sees the sky by sqrt(2) - 1, its walls see it by
-/// (1 + 1 - sqrt(2)) / 2 (crossed strings; H. C. Hottel).
+/// A nearly endless street between walls as high as it is wide: the ground sees the sky by sqrt(2) - 1, the walls by (1
+/// + 1 - sqrt(2)) / 2 (crossed strings; H. C. Hottel). The tolerance is 4.5 standard errors and the loss at the ends.
 #[test]
 fn a_street_sees_the_sky() {
     let along = DVec3::Y * 2000.0;
@@ -461,9 +478,10 @@ fn a_street_sees_the_sky() {
     }
 }
 
-/// A crater, the cap of a sphere below the ground: every point of it sees the same share 1 - h / (2 R) of the sky, where h is its depth, since
-/// F from any element of a sphere to a part of it is the part's share of the sphere's area. Of a crater of facets all together see the area
-/// of the opening over their own, which is exact for any hollow that is open at one plane.
+/// A crater, a spherical cap below the ground. The form factor from any element of a sphere to a part of it is the
+/// part's share of the sphere's area. So every point of the crater sees the sky by 1 - h / (2 R), where h is the depth.
+/// A hollow of facets, open at one plane, sees the sky on average by the area of the opening over its own area, which
+/// is exact.
 #[test]
 fn a_crater_sees_the_sky() {
     let (radius, rim, n, m) = (2.0, 60f64.to_radians(), 24u32, 8u32);
@@ -482,7 +500,7 @@ fn a_crater_sees_the_sky() {
     }
     let options = ViewFactorOptions::default().with_error(1e-3).with_enclosed(false).with_up(DVec3::Z);
     let found = view_factors(&facets, &options, &Progress::new()).unwrap();
-    // Nothing blocks: the facets see each other over the hollow.
+    // Nothing blocks: the facets see each other across the hollow.
     assert_eq!(found.rays, 0);
     let opening =
         0.5 * f64::from(n) * (radius * rim.sin()).powi(2) * (std::f64::consts::TAU / f64::from(n)).sin();
@@ -490,7 +508,7 @@ fn a_crater_sees_the_sky() {
     let sky: f64 = (0..found.len()).map(|i| found.areas()[i] * found.lost[i].up.value).sum();
     assert!((sky / opening - 1.0).abs() < 2e-5, "{sky} not {opening}");
     let exact = 1.0 - (1.0 - rim.cos()) / 2.0;
-    // Facets of 7.5 by 15 degrees differ from the sphere by the square of half of that.
+    // Facets of 7.5 by 15 degrees differ from the sphere by the square of half of these angles.
     assert!((opening / area / exact - 1.0).abs() < 3e-3);
     for i in 0..found.len() {
         let up = found.lost[i].up;
@@ -498,7 +516,8 @@ fn a_crater_sees_the_sky() {
     }
 }
 
-/// An obstacle between two squares takes what a pair of surfaces there takes, has no row, and what meets it escapes.
+/// An obstacle between two squares blocks like a pair of surfaces there but has no row. The light that meets it
+/// escapes.
 #[test]
 fn obstacles_block_and_have_no_row() {
     let surfaces = [vec![square(1.0, 0.0, true)], vec![square(1.0, 1.0, false)]];
@@ -514,16 +533,16 @@ fn obstacles_block_and_have_no_row() {
     assert!(seen.iter().all(|sight| sight.backs > 0));
 }
 
-/// From a square to a smaller one above its middle, with nothing between them.
+/// The view factor from a square to a smaller one above its middle, with nothing between them.
 fn opposed_squares(large: f64, small: f64, height: f64) -> f64 {
     let polygons = [square(large, 0.0, true), square(small, height, false)];
     compute(&polygons, 1e-3, false).get(0, 1)
 }
 
-/// Pairs that do not matter by themselves get two rays each. Their sums have no bias: plates of 256 facets each, with a grid of bars between
-/// them, exchange what two whole plates do.
+/// Pairs that matter little get two rays each, but their sums have no bias: plates of 256 facets each, with a grid of
+/// bars between them, exchange as much as two whole plates, within four standard errors.
 #[test]
-fn sums_of_what_two_rays_tell_are_right() {
+fn sums_of_pairs_with_two_rays_are_unbiased() {
     const HEIGHT: f64 = 6.0;
     let bar =
         |k: u32| rectangle(dvec3(-0.5 + 0.2 * f64::from(k), -0.5, 0.5 * HEIGHT), DVec3::X * 0.1, DVec3::Y);
@@ -554,7 +573,7 @@ fn sums_of_what_two_rays_tell_are_right() {
         (sum, variance.sqrt(), found.rays)
     };
     let (whole, error, _) = run(1, 2e-5);
-    // A facet sees one of the other plate by 1 / (256 π 6²) = 3.5e-5 at most.
+    // A facet has a view factor to a facet of the other plate of at most 1 / (256 π 6²) = 3.5e-5.
     let (parts, sigma, rays) = run(16, 1e-3);
     assert!(rays < 2 * 256 * 256, "{rays} rays");
     assert!((whole - parts).abs() < 4.0 * error.hypot(sigma), "{whole} ± {error}, {parts} ± {sigma}");

@@ -29,8 +29,8 @@ fn bars(cast: &Cast, solution: &Solution) -> Vec<f64> {
     ErrorBars::of(&cast.form_factors, &cast.patches, solution).unwrap().standard_error
 }
 
-/// B = 1 up to the certified bound of the solver and the error that row sums other than 1 add with every bounce. The rounding
-/// of the sums is 1e-15 of some hundred terms.
+/// Asserts B = 1 within the certified bound of the solver and the error that row sums other than 1 add with every
+/// bounce. The rounding of the sums is 1e-15 of some hundred terms.
 #[track_caller]
 fn assert_furnace(f: &FormFactors, solution: &Solution, most: f64, slack: f64) {
     let closure = deviations(f).0 * most / (1.0 - most);
@@ -40,27 +40,28 @@ fn assert_furnace(f: &FormFactors, solution: &Solution, most: f64, slack: f64) {
     }
 }
 
+/// A closed room with Be = 1 - ρ = 0.5 has B = 1 everywhere.
 #[test]
 fn the_furnace_is_evenly_bright() {
     let room = cast(load("furnace"), Subdivision::Count(500), CastOptions::default());
     let solution = solved(&room.form_factors, &room.patches);
-    // Be is 0.5 to the last digit but one.
+    // Be is 0.5 up to rounding.
     assert_furnace(&room.form_factors, &solution, 0.5, 1e-15);
 }
 
-/// Closed scenes with any reflectances, occluders and textures, in which each patch emits as much as it absorbs. One-way rows
-/// sum to one as well.
+/// Closed scenes with any reflectances, occluders and textures have B = 1 if each patch emits as much as it absorbs.
+/// One-way rows sum to one as well.
 #[test]
 fn what_emits_as_it_absorbs_is_white() {
     for name in ["furnace", "door-ajar", "textured"] {
         for estimator in BOTH {
-            // Without shadow rays form factors carry all light, so that they serve any emission.
+            // Without shadow rays all light goes by form factors, so the same ones serve any emission.
             let options = CastOptions::default().with_estimator(estimator).with_shadow_share(0.0);
             let room = cast(load(name), Subdivision::Count(500), options);
             let (n, mut random) = (room.patches.len(), Random::new(12));
             let patterns = [
                 (0..n).map(|_| random.between(0.0, 0.97)).collect::<Vec<_>>(),
-                // As the file says it; textures averaged over each patch.
+                // The reflectances of the file, with textures averaged over each patch.
                 room.patches.reflectance().iter().step_by(room.patches.channels()).copied().collect(),
             ];
             for reflectance in patterns {
@@ -77,8 +78,8 @@ fn linear(texel: u8) -> f64 {
     if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
 }
 
-/// A cube papered with 8 by 8 random greys and, as emission, with the texels nearest to what those absorb: 1 - ρ is
-/// missed by at most half a step of 8 bits, and B by that over 1 - ρ.
+/// A cube papered with 8 by 8 random greys. The emission map has the texels nearest to 1 - ρ, whose error is at most
+/// half a step of 8 bits. B is 1 up to that error over 1 - ρ.
 #[test]
 fn a_textured_furnace() {
     let mut random = Random::new(3);
@@ -90,7 +91,7 @@ fn a_textured_furnace() {
     let bright: Vec<u8> = dark.iter().map(|&t| nearest(1.0 - linear(t))).collect();
     let missed = dark.iter().zip(&bright).map(|(&a, &b)| (linear(a) + linear(b) - 1.0).abs());
     let missed = missed.fold(0.0, f64::max);
-    // Steps are steepest at white: 2.4 / 1.055 / 255.
+    // The steps are largest at white: 2.4 / 1.055 / 255.
     assert!(missed > 0.0 && missed <= 0.5 * 2.4 / 1.055 / 255.0, "{missed}");
 
     let paper = |texels: &[u8]| Texture::new(8, 8, texels.iter().flat_map(|&t| [t; 3]).collect());
@@ -100,7 +101,7 @@ fn a_textured_furnace() {
     let corners: Vec<(Corners, u32)> = room(DVec3::ZERO, DVec3::ONE).into_iter().map(|t| (t, 0)).collect();
     let mut papered = Scene::new(&corners, vec![material]);
     papered.textures = vec![paper(&dark), paper(&bright)];
-    // Not aligned with the texels, and several times over.
+    // Not aligned with the texels, and repeated.
     let square = [dvec2(0.1, 0.0), dvec2(1.3, 0.2), dvec2(1.1, 1.7), dvec2(-0.1, 1.5)];
     papered.texcoords = (0..12)
         .map(|t| {
@@ -117,7 +118,7 @@ fn a_textured_furnace() {
     assert_furnace(&room.form_factors, &solution, most, missed / (1.0 - most));
 }
 
-/// Be and ρ of the sphere's patches: emission within 30 degrees of the pole, a bright and a dark half.
+/// Be and ρ of the patches of a sphere: emission within 30 degrees of the pole, one bright and one dark half.
 fn sphere_pattern(triangles: &[Corners]) -> (Vec<f64>, Vec<f64>) {
     let height = |[a, b, c]: &Corners| (*a + *b + *c).normalize().z;
     let emission = triangles.iter().map(|t| if height(t) > (PI / 6.0).cos() { 1.0 } else { 0.0 });
@@ -125,10 +126,11 @@ fn sphere_pattern(triangles: &[Corners]) -> (Vec<f64>, Vec<f64>) {
     (emission.collect(), reflectance.collect())
 }
 
-/// E = Φ / (A - ∫ρ dA) at every point of a sphere, for any pattern. In a polyhedron of ever smaller facets the RMS
-/// deviation falls with the square of their size in the end; it is measured on exact form factors, for it is soon
-/// smaller than what rays can tell. Rays are then compared with these, patch by patch, in standard errors: the
-/// RMS of 80 or 320 z-values with 15 degrees of freedom is sqrt(15/13) = 1.07, give or take 10 and 5 %.
+/// E = Φ / (A - ∫ρ dA) at every point of a sphere, for any pattern. In a polyhedron the RMS deviation from that falls
+/// with the square of the size of facets in the end. It is measured with exact form factors, because it soon drops
+/// below the noise of rays. Form factors by rays are then compared with the exact ones, patch by patch, in standard
+/// errors: the RMS of 80 or 320 z-scores with 15 degrees of freedom is sqrt(15/13) = 1.07 with a standard deviation of
+/// 10 or 5 %.
 #[test]
 fn the_inside_of_a_sphere() {
     let mut deviations = Vec::new();
@@ -161,8 +163,9 @@ fn the_inside_of_a_sphere() {
     assert!(fine > 1.5 && fine > coarse, "orders {coarse}, {fine} of {deviations:?}");
 }
 
-/// Form factors by rays on zones that follow the pattern. The mean irradiance differs from that of the sphere, because facets
-/// have smaller areas, by O(h²): half of h gives a quarter of the deviation. Energy conservation leaves little noise in it.
+/// Form factors by rays on zones that follow the pattern. Facets have smaller areas than the sphere, so the mean
+/// irradiance deviates by O(h²): half of h gives a quarter of the deviation. Energy conservation leaves little noise in
+/// the mean.
 #[test]
 fn a_tessellated_sphere_converges_to_the_true_one() {
     let truth = 0.1339745962;
@@ -186,20 +189,21 @@ fn a_tessellated_sphere_converges_to_the_true_one() {
     println!("{measured:?}");
     let off: Vec<f64> = measured.iter().map(|m| (m.value - truth).abs()).collect();
     for k in 0..2 {
-        // A quarter, and the h⁴ term that is left out: a quarter of that again, at most, at 30 degrees.
+        // A quarter, and the neglected h⁴ term: at most a quarter of that again, at 30 degrees.
         let wanted = off[k] / 4.0 * 1.25 + T15 * (measured[k].error / 4.0 + measured[k + 1].error);
         assert!(off[k + 1] <= wanted, "{off:?}");
     }
-    // Extrapolated, the leading term is gone.
+    // Extrapolation removes the leading term.
     let extrapolated = (4.0 * measured[2].value - measured[1].value) / 3.0;
     let error = (4.0 * measured[2].error + measured[1].error) / 3.0;
     assert!((extrapolated - truth).abs() <= T15 * error + off[2] / 4.0, "{extrapolated} instead of {truth}");
 }
 
-/// Two similar polyhedra have the form factors of spheres for any number of facets. So means over both have sampling errors
-/// only, which error bars describe to first order. To second order there is a bias: a patch of the outer sphere that by
-/// chance sees more of the inner one is brighter, and the inner one sees it more. With dE = (B1 - B2) dF21, which has the
-/// standard error of the patch, light on the inner sphere gains ρ2 mean(dE dF21) / F21 on average. Twice that is allowed.
+/// Two similar polyhedra have the form factors of spheres for any number of facets. So the means over both have only
+/// sampling errors, which error bars describe to first order. To second order there is a bias: a patch of the outer
+/// sphere that sees too much of the inner one by chance is brighter, and the inner one sees it more. With dE = (B1 -
+/// B2) dF21, which has the standard error of the patch, the irradiance of the inner sphere gains ρ2 mean(dE dF21) / F21
+/// on average. Twice that is allowed.
 #[test]
 fn concentric_spheres() {
     let (truth, rho) = ([1.08910891, 0.29702970], [0.3, 0.6]);
@@ -212,7 +216,7 @@ fn concentric_spheres() {
         let squares: Vec<f64> = errors.iter().map(|e| e * e).collect();
         let square = spheres.mean(&spheres.of_part(1), &squares, &squares).value;
         let gain = 2.0 * rho[1] * square / (truth[0] - truth[1]) / 0.25;
-        // Conservation: what one sphere absorbs too much the other, of four times the area, lacks.
+        // Conservation: the outer sphere, of four times the area, lacks what the inner one absorbs too much.
         let gains = [gain, gain * (1.0 - rho[0]) / (4.0 * (1.0 - rho[1]))];
         for k in 0..2 {
             let b = spheres.mean(&spheres.of_part(k as u32), &solution.radiosity, &errors);
@@ -224,9 +228,9 @@ fn concentric_spheres() {
     }
 }
 
-/// Plates of 16, 32 and 64 distances: the middle lacks the light from beyond the edges, of the order of L⁻². Without
-/// that term the last two agree with endless plates to the next order, L⁻⁴, of which the change between
-/// extrapolations is 15 times what is left.
+/// Plates of 16, 32 and 64 distances. Their middle lacks the light from beyond the edges, of the order of L⁻². Without
+/// that term the last two agree with endless plates to the next order, L⁻⁴. The change between extrapolations is 15
+/// times the rest.
 #[test]
 fn endless_parallel_plates() {
     let (be, rho) = ([1.0, 0.25], [0.5, 0.8]);
@@ -263,8 +267,8 @@ fn endless_parallel_plates() {
     }
 }
 
-/// emitted - absorbed - escaped = solver_part + reciprocity_part, for whatever matrix and however poor a solution: sums
-/// of some thousand terms round at 1e-13 of the largest.
+/// emitted - absorbed - escaped = solver_part + reciprocity_part, for any matrix and however poor the solution. Sums of
+/// some thousand terms round at 1e-13 of the largest.
 #[test]
 fn the_ledger_splits_exactly() {
     for (name, estimator, tolerance) in ["cornell-box", "furnace", "door-ajar"]
@@ -291,14 +295,16 @@ fn the_ledger_splits_exactly() {
         assert!(ledger.relative_solver_part().abs() <= tolerance);
         let reciprocity = ledger.relative_reciprocity_part().abs();
         match estimator {
-            // Closed to 1e-13, times the radiosity of each bounce: ten at most here.
+            // Rows are closed to 1e-13, which counts for each bounce of the radiosity: at most ten here.
             Estimator::Pooled => assert!(reciprocity <= 1e-11, "{name}: {reciprocity:e}"),
-            // Rows sum to one, yet light is lost or made. The even light of a furnace does not show this.
+            // Rows sum to one, but without reciprocity light is lost or made. The even light of a furnace does not show
+            // this.
             Estimator::OneWay => assert!(name == "furnace" || reciprocity > 1e-5, "{name}: {reciprocity:e}"),
         }
     }
 }
 
+/// With default options the energy balances to the tolerance of the solver.
 #[test]
 fn by_default_energy_balances() {
     for name in ["cornell-box", "furnace", "door-ajar", "textured"] {
@@ -306,11 +312,11 @@ fn by_default_energy_balances() {
         let solution = solved(&room.form_factors, &room.patches);
         let ledger = EnergyLedger::of(&room.form_factors, &room.patches, &solution);
         assert!(ledger.imbalance().abs() <= 1e-9, "{name}: {:e}", ledger.imbalance());
-        // Solver's tolerance and closure, the two parts.
         assert!(ledger.relative_solver_part().abs() <= 1e-10);
     }
 }
 
+/// A scene without colours has one channel, and its power is Be times the area. A coloured scene has three.
 #[test]
 fn grey_scenes_have_one_channel() {
     let room = cast(load("furnace"), Subdivision::Edge(1.0), CastOptions::default());
@@ -319,7 +325,7 @@ fn grey_scenes_have_one_channel() {
     assert_eq!(solution.radiosity.len(), room.patches.len());
     let ledger = EnergyLedger::of(&room.form_factors, &room.patches, &solution);
     assert_eq!(ledger.emitted.len(), 1);
-    // Be = 1/2 on every square metre.
+    // Be = 1/2 everywhere.
     let total: f64 = room.form_factors.areas().iter().sum();
     assert!((ledger.emitted[0] / total - 0.5).abs() < 1e-14);
     let coloured = cast(load("cornell-box"), Subdivision::Count(100), CastOptions::default());
@@ -327,8 +333,8 @@ fn grey_scenes_have_one_channel() {
     assert_eq!(coloured.patches.emission().len(), 3 * coloured.patches.len());
 }
 
-/// Emitting triangles with corners on a small grid, which touch, cross and cover each other: none of it ends the program, and the
-/// light is finite and balances.
+/// Emitting triangles with corners on a small grid touch, cross and cover each other. None of these scenes panics, and
+/// their light is finite and balances.
 #[test]
 fn lamps_that_touch_or_cross_are_solved() {
     let mut random = Random::new(7);
