@@ -1,4 +1,4 @@
-//! Small glTF files made by hand.
+//! Small glTF files built in code.
 
 #![allow(dead_code, reason = "every test file uses a part of it")]
 
@@ -13,7 +13,7 @@ pub struct Gltf {
 }
 
 impl Gltf {
-    /// A scene of one node, whose mesh has no primitives yet.
+    /// A scene of one node whose mesh has no primitives yet.
     pub fn new() -> Gltf {
         let json = json!({
             "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
@@ -96,7 +96,7 @@ impl Gltf {
             "indices": indices, "material": material}))
     }
 
-    /// A texture of an image in the file.
+    /// A texture with an image stored in the file.
     pub fn texture(&mut self, pixels: &image::RgbaImage) -> usize {
         let mut png = std::io::Cursor::new(Vec::new());
         pixels.write_to(&mut png, image::ImageFormat::Png).unwrap();
@@ -132,7 +132,7 @@ pub fn glb(json: &[u8], binary: &[u8]) -> Vec<u8> {
     [b"glTF".to_vec(), 2u32.to_le_bytes().to_vec(), length.to_le_bytes().to_vec(), chunks].concat()
 }
 
-/// A GLB's JSON and binary chunk.
+/// The JSON and the binary chunk of a GLB.
 pub fn taken_apart(bytes: &[u8]) -> (Value, Vec<u8>) {
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
     assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));

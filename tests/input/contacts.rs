@@ -1,4 +1,4 @@
-//! Triangles that other surface touches or crosses: they are cut along the line, and nothing else changes.
+//! Triangles that another surface touches or crosses are cut along that line, and nothing else changes.
 
 use std::collections::{HashMap, HashSet};
 
@@ -15,13 +15,13 @@ fn quad(material: u32, corners: [DVec3; 4]) -> Vec<([DVec3; 3], u32)> {
     vec![([a, b, c], material), ([a, c, d], material)]
 }
 
-/// A level rectangle that faces up.
+/// A horizontal rectangle that faces up.
 fn level(material: u32, low: DVec2, high: DVec2, y: f64) -> Vec<([DVec3; 3], u32)> {
     let at = |x: f64, z: f64| dvec3(x, y, z);
     quad(material, [at(low.x, low.y), at(low.x, high.y), at(high.x, high.y), at(high.x, low.y)])
 }
 
-/// A box without bottom and top whose walls begin at height `from`; faces outward.
+/// A box without bottom and top whose walls begin at height `from`. Its faces look outward.
 fn walls(low: DVec2, high: DVec2, from: f64, to: f64) -> Vec<([DVec3; 3], u32)> {
     let outline = [dvec2(low.x, low.y), dvec2(low.x, high.y), dvec2(high.x, high.y), dvec2(high.x, low.y)];
     let at = |p: DVec2, y: f64| dvec3(p.x, y, p.y);
@@ -42,12 +42,13 @@ fn scene(triangles: &[([DVec3; 3], u32)], place: impl Fn(DVec3) -> DVec3) -> Sce
     scene
 }
 
-/// As a file with six digits has it.
+/// Rounded to the six digits of a file.
 fn six_digits(p: DVec3) -> DVec3 {
     p.to_array().map(|x| format!("{x:.5e}").parse::<f64>().unwrap()).into()
 }
 
-/// The ground's pieces that have some area on both sides of a rectangle's outline, and by how much at most.
+/// The number of pieces of the ground that lie on both sides of a rectangle's outline, and the largest area on the
+/// wrong side.
 fn straddling(scene: &Scene, back: impl Fn(DVec3) -> DVec3, low: DVec2, high: DVec2) -> (usize, f64) {
     let mut worst: (usize, f64) = (0, 0.0);
     for t in (0..scene.triangles.len()).filter(|&t| scene.triangles[t].material == GROUND) {
@@ -60,7 +61,7 @@ fn straddling(scene: &Scene, back: impl Fn(DVec3) -> DVec3, low: DVec2, high: DV
         }
         let (inside, whole) = (area(&inside), area(&corners));
         let off = inside.min(whole - inside);
-        // A strip as wide as roundings of single precision along the whole outline.
+        // A strip along the whole outline, as wide as the rounding of single precision.
         if off > 1e-5 {
             worst = (worst.0 + 1, worst.1.max(off));
         }
@@ -88,7 +89,7 @@ fn area(polygon: &[DVec2]) -> f64 {
     0.5 * (0..polygon.len()).map(shoelace).sum::<f64>().abs()
 }
 
-/// Edges by position that are not run through once each way: the rims of surfaces.
+/// Edges, by position, that are not used once in each direction: the rims of surfaces.
 fn rims(scene: &Scene) -> HashMap<[[u64; 3]; 2], i32> {
     let mut halves: HashMap<[[u64; 3]; 2], i32> = HashMap::new();
     for t in 0..scene.triangles.len() {
@@ -107,9 +108,9 @@ fn rim_length(scene: &Scene) -> f64 {
     rims(scene).iter().map(|([p, q], n)| f64::from(n.abs()) * at(*p).distance(at(*q))).sum()
 }
 
-/// Walls that stand on a ground, a micrometre above it, and through it: in the middle of a large ground, and turned in
-/// space with the six digits of a file. No piece of the ground is left on both sides, none is lost, and the number of
-/// pieces grows with the logarithm of the ground's size.
+/// Walls that stand on a ground, a micrometre above it, or through it, in the middle of a large ground; also rotated
+/// and rounded to the six digits of a file. No piece of the ground lies on both sides of a wall, the area stays the
+/// same up to the rounding of the file, and the number of pieces grows with the logarithm of the ground's size.
 #[test]
 fn no_piece_of_a_ground_lies_on_both_sides_of_a_wall() {
     let turn = DQuat::from_axis_angle(dvec3(0.3, -0.5, 0.8).normalize(), 1.1);
@@ -124,7 +125,7 @@ fn no_piece_of_a_ground_lies_on_both_sides_of_a_wall() {
             let what = format!("{half} {from} {rounded}: {:?}", scene.contacts);
             let ground: Vec<usize> =
                 (0..scene.triangles.len()).filter(|&t| scene.triangles[t].material == GROUND).collect();
-            // Six digits of the corners of a large ground tilt it: the walls are cut off where they meet it.
+            // Rounding to six digits tilts a large ground, which shifts the line where walls meet it.
             let slack = if rounded { 1e-4 * half } else { 0.0 };
             let (pieces, off) = straddling(&scene, back, low - slack, high + slack);
             if !rounded {
@@ -138,8 +139,8 @@ fn no_piece_of_a_ground_lies_on_both_sides_of_a_wall() {
     }
 }
 
-/// A closed room with a block on its floor, half in a wall, and partitions from wall to wall stays closed: every edge is
-/// run through as often either way as before.
+/// A closed room stays closed when it is cut by a block on its floor, a block half in a wall, and partitions between
+/// walls: every edge is used equally often in both directions, and the area stays the same, to rounding.
 #[test]
 fn what_was_closed_stays_closed() {
     let turn = DQuat::from_axis_angle(dvec3(0.3, -0.5, 0.8).normalize(), 1.1);
@@ -156,7 +157,7 @@ fn what_was_closed_stays_closed() {
                 .collect::<Vec<_>>()
         };
         let mut all: Vec<_> = inside_out(room(dvec3(0., 0., 0.), dvec3(5., 3., 4.))).collect();
-        // On the floor, in a wall, through the floor's middle.
+        // On the floor, in a wall, across the whole room, and two that cross each other.
         all.extend(room(dvec3(1., 0., 1.), dvec3(1.5, 1., 1.7)));
         all.extend(room(dvec3(4.5, 0., 2.), dvec3(5., 1., 3.)));
         all.extend(room(dvec3(2.2, 0., 0.), dvec3(2.3, 3., 4.)));
@@ -172,8 +173,8 @@ fn what_was_closed_stays_closed() {
     }
 }
 
-/// Random triangles that cross each other: the pieces of each make it up, and no two of its pieces lie on both sides of
-/// another triangle that crosses it.
+/// Random triangles that cross each other: the pieces have the area of their triangle, and no piece crosses another
+/// triangle.
 #[test]
 fn random_triangles_are_cut_where_they_cross() {
     let mut random = Random::new(3);
@@ -200,7 +201,7 @@ fn random_triangles_are_cut_where_they_cross() {
     assert_eq!(crossed, 0, "of {} pieces, {:?}", scene.triangles.len(), scene.contacts);
 }
 
-/// Whether a triangle goes through the inside of another by more than a rounding.
+/// Whether a triangle crosses the inside of another by more than rounding.
 fn crosses(piece: [DVec3; 3], [a, b, c]: [DVec3; 3]) -> bool {
     let normal = (b - a).cross(c - a).normalize();
     let heights = piece.map(|p| normal.dot(p - a));
@@ -219,7 +220,7 @@ fn crosses(piece: [DVec3; 3], [a, b, c]: [DVec3; 3]) -> bool {
     ends.len() == 2 && (0..=10).any(|k| inside(ends[0].lerp(ends[1], f64::from(k) / 10.0)))
 }
 
-/// Scenes without contacts are left as they are; tiles whose joints lie under a wall need no cut.
+/// Scenes without contacts stay as they are. Tiles whose joints lie under a wall need no cut.
 #[test]
 fn nothing_is_cut_where_nothing_touches() {
     let tiles: Vec<_> = (0..4)
@@ -235,7 +236,7 @@ fn nothing_is_cut_where_nothing_touches() {
     let joint = quad(WALL, [dvec3(1., 0., 0.), dvec3(1., 0., 2.), dvec3(1., 1., 2.), dvec3(1., 1., 0.)]);
     let on_joint = scene(&tiles.iter().cloned().chain(joint).collect::<Vec<_>>(), |p| p);
     assert_eq!((on_joint.triangles.len(), on_joint.contacts), (10, Default::default()));
-    // The tiles on the two sides have no vertex in common, nor has the wall one with them.
+    // The tiles on the two sides share no vertex, and the wall shares none with them.
     let vertices = |range: std::ops::Range<usize>| {
         on_joint.triangles[range].iter().flat_map(|t| t.vertices).collect::<HashSet<u32>>()
     };
@@ -248,8 +249,8 @@ fn nothing_is_cut_where_nothing_touches() {
     assert!(left.is_disjoint(&right) && vertices(8..10).is_disjoint(&left));
 }
 
-/// The part of a lamp behind a block is left out. A lamp that lies altogether in the ceiling of a room whose walls are turned round is
-/// seen from inside, and stays.
+/// The part of a lamp behind a block is left out. A lamp that lies wholly in the ceiling of a room whose walls face
+/// outward is seen from inside and stays.
 #[test]
 fn only_a_part_of_a_lamp_is_hidden_by_a_solid() {
     let solid = |low: DVec3, high: DVec3| {
@@ -276,7 +277,7 @@ fn only_a_part_of_a_lamp_is_hidden_by_a_solid() {
     let of_lamp = |scene: &Scene| -> f64 {
         (0..scene.triangles.len()).filter(|&t| scene.emits(t)).map(|t| scene.area(t)).sum()
     };
-    // A shining floor under a block, which may reach beyond it.
+    // A floor that emits, under a block that may reach beyond it.
     for (x, hidden) in [(0.5, 1.0), (1.5, 0.5)] {
         let block = solid(dvec3(x, 0.0, 0.5), dvec3(x + 1.0, 1.0, 1.5));
         let scene = load(block.into_iter().chain(lamp(0.0, true)).collect());

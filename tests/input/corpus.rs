@@ -1,5 +1,5 @@
-//! Loads every `.obj` and `.ply` below the folder that the environment variable `RADIOSITY_CORPUS` names, and compares with its
-//! `EXPECTED.tsv` where it has one. Without the variable there is nothing to test.
+//! Loads every `.obj` and `.ply` below the folder in the environment variable `RADIOSITY_CORPUS`, and compares the
+//! scenes with its `EXPECTED.tsv` if there is one. Without the variable nothing is tested.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -9,9 +9,9 @@ use radiosity::{
     scene::{LoadOptions, inspection::Inspection},
 };
 
-/// Where this reader differs from the list on purpose: files that must be refused, with a part of the message.
+/// Files that this reader refuses on purpose although the list accepts them, with a part of the message.
 const REFUSED: [(&str, &str); 13] = [
-    // All of it is transparent.
+    // Everything in it is transparent.
     ("parser/obj2gltf/box-transparent/box-transparent.obj", "holes"),
     ("parser/obj2gltf/box-incomplete-attributes/box-incomplete-positions.obj", "vertex"),
     ("parser/tinyobjloader/invalid-relative-texture-index.obj", "vertex"),
@@ -19,7 +19,7 @@ const REFUSED: [(&str, &str); 13] = [
     ("parser/tinyobjloader/issue-140-zero-face-idx.obj", "count from 1"),
     ("parser/tobj/invalid_index.obj", "vertex"),
     ("parser/tinyobjloader/test-nan.obj", ":"),
-    // All that there is has no area.
+    // No face has an area.
     ("degenerate-xatlas/zero_area_face.obj", "zero area"),
     // No face with three vertices.
     ("parser/tinyobjloader/invalid-face-definition.obj", "no faces"),
@@ -40,7 +40,7 @@ fn meshes(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Rows by file name, columns by their names.
+/// The rows by file name, the cells by column name.
 fn expected(folder: &Path) -> HashMap<String, HashMap<String, String>> {
     let Ok(table) = std::fs::read_to_string(folder.join("EXPECTED.tsv")) else { return HashMap::new() };
     let mut lines = table.lines();
@@ -53,14 +53,14 @@ fn expected(folder: &Path) -> HashMap<String, HashMap<String, String>> {
         .collect()
 }
 
-/// What `scene` and the row disagree on.
+/// The differences between `scene` and its row.
 fn differences(scene: &Scene, row: &HashMap<String, String>) -> Vec<String> {
     let mut found = Vec::new();
     let triangles = (scene.triangles.len() + scene.degenerate).to_string();
     if triangles != row["triangles_fan"] {
         found.push(format!("{triangles} triangles, expected {}", row["triangles_fan"]));
     }
-    // Vertices of degenerate triangles are not kept, and may have been the outermost.
+    // Vertices of degenerate triangles are not kept, although they may have been the outermost.
     if scene.degenerate == 0 {
         for (column, pick) in [("bbox_min", f64::min as fn(f64, f64) -> f64), ("bbox_max", f64::max)] {
             let bound = scene
@@ -81,11 +81,11 @@ fn differences(scene: &Scene, row: &HashMap<String, String>) -> Vec<String> {
         }
     }
     found.extend(joins(scene, row));
-    // The list knows no materials of a PLY file.
+    // The list has no materials of PLY files.
     if row["materials_used"].is_empty() {
         return found;
     }
-    // The list counts names after `usemtl`; "(none)" and "(unnamed)" are what this reader calls no name.
+    // The list counts names after `usemtl`. This reader uses "(none)" and "(unnamed)" for missing names.
     let used: std::collections::HashSet<&str> =
         scene.materials.iter().map(|m| m.name.as_str()).filter(|n| !n.starts_with('(')).collect();
     if used.len().to_string() != row["materials_used"] {
@@ -99,8 +99,8 @@ fn differences(scene: &Scene, row: &HashMap<String, String>) -> Vec<String> {
     found
 }
 
-/// What `scene` and the row disagree on about the edges. The list welds as the inspection does and cuts polygons into
-/// fans, which makes other edges of concave ones.
+/// The differences between the edges of `scene` and its row. The list welds vertices like the inspection, but cuts
+/// polygons into fans, which gives other edges in concave ones.
 fn joins(scene: &Scene, row: &HashMap<String, String>) -> Vec<String> {
     if scene.degenerate > 0 && !row["notes"].contains("zero-area") || !["0", ""].contains(&&row["ngons"][..])
     {
@@ -113,8 +113,8 @@ fn joins(scene: &Scene, row: &HashMap<String, String>) -> Vec<String> {
         ("open_edges", edges.open.to_string()),
         ("nonmanifold_edges", edges.non_manifold.to_string()),
     ] {
-        // Vertices of its door's handle lie within the tolerance, but in different cells of the grid that the list rounds
-        // them to.
+        // Vertices of the door handle lie within the tolerance but in different cells of the grid to which the list
+        // rounds.
         let judged = row["file"] == "veach-ajar/veach_ajar.obj" && column == "nonmanifold_edges";
         if !row[column].is_empty() && row[column] != got && !judged {
             found.push(format!("{column} {got}, expected {}", row[column]));
@@ -124,14 +124,14 @@ fn joins(scene: &Scene, row: &HashMap<String, String>) -> Vec<String> {
 }
 
 #[test]
-fn every_file_loads_or_says_why_not() {
+fn every_file_loads_or_is_refused_with_a_reason() {
     let Some(folder) = std::env::var_os("RADIOSITY_CORPUS").map(PathBuf::from) else { return };
     let mut files = Vec::new();
     meshes(&folder, &mut files);
     files.sort();
     assert!(!files.is_empty(), "no .obj and no .ply below {}", folder.display());
     let table = expected(&folder);
-    // The table counts what the files hold, hidden surface included.
+    // The table counts everything in the files, also hidden surface.
     let as_the_file_has_them = LoadOptions::default().with_keep_overlaps(true);
     let mut wrong = Vec::new();
     for file in &files {
@@ -139,7 +139,7 @@ fn every_file_loads_or_says_why_not() {
         let refused = REFUSED.iter().find(|(n, _)| *n == name);
         match (Scene::load_with(file, &as_the_file_has_them), refused, table.get(&name)) {
             (Ok(_), Some(_), _) => wrong.push(format!("{name}: should be refused")),
-            // The table counts triangles with holes whole.
+            // The table counts triangles with holes as whole.
             (Ok(scene), None, Some(_)) if scene.materials.iter().any(|m| m.cutout.is_some()) => {}
             (Ok(scene), None, Some(row)) => {
                 wrong.extend(differences(&scene, row).into_iter().map(|d| format!("{name}: {d}")));

@@ -1,11 +1,11 @@
-//! Cut-outs: what is transparent is not there.
+//! Cut-outs: transparent texels are holes.
 
 use std::collections::HashMap;
 
 use radiosity::{Error, Scene};
 use tempfile::TempDir;
 
-/// A scene of one square of side 4 with texture coordinates from 0 to 1, and a material of these statements.
+/// A scene of one square of side 4 with texture coordinates from 0 to 1, and a material with these statements.
 fn square(statements: &str) -> (TempDir, std::path::PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.obj");
@@ -15,7 +15,7 @@ fn square(statements: &str) -> (TempDir, std::path::PathBuf) {
     (folder, path)
 }
 
-/// An image whose texels are there where `solid` says.
+/// An image that is opaque where `solid` is true.
 fn image(folder: &TempDir, name: &str, side: u32, solid: impl Fn(u32, u32) -> bool) {
     let texel = |x, y| image::Rgba([200, 100, 50, if solid(x, y) { 128 } else { 127 }]);
     image::RgbaImage::from_fn(side, side, texel).save(folder.path().join(name)).unwrap();
@@ -31,7 +31,7 @@ fn area(scene: &Scene) -> f64 {
     (0..scene.triangles.len()).map(|t| scene.area(t)).sum()
 }
 
-/// Length of the edges that only one triangle has: the outline of what is there.
+/// The length of the edges that only one triangle has: the outline of the remaining surface.
 fn outline(scene: &Scene) -> f64 {
     let mut edges: HashMap<[u32; 2], u32> = HashMap::new();
     for [a, b, c] in scene.triangles.iter().map(|t| t.vertices) {
@@ -43,7 +43,7 @@ fn outline(scene: &Scene) -> f64 {
     edges.into_iter().filter(|&(_, n)| n == 1).map(|(edge, _)| length(edge)).sum()
 }
 
-/// Texels of `side` by `side` on the square: how much is there, and how long its outline is.
+/// The opaque area and the length of its outline, for `side` by `side` texels on the square.
 fn of_texels(side: i64, solid: impl Fn(i64, i64) -> bool) -> (f64, f64) {
     let texel = 4.0 / side as f64;
     let is = |x: i64, y: i64| (0..side).contains(&x) && (0..side).contains(&y) && solid(x, y);
@@ -54,8 +54,8 @@ fn of_texels(side: i64, solid: impl Fn(i64, i64) -> bool) -> (f64, f64) {
     (all().count() as f64 * texel * texel, all().map(rims).sum::<usize>() as f64 * texel)
 }
 
-/// The area and the outline of what is left are exactly those of the texels, without a crack between the pieces; and the texture is
-/// where it was.
+/// The remaining surface has exactly the area and the outline of the opaque texels, so no crack lies between its
+/// pieces. It keeps its texture coordinates.
 #[test]
 fn holes_are_cut_along_texels() {
     type Solid = fn(u32, u32) -> bool;
@@ -71,7 +71,7 @@ fn holes_are_cut_along_texels() {
         for (repeat, scale) in [(1, "map_Kd a.png\n"), (3, "map_Kd -s 3 3 a.png\n")] {
             let scene = load(scale, side, solid).unwrap();
             let many = i64::from(side * repeat);
-            // The image's rows run down, v runs up; the last repeat is at the top.
+            // Rows of the image run down, and v runs up. The last repetition is at the top.
             let at = |x: i64, y: i64| solid(x as u32 % side, y as u32 % side);
             let (right, rim) = of_texels(many, at);
             assert!((area(&scene) - right).abs() < 1e-9, "{name} {repeat}: {} for {right}", area(&scene));
@@ -86,7 +86,7 @@ fn holes_are_cut_along_texels() {
     }
 }
 
-/// What shines through holes does not: the power is that of the texels that are there.
+/// Holes emit nothing: the power is that of the opaque texels.
 #[test]
 fn holes_emit_nothing() {
     let scene = load("Kd 0 0 0\nKe 2 2 2\nmap_d a.png\n", 8, |x, y| x < 3 && y > 1).unwrap();
@@ -95,7 +95,7 @@ fn holes_emit_nothing() {
     assert!((power - 2.0 * 18.0 * 0.25).abs() < 1e-9, "{power}");
 }
 
-/// Transparent texels are no part of the reflectance of what is left.
+/// Transparent texels do not count in the reflectance of the remaining surface.
 #[test]
 fn transparent_texels_are_no_albedo() {
     let (folder, path) = square("map_Kd a.png\n");
@@ -109,7 +109,7 @@ fn transparent_texels_are_no_albedo() {
     assert!((area(&scene) - 16.0 / 3.0).abs() < 1e-9);
 }
 
-/// A mask in black and white, its alpha where it has one, and `d`.
+/// A mask may be black and white or have an alpha channel. `d` also makes holes.
 #[test]
 fn masks_and_dissolve() {
     let (folder, path) = square("map_d a.png\n");
@@ -117,10 +117,10 @@ fn masks_and_dissolve() {
         .save(folder.path().join("a.png"))
         .unwrap();
     assert!((area(&Scene::load(&path).unwrap()) - 12.0).abs() < 1e-9);
-    // All there.
+    // Opaque everywhere.
     let whole = load("map_Kd a.png\n", 4, |_, _| true).unwrap();
     assert_eq!((whole.triangles.len(), whole.warnings.len()), (2, 0));
-    // Between nothing and all a surface is opaque, and a warning says so.
+    // A half-transparent surface is opaque, with a warning.
     let glass = load("Kd 0 0 0\nd 0.1\n", 1, |_, _| true).unwrap();
     assert!(glass.triangles.len() == 2 && glass.warnings[0].contains("transparency"), "{:?}", glass.warnings);
     for (statements, solid) in [("Kd 0 0 0\nd 0\n", true), ("map_Kd a.png\n", false)] {
@@ -129,7 +129,7 @@ fn masks_and_dissolve() {
     }
 }
 
-/// Of a scene that is refused the material is named, before it takes all memory.
+/// A scene with too many holes is refused before it takes all memory. The error names the material.
 #[test]
 fn endless_holes_are_refused() {
     let error = load("map_Kd -s 5000 5000 a.png\n", 8, |x, y| (x + y) % 2 == 0).unwrap_err();

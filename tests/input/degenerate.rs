@@ -1,4 +1,4 @@
-//! The geometry kernel on triangles that are degenerate on purpose: slivers, folds, doubles, flat bodies.
+//! Tracing and form factors on degenerate triangles: slivers, folds, doubles, flat bodies.
 
 use crate::common::*;
 use glam::{DVec3, Vec3A, dvec3};
@@ -10,20 +10,20 @@ fn point(random: &mut Random) -> DVec3 {
     DVec3::from_array([0; 3].map(|_| random.between(-1.0, 1.0)))
 }
 
-/// A number from 10^`low` to 1, all magnitudes alike.
+/// A number from 10^`low` to 1. All magnitudes are equally likely.
 fn magnitude(random: &mut Random, low: f64) -> f64 {
     10f64.powf(random.between(low, 0.0))
 }
 
-/// A closed body round the origin: a tetrahedron, flattened, whose faces are split at points that may lie close to an
-/// edge or a corner. Splits leave edges as they are, so that the surface stays closed.
+/// A closed body around the origin: a flattened tetrahedron whose faces are split at points that may lie close to an
+/// edge or a corner. Splits keep all edges, so the surface stays closed.
 fn body(random: &mut Random) -> Vec<Corners> {
     let flat = dvec3(1.0, 1.0, magnitude(random, -4.0));
     let corners = loop {
         let c: [DVec3; 4] = std::array::from_fn(|_| point(random));
         let middle = c.iter().sum::<DVec3>() / 4.0;
         let c = c.map(|p| p - middle);
-        // Rather a tetrahedron than a plate: flattening comes after.
+        // Not too flat yet: flattening comes after.
         if (c[1] - c[0]).cross(c[2] - c[0]).dot(c[3] - c[0]) > 0.5 {
             break c.map(|p| p * flat);
         }
@@ -39,16 +39,16 @@ fn body(random: &mut Random) -> Vec<Corners> {
     faces
 }
 
-/// A surface without rims holds every ray from within: the crossings of a ray with a closed surface, front against back,
-/// sum up to how often it winds round the origin, which is once. Aimed at vertices and edges, too, where the triangle
-/// test decides by the sign of one rounded number that both neighbours share.
+/// A closed surface stops every ray from inside: the crossings of a ray, front against back, add up to the winding
+/// number of the surface around the origin, which is one. Rays also aim at vertices and edges. There the triangle test
+/// decides by the sign of one rounded number, which both neighbours share.
 #[test]
 fn closed_bodies_of_slivers_hold_every_ray() {
     let mut random = Random::new(31);
     let mut rays = 0;
     for _ in 0..300 {
         let scene = scene(&[black(body(&mut random))]);
-        // A split may fall on a corner or make a face without area; the rest need not be closed then.
+        // A split may fall on a corner or make a face without area. The rest need not be closed then.
         if scene.degenerate > 0 || !is_closed(&scene) {
             continue;
         }
@@ -68,7 +68,7 @@ fn closed_bodies_of_slivers_hold_every_ray() {
     assert!(rays > 50_000, "{rays}");
 }
 
-/// Triangles from well shaped to a sliver of 10⁻⁷; some come again, turned round, folded back over an edge, or with a
+/// Triangles from well-shaped ones to slivers of 10⁻⁷. Some are repeated, inverted, folded back over an edge, or have a
 /// corner moved by a rounding.
 fn knot(random: &mut Random) -> Vec<Corners> {
     let mut triangles: Vec<Corners> = Vec::new();
@@ -88,8 +88,8 @@ fn knot(random: &mut Random) -> Vec<Corners> {
     triangles
 }
 
-/// Whether two points see each other does not depend on who asks, but for lines that graze an edge within roundings of
-/// about 10⁻⁶ on either side: that share of the pairs times the number of edges may differ.
+/// Visibility between two points is symmetric, except for lines that pass an edge within a rounding of about 10⁻⁶ on
+/// either side: that share of the pairs, times the number of edges, may differ.
 #[test]
 fn visibility_is_symmetric_among_knots() {
     let mut random = Random::new(32);
@@ -108,8 +108,8 @@ fn visibility_is_symmetric_among_knots() {
     assert!(f64::from(differ) <= allowed && blocked > 4_000, "{differ} of {blocked}, {allowed} allowed");
 }
 
-/// Form factors are shares, whatever lies on whatever: none is negative or above one, rows with what escapes sum to
-/// one, pairs are reciprocal.
+/// Form factors lie between zero and one whatever surfaces overlap, rows with the escaped share sum to one, and pairs
+/// are reciprocal, to the tolerance of the closure.
 #[test]
 fn form_factors_of_knots_are_shares() {
     let mut random = Random::new(33);
@@ -124,18 +124,18 @@ fn form_factors_of_knots_are_shares() {
         for i in 0..f.len() {
             let escaped = f.escaped()[i];
             assert!((0.0..=1.0).contains(&escaped), "{seed}: {escaped}");
-            // As far above one as the row's sum.
+            // The excess over one is at most that of the row sum.
             assert!(f.row(i).all(|(_, x)| (0.0..=1.0 + 1e-12).contains(&x)), "{seed}: row {i}");
         }
     }
 }
 
-/// Of two faces at the same place one is hidden, and the other gets what it gets alone: under a lamp that is all they see, and among
-/// many lamps, some of which its own rays find.
+/// Of two faces at the same place one is hidden, and the other gets the irradiance of a single face, within the error
+/// bars of both: under one lamp that is all they see, and among many lamps, some of which its own rays hit.
 #[test]
 fn of_doubled_faces_the_first_takes_part() {
     let mut sphere = flipped(icosphere(1.0, 2));
-    // Light escapes, so that what does is asked of the lamps.
+    // An opening, so that the escaped share depends on the lamps.
     sphere.pop();
     let below = level_square(0.5, -0.2, true);
     for (lamps, edge) in [(level_square(0.5, -0.1, false), 0.1), (sphere, f64::INFINITY)] {
@@ -148,7 +148,7 @@ fn of_doubled_faces_the_first_takes_part() {
             let floor = cast.of_part(1);
             let mean =
                 |of: &[usize]| cast.mean(of, &irradiance, &standard_errors(&cast.form_factors, &exitance));
-            // Of the first of two, and of the second.
+            // All, the first of two, and the second.
             let (first, second) = floor.split_at(floor.len() / 2);
             (mean(&floor), mean(first), mean(second))
         };

@@ -13,19 +13,19 @@ fn triangle() -> Gltf {
     file
 }
 
-/// What is said of a file of these bytes.
+/// The message and the hint of the error for a file of these bytes.
 fn refused(bytes: &[u8], name: &str) -> (String, Option<String>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
     std::fs::write(&path, bytes).unwrap();
-    let error = Scene::load(&path).expect_err("it is refused");
+    let error = Scene::load(&path).expect_err("the file should be refused");
     assert!(matches!(error, Error::Input { .. }), "{error:?}");
     let said = error.to_string();
     assert!(!said.contains('\n') && said.len() < 400 + path.as_os_str().len(), "{said}");
     (said, error.hint().map(Into::into))
 }
 
-/// Sets what the path leads to.
+/// A triangle whose file has this value at the path.
 fn changed(path: &str, value: Value) -> Gltf {
     let mut file = triangle();
     let mut at = &mut file.json;
@@ -40,7 +40,7 @@ fn changed(path: &str, value: Value) -> Gltf {
 }
 
 #[test]
-fn each_is_refused_with_what_is_wrong() {
+fn each_fault_is_refused_and_named() {
     for (path, value, said) in [
         ("nodes.0.mesh", json!("cube"), "invalid type: string \"cube\", expected usize, after `"),
         ("accessors.0.bufferView", json!(9), "accessors[0]: bufferViews[9] does not exist"),
@@ -87,7 +87,7 @@ fn compressed_files_are_refused_with_the_command_that_unpacks_them() {
         assert!(said.contains(name), "{said}");
         assert!(hint.is_some_and(|hint| hint.contains("gltf-transform")), "{name}");
     }
-    // Though nothing says that it is required, there is nothing else.
+    // It is not listed as required, but the file has nothing else.
     let mut file =
         changed("meshes.0.primitives.0.extensions", json!({"KHR_draco_mesh_compression": {"bufferView": 0}}));
     file.json["accessors"][0] = json!({"componentType": 5126, "count": 3, "type": "VEC3"});
@@ -96,7 +96,7 @@ fn compressed_files_are_refused_with_the_command_that_unpacks_them() {
 }
 
 #[test]
-fn numbers_that_no_surface_can_have_are_refused() {
+fn impossible_material_values_are_refused() {
     for (material, said) in [
         (
             json!({"pbrMetallicRoughness": {"baseColorFactor": [1.5, 0, 0, 1]}}),
@@ -117,7 +117,7 @@ fn numbers_that_no_surface_can_have_are_refused() {
 }
 
 #[test]
-fn indices_beyond_the_vertices_and_sparse_beyond_the_elements_are_refused() {
+fn indices_out_of_range_are_refused() {
     let mut file = triangle();
     file.json["meshes"][0]["primitives"][0]["indices"] = file.indices(&[0, 1, 999]).into();
     assert!(refused(&file.glb(), "a.glb").0.contains("index 999 of 3 vertices"));
@@ -138,7 +138,7 @@ fn indices_beyond_the_vertices_and_sparse_beyond_the_elements_are_refused() {
 }
 
 #[test]
-fn what_is_no_gltf_or_cut_off_is_refused() {
+fn broken_and_truncated_files_are_refused() {
     let whole = triangle().glb();
     for cut in [0, 3, 11, 15, 40, whole.len() - 1] {
         refused(&whole[..cut], "scene.glb");
@@ -154,7 +154,7 @@ fn what_is_no_gltf_or_cut_off_is_refused() {
 }
 
 #[test]
-fn buffers_that_are_not_there_are_refused_wherever_their_name_leads() {
+fn missing_buffers_are_refused_whatever_their_name() {
     for (uri, said) in [
         ("..%ff%2f%2fx", "not UTF-8"),
         ("missing.bin", "`missing.bin` not found"),
@@ -171,7 +171,7 @@ fn buffers_that_are_not_there_are_refused_wherever_their_name_leads() {
 }
 
 #[test]
-fn twenty_thousand_nodes_within_each_other_are_walked() {
+fn nested_nodes_twenty_thousand_deep_are_read() {
     let mut file = triangle();
     let n = 20_000;
     let nodes: Vec<Value> =

@@ -1,4 +1,4 @@
-//! What glTF files say arrives in the scene: places, corners, colours, textures, light.
+//! Everything that glTF files state arrives in the scene: positions, corners, colours, textures, light.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3};
 
@@ -23,7 +23,7 @@ fn load(file: &Gltf) -> Scene {
     Scene::load(file.save(folder.path(), "scene.glb")).unwrap()
 }
 
-/// One grey triangle, as list with indices of a type.
+/// One grey triangle without indices.
 fn triangle() -> (Gltf, usize) {
     let mut file = Gltf::new();
     let grey = file.material("grey", [0.5; 3], [0.0; 3]);
@@ -32,7 +32,7 @@ fn triangle() -> (Gltf, usize) {
     (file, position)
 }
 
-/// Corners that are the same but for rounding of single precision.
+/// Asserts that corners agree up to the rounding of single precision.
 #[track_caller]
 fn assert_corners(scene: &Scene, t: usize, wanted: [DVec3; 3]) {
     for (found, wanted) in scene.corners(t).into_iter().zip(wanted) {
@@ -51,7 +51,7 @@ fn nodes_place_their_meshes_and_mirrors_keep_fronts_in_front() {
     file.json["scenes"] = json!([{"nodes": [1]}]);
     file.push("nodes", json!({"children": [0, 2], "translation": [1, 2, 3], "rotation": turn.to_array(), "scale": [2, 2, 2]}));
     file.push("nodes", json!({"mesh": 0, "scale": [-1, 1, 1]}));
-    // Not of the default scene.
+    // Not part of the default scene.
     file.push("nodes", json!({"mesh": 0}));
     let scene = load(&file);
     assert_eq!(scene.triangles.len(), 2);
@@ -59,7 +59,7 @@ fn nodes_place_their_meshes_and_mirrors_keep_fronts_in_front() {
     let corners = [DVec3::ZERO, dvec3(2., 0., 0.), dvec3(0., 1., 0.)].map(|p| place.transform_point3(p));
     assert_corners(&scene, 0, corners);
     assert!((scene.normal(1) - scene.normal(0)).length() < 1e-12, "a mirrored triangle shows its front");
-    // By a matrix instead, and without a default scene: all roots, which are this node and the fourth.
+    // Now by a matrix, and without a default scene: all roots count, this node and the fourth.
     file.json["nodes"][1] = json!({"children": [0, 2], "matrix": place.to_cols_array()});
     file.json.as_object_mut().unwrap().remove("scene");
     let scene = load(&file);
@@ -119,7 +119,7 @@ fn indices_of_every_width_are_read() {
 #[test]
 fn interleaved_sparse_and_quantised_positions_are_where_they_should_be() {
     let wanted = [dvec3(0., 0., 0.), dvec3(2., 0., 0.), dvec3(0., 1., 0.)];
-    // Eight bytes of something else behind each position.
+    // Eight other bytes follow each position.
     let (mut file, position) = triangle();
     let mut bytes = vec![9; 4];
     for p in &wanted {
@@ -132,7 +132,7 @@ fn interleaved_sparse_and_quantised_positions_are_where_they_should_be() {
         json!({"bufferView": view, "byteOffset": 4, "componentType": 5126, "count": 3, "type": "VEC3"});
     assert_corners(&load(&file), 0, wanted);
 
-    // Zeros of which two are replaced.
+    // Zeros, two of which are replaced.
     let (mut file, position) = triangle();
     let indices = file.view(&[1, 2]);
     let bytes: Vec<u8> = [2f32, 0., 0., 0., 1., 0.].iter().flat_map(|x| x.to_le_bytes()).collect();
@@ -141,7 +141,7 @@ fn interleaved_sparse_and_quantised_positions_are_where_they_should_be() {
         "indices": {"bufferView": indices, "componentType": 5121}, "values": {"bufferView": values}}});
     assert_corners(&load(&file), 0, wanted);
 
-    // KHR_mesh_quantization: normalised, and whole numbers.
+    // KHR_mesh_quantization: normalised integers, and integers.
     for (normalized, unit) in [(true, 32767.0), (false, 1.0)] {
         let (mut file, position) = triangle();
         let whole = |x: f64| ((x * unit / if normalized { 2.0 } else { 1.0 }) as i16).to_le_bytes();
@@ -153,7 +153,7 @@ fn interleaved_sparse_and_quantised_positions_are_where_they_should_be() {
         if normalized {
             file.json["nodes"][0]["scale"] = json!([2, 2, 2]);
         }
-        // Half of 32767 is no whole number.
+        // Half of 32767 is no integer.
         for (found, wanted) in load(&file).corners(0).into_iter().zip(wanted) {
             assert!(found.distance(wanted) <= 1.0 / 32767.0, "{found} {wanted}");
         }
@@ -168,7 +168,7 @@ fn skins_and_morph_targets_pose_the_mesh_at_rest() {
     file.json["meshes"][0]["weights"] = json!([0.5]);
     assert_corners(&load(&file), 0, [dvec3(0., 0., 0.5), dvec3(2., 0., 0.5), dvec3(0., 1., 0.5)]);
 
-    // Two joints at 10 and 20 along x; the node's own place has no say.
+    // Two joints at 10 and 20 along x. The node's own position does not count.
     let (mut file, _) = triangle();
     let joints = file.accessor(&[0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0], 5121, "VEC4", 3);
     let weights = file.floats::<4>(&[[1., 0., 0., 0.], [1., 0., 0., 0.], [0.5, 0.5, 0., 0.]]);
@@ -189,7 +189,8 @@ fn four() -> image::RgbaImage {
     })
 }
 
-/// A triangle round the point of a texture at (u, v), v downwards, that looks it up as `info` says besides.
+/// The reflectance of a small triangle around the point (u, v) of a texture, with v downward. `info` adds to the
+/// texture's entry.
 fn at(u: f64, v: f64, info: Value, sampler: Value) -> [f64; 3] {
     let (mut file, _) = triangle();
     let texture = file.texture(&four());
@@ -212,7 +213,7 @@ fn textures_are_looked_up_where_the_file_says() {
     assert_eq!(at(0.25, 0.25, json!({}), json!({})), red);
     assert_eq!(at(0.75, 0.25, json!({"texCoord": 1}), json!({})), green);
     assert_eq!(at(0.25, 0.75, json!({"texCoord": 3}), json!({})), blue);
-    // Outside: repeated, held, mirrored.
+    // Outside of 0..1: repeated, clamped, mirrored.
     assert_eq!(at(1.25, 0.25, json!({}), json!({})), red);
     assert_eq!(at(1.25, 1.75, json!({}), json!({"wrapS": 33071, "wrapT": 33071})), white);
     assert_eq!(at(1.25, 0.25, json!({}), json!({"wrapS": 33648})), green);
@@ -220,7 +221,7 @@ fn textures_are_looked_up_where_the_file_says() {
     assert_eq!(at(2.25, -0.25, json!({}), json!({"wrapS": 33648, "wrapT": 33648})), red);
     assert_eq!(at(0.25, 1.25, json!({}), json!({"wrapT": 33648})), blue);
     assert_eq!(at(0.25, 1.75, json!({}), json!({"wrapS": 33648, "wrapT": 33648})), red);
-    // KHR_texture_transform moves, scales, turns as its example does, and may name another set.
+    // KHR_texture_transform moves, scales and rotates as its example does, and may name another set of coordinates.
     let with = |transform: Value| json!({"extensions": {"KHR_texture_transform": transform}});
     assert_eq!(at(0.25, 0.25, with(json!({"offset": [0.5, 0.0], "texCoord": 2})), json!({})), green);
     assert_eq!(at(1.25, 0.75, with(json!({"scale": [0.5, 0.5]})), json!({})), green);
@@ -229,7 +230,7 @@ fn textures_are_looked_up_where_the_file_says() {
 }
 
 #[test]
-fn reflectance_is_factor_times_texture_times_colour_without_what_is_metal() {
+fn reflectance_is_factor_times_texture_times_colour_without_the_metallic_part() {
     let (mut file, _) = triangle();
     let grey = image::RgbaImage::from_pixel(1, 1, image::Rgba([188, 188, 188, 255]));
     let texture = file.texture(&grey);
@@ -241,7 +242,7 @@ fn reflectance_is_factor_times_texture_times_colour_without_what_is_metal() {
     let scene = load(&file);
     assert_eq!(scene.channels(), 3);
     let texel = tone::linear(188.0 / 255.0);
-    // Colours are linear and clamped, and the mean of what is linear is its value in the middle.
+    // Colours are linear and clamped. The mean of a linear function is its value in the middle.
     let wanted = [0.8, 2.0 / 3.0, 0.25].map(|c| 0.75 * 0.8 * texel * c);
     assert!(near(scene.mean_reflectance(0, &WHOLE), wanted, 1e-7), "{:?}", scene.mean_reflectance(0, &WHOLE));
     assert!(near(scene.reflectance_at(0, MIDDLE), wanted, 1e-7));
@@ -249,7 +250,7 @@ fn reflectance_is_factor_times_texture_times_colour_without_what_is_metal() {
     assert!(near(scene.reflectance_at(0, [0.0, 0.0, 1.0]), at_last, 1e-7));
     assert!(scene.warnings.iter().any(|w| w.contains("`grey` is metal (0.25)")), "{:?}", scene.warnings);
 
-    // A texture that is metal on its left half: there nothing reflects diffusely.
+    // The left half of the texture is metal, where nothing reflects diffusely.
     let metal =
         image::RgbaImage::from_fn(2, 1, |x, _| image::Rgba([0, 99, if x == 0 { 255 } else { 0 }, 255]));
     let metal = file.texture(&metal);
@@ -273,7 +274,8 @@ fn a_texture_and_colours_that_both_vary_have_the_mean_of_their_product() {
     file.json["materials"][0]["pbrMetallicRoughness"] =
         json!({"metallicFactor": 0, "baseColorTexture": {"index": texture}});
     let scene = load(&file);
-    // The integral of u over u > 1/2 in the triangle u, v >= 0, u + v <= 1, over its area: 2 (1/3 - 1/2 · 1/4 ... ) = 1/6.
+    // The mean of u over u > 1/2 in the triangle u, v ≥ 0, u + v ≤ 1: twice the integral of u (1 - u) from 1/2 to 1,
+    // 1/6.
     let exact = 2.0 * ((0.5 - 1.0 / 3.0) - (0.125 - 1.0 / 24.0));
     let found = scene.mean_reflectance(0, &WHOLE)[0];
     assert!((found - exact).abs() < 1e-9, "{found} for {exact}");
@@ -292,7 +294,7 @@ fn emission_is_factor_times_strength_times_its_own_texture() {
         "emissiveTexture": {"index": glow, "texCoord": 1},
         "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 8}},
         "pbrMetallicRoughness": {"metallicFactor": 0, "baseColorTexture": {"index": base}}});
-    // A triangle without emission before it has the one set for both.
+    // A triangle without emission before it has only one set of coordinates.
     let plain = file.floats::<3>(&[[5., 0., 0.], [6., 0., 0.], [5., 1., 0.]]);
     let grey = file.material("grey", [0.5; 3], [0.0; 3]);
     file.json["meshes"][0]["primitives"]
@@ -306,7 +308,7 @@ fn emission_is_factor_times_strength_times_its_own_texture() {
     assert_eq!(scene.mean_reflectance(1, &WHOLE), [1.0; 3]);
     assert_eq!(scene.backs_of_lamps, 0);
 
-    // Without its image nothing is known of where it shines.
+    // Without its image the lamp's emission is unknown.
     file.json["images"][1] = json!({"uri": "missing.png"});
     let folder = tempfile::tempdir().unwrap();
     let scene = Scene::load(file.save(folder.path(), "scene.glb")).unwrap();
@@ -329,7 +331,7 @@ fn double_sided_lamps_shine_from_both_sides_where_they_are_open() {
     assert_eq!((scene.triangles.len(), scene.backs_of_lamps), (2, 1));
     assert!((scene.normal(0) + scene.normal(1)).length() < 1e-12);
     assert_eq!(scene.triangles[1].source, 0);
-    // A tetrahedron keeps what shines inside.
+    // The inside of a closed tetrahedron gets no lamps.
     let indices = file.indices(&[0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3]);
     let position = file.floats::<3>(&[[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]]);
     file.json["meshes"][0]["primitives"] =
@@ -338,7 +340,7 @@ fn double_sided_lamps_shine_from_both_sides_where_they_are_open() {
 }
 
 #[test]
-fn what_has_no_say_in_diffuse_light_is_told_once() {
+fn what_diffuse_light_ignores_is_reported_once() {
     let mut file = Gltf::new();
     for (k, extra) in [
         json!({"alphaMode": "BLEND"}),
@@ -410,7 +412,7 @@ fn webp_images_are_read_by_extension_and_as_they_are() {
     assert_eq!(load(&file).mean_reflectance(0, &WHOLE), [0.0, 1.0, 0.0]);
 }
 
-/// A turn about an axis that is none of the coordinates', with a scale: as three.js places it.
+/// A rotation about a diagonal axis by a quaternion of length three, which is normalised.
 #[test]
 fn rotations_are_quaternions_x_y_z_w_and_need_not_have_unit_length() {
     let (mut file, _) = triangle();
@@ -420,7 +422,7 @@ fn rotations_are_quaternions_x_y_z_w_and_need_not_have_unit_length() {
     assert_corners(&load(&file), 0, [DVec3::ZERO, dvec3(0., 2., 0.), dvec3(0., 0., 1.)]);
 }
 
-/// A square of four texels, alpha 255 and 128 above, 0 and 64 below; how much of it is left.
+/// The remaining area of a square of four texels, with alpha 255 and 128 in the upper row, 0 and 64 in the lower row.
 fn left_of_square(mask: Value, colour: [f64; 4]) -> Result<f64, radiosity::Error> {
     let mut file = Gltf::new();
     let alphas = [[255, 128], [0, 64]];
@@ -436,7 +438,7 @@ fn left_of_square(mask: Value, colour: [f64; 4]) -> Result<f64, radiosity::Error
     file.rectangle([0.; 3], [2., 0., 0.], [0., 2., 0.], material);
     let folder = tempfile::tempdir().unwrap();
     let scene = Scene::load(file.save(folder.path(), "scene.glb"))?;
-    // What is left keeps the colour of its texels.
+    // The remaining surface keeps the colour of its texels.
     let texel = tone::linear(200.0 / 255.0);
     assert!((0..scene.triangles.len()).all(|t| near(scene.mean_reflectance(t, &WHOLE), [texel; 3], 1e-9)));
     Ok((0..scene.triangles.len()).map(|t| scene.area(t)).sum())
@@ -459,7 +461,7 @@ fn masked_materials_have_holes_where_alpha_is_below_the_cutoff() {
 }
 
 #[test]
-fn what_is_not_diffuse_is_kept_for_the_referee() {
+fn specular_reflection_is_kept_for_path_tracing() {
     let microfacets = |pbr: Value, extensions: Value| {
         let (mut file, _) = triangle();
         file.json["materials"][0] = json!({"pbrMetallicRoughness": pbr, "extensions": extensions});
@@ -482,7 +484,7 @@ fn what_is_not_diffuse_is_kept_for_the_referee() {
         let (found_alpha, found_r0) = found.unwrap();
         assert!((found_alpha - alpha).abs() < 1e-9 && near(found_r0, r0, 1e-9), "{found:?}");
     };
-    // Alpha is the square of roughness; a dielectric of index 1.5 reflects 4 %, a metal its base colour.
+    // Alpha is the square of the roughness. A dielectric of index 1.5 reflects 4 %, a metal its base colour.
     let none = json!({});
     let plastic = json!({"metallicFactor": 0, "roughnessFactor": 0.5});
     assert_near(microfacets(plastic.clone(), none.clone()), 0.25, [0.04; 3]);
@@ -490,22 +492,23 @@ fn what_is_not_diffuse_is_kept_for_the_referee() {
     assert_near(microfacets(gold, none.clone()), 0.04, [1.0, 0.8, 0.3]);
     let half = json!({"metallicFactor": 0.5, "roughnessFactor": 1, "baseColorFactor": [0.5, 0.5, 0.5, 1]});
     assert_near(microfacets(half, none.clone()), 1.0, [0.27; 3]);
-    // Green is roughness, blue is metal: 0.2 and 0.4.
+    // Green is the roughness, blue the metallic part: 0.2 and 0.4.
     let textured = json!({"metallicRoughnessTexture": {"index": 0}, "baseColorFactor": [0.5, 0.5, 0.5, 1]});
     assert_near(microfacets(textured, none.clone()), 0.04, [0.6 * 0.04 + 0.4 * 0.5; 3]);
-    // Diamond: ((2.4 - 1) / (2.4 + 1))²; tinted and weakened.
+    // Diamond: ((2.4 - 1) / (2.4 + 1))², tinted and weakened.
     let diamond = json!({"KHR_materials_ior": {"ior": 2.4},
         "KHR_materials_specular": {"specularFactor": 0.5, "specularColorFactor": [1, 0.5, 0]}});
     let r0 = (1.4f64 / 3.4).powi(2);
     assert_near(microfacets(plastic.clone(), diamond), 0.25, [0.5 * r0, 0.25 * r0, 0.0]);
 
-    // Without a word about it, unlit, or switched off, a surface has none.
+    // If the file does not mention it, or the surface is unlit, or it is switched off, there is none.
     assert_eq!(microfacets(json!({"baseColorFactor": [0.5, 0.5, 0.5, 1]}), none), None);
     assert_eq!(microfacets(plastic.clone(), json!({"KHR_materials_unlit": {}})), None);
     assert_eq!(microfacets(plastic, json!({"KHR_materials_specular": {"specularFactor": 0}})), None);
 }
 
-/// Candela and lux over 683 lm/W, times the colour; along -z of the node, whose scale does not count; spots with glTF's default cone.
+/// Intensities in candela and lux over 683 lm/W, times the colour. Lights shine along -z of their node, whose scale
+/// does not count. Spots have glTF's default cone.
 #[test]
 fn punctual_lights() {
     let mut file = Gltf::new();
@@ -541,7 +544,7 @@ fn punctual_lights() {
     assert!((towards(0.4) - wanted).abs() < 1e-9, "{} {wanted}", towards(0.4));
     let LightKind::Distant(sun) = &sun.kind else { panic!("{sun:?}") };
     assert!((sun.irradiance[0] - 100.0).abs() < 1e-9 && (sun.direction - DVec3::Y).length() < 1e-9);
-    // In photometric units nothing is divided.
+    // With photometric units nothing is divided.
     let folder = tempfile::tempdir().unwrap();
     let options = LoadOptions::default().with_units(Units::Photometric);
     let scene = Scene::load_with(file.save(folder.path(), "scene.glb"), &options).unwrap();

@@ -1,4 +1,4 @@
-//! Nothing lower imports anything higher, and the referee shares nothing with the solver but scene and rays.
+//! No module imports from a higher layer, and the referee shares only scene and rays with the solver.
 
 use std::{
     collections::BTreeSet,
@@ -6,10 +6,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// What everyone may use: the crate's own errors, progress and presets.
+/// Items at the root of the crate that every module may use.
 const COMMON: [&str; 7] = ["Error", "MeshError", "Setting", "Result", "Progress", "Quality", "Scene"];
 
-/// A module, what it may use, and what its tests may use besides.
+/// Each module, the modules it may use, and the modules that its tests may use in addition.
 const LAYERS: [(&str, &[&str], &[&str]); 22] = [
     ("setters", &[], &[]),
     ("error", &[], &[]),
@@ -57,7 +57,7 @@ const LAYERS: [(&str, &[&str], &[&str]); 22] = [
     ("lightmap", &["tone", "scene", "trace", "patch", "solve", "monte_carlo", "output"], &["form_factor"]),
 ];
 
-/// The code without comments and the contents of string literals.
+/// The code without comments and without the contents of string literals.
 fn bare(source: &str) -> String {
     let mut code = String::new();
     let mut rest = source;
@@ -81,7 +81,7 @@ fn bare(source: &str) -> String {
     code + rest
 }
 
-/// Bytes of the string literal at the start.
+/// The length in bytes of the string literal at the start of `text`.
 fn string_length(text: &str) -> usize {
     let bytes = text.as_bytes();
     let mut i = 1;
@@ -95,7 +95,7 @@ fn is_word(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 
-/// The names that follow every `crate::` and every chain of `super::`, those in braces too.
+/// The names that follow each `crate::` and each chain of `super::`, also those in braces.
 fn used(code: &str) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     for root in ["crate", "super"] {
@@ -104,7 +104,7 @@ fn used(code: &str) -> BTreeSet<String> {
                 continue;
             }
             let Some(mut rest) = code[at + root.len()..].trim_start().strip_prefix("::") else {
-                // Visibility, `pub(crate)`. An alias of the crate would hide uses.
+                // A visibility, `pub(crate)`. An alias of the crate would hide uses.
                 assert!(!code[at + root.len()..].trim_start().starts_with("as "), "the crate has an alias");
                 continue;
             };
@@ -148,7 +148,7 @@ fn firsts(group: &str) -> Vec<String> {
     names
 }
 
-/// What a source file uses that the lists do not allow.
+/// The modules that a source file uses although the lists do not allow them.
 fn offences(source: &str, module: &str, allowed: &[&str], in_tests: &[&str]) -> Vec<String> {
     let code = bare(source);
     assert!(!code.contains("crate::*"), "a glob hides what is used");
@@ -179,7 +179,7 @@ fn src() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("src")
 }
 
-/// The files of a module: the file or the directory of its name, or both.
+/// The files of a module: the file or the directory with its name, or both.
 fn files(module: &str) -> Vec<PathBuf> {
     [src().join(format!("{module}.rs")), src().join(module)]
         .into_iter()
@@ -213,7 +213,7 @@ fn no_module_is_forgotten() {
             "{name} has no layer"
         );
     }
-    // What the root re-exports comes from the lowest layers.
+    // The root re-exports only from the lowest layers.
     let root = bare(&fs::read_to_string(src().join("lib.rs")).unwrap());
     for line in root.lines().filter_map(|line| line.strip_prefix("pub use ")).filter(|line| *line != "glam;")
     {
@@ -224,7 +224,7 @@ fn no_module_is_forgotten() {
     }
 }
 
-/// The command line adds the names of its options to the library's hints: other programs have none.
+/// The command line adds the names of its options to hints of the library. Other programs have no such options.
 #[test]
 fn no_message_of_the_library_names_an_option() {
     for file in LAYERS.iter().flat_map(|layer| files(layer.0)) {

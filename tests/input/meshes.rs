@@ -1,4 +1,4 @@
-//! The scenes in `meshes/` are what their comments say.
+//! The scenes in `meshes/` are what their comments state.
 
 use std::collections::HashMap;
 
@@ -13,12 +13,12 @@ fn load(name: &str) -> Scene {
     scene
 }
 
-/// Edges that no other triangle runs through the other way.
+/// The number of edges that no other triangle has in the opposite direction.
 fn open_edges(scene: &Scene) -> usize {
     open_edges_of(scene, &(0..scene.triangles.len()).collect::<Vec<_>>())
 }
 
-/// Edges of these triangles that only one of them has.
+/// The number of edges that only one of these triangles has.
 fn open_edges_of(scene: &Scene, triangles: &[usize]) -> usize {
     let mut halves: HashMap<(u32, u32), i32> = HashMap::new();
     for [a, b, c] in triangles.iter().map(|&t| scene.triangles[t].vertices) {
@@ -26,11 +26,11 @@ fn open_edges_of(scene: &Scene, triangles: &[usize]) -> usize {
             *halves.entry((p, q)).or_default() += 1;
         }
     }
-    assert!(halves.values().all(|&n| n == 1), "an edge is run through twice the same way");
+    assert!(halves.values().all(|&n| n == 1), "an edge occurs twice in the same direction");
     halves.keys().filter(|(p, q)| !halves.contains_key(&(*q, *p))).count()
 }
 
-/// What fronts enclose: positive for bodies seen from outside, negative for rooms seen from inside.
+/// The volume enclosed by fronts: positive for bodies seen from outside, negative for rooms seen from inside.
 fn volume(scene: &Scene) -> f64 {
     (0..scene.triangles.len()).map(|t| scene.corners(t)).map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
 }
@@ -44,13 +44,14 @@ fn assert_near(got: f64, wanted: f64) {
 }
 
 #[test]
-fn cornell_box_is_closed_but_for_its_front() {
+fn cornell_box_is_closed_except_for_its_front() {
     let scene = load("cornell-box");
-    // 12 corners and two holes: 14 triangles of floor. Then 20 quads: ceiling, walls, lamp, and six a block.
+    // A floor of 12 corners and two holes has 14 triangles. The rest is 20 quads: ceiling, walls, lamp, and six per
+    // block.
     assert_eq!(scene.triangles.len(), 14 + 2 * 20);
     let is_bottom = |t: usize| scene.corners(t).iter().all(|p| p.y == 0.0) && scene.normal(t).y < 0.0;
     let (bottoms, rest): (Vec<usize>, Vec<usize>) = (0..scene.triangles.len()).partition(|&t| is_bottom(t));
-    // The front of the room; the blocks are part of its shell.
+    // The front of the room is open. The blocks are part of its shell.
     assert_eq!(open_edges_of(&scene, &rest), 4);
     let floor = rest.iter().filter(|&&t| scene.corners(t).iter().all(|p| p.y == 0.0));
     let area = |t: &usize| scene.area(*t);
@@ -65,7 +66,7 @@ fn cornell_box_is_closed_but_for_its_front() {
         if corners.iter().all(|&p| on_wall(p)) {
             assert!(scene.normal(t).dot(to_middle) > 0.0, "triangle {t} faces out of the room");
         } else {
-            // Floor under the block: its footprint's middle is below every point of it.
+            // The middle of a block's footprint is below every point of the block.
             let foot = if corners.iter().all(|p| p.y < 200.0) {
                 DVec3::new(185.5, 0.0, 169.0)
             } else {
@@ -108,7 +109,7 @@ fn textured_is_closed_and_has_both_maps() {
     let whole = [[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]];
     let lamp = (0..scene.triangles.len()).filter(|&t| scene.material(t).name == "lamp");
     let means: Vec<f64> = lamp.map(|t| scene.mean_emission(t, &whole)[0]).collect();
-    // The sum of both halves is the gradient's own mean; each half sees more of one end.
+    // The mean of both halves is the mean of the gradient. Each half sees more of one end.
     let levels = (0..64).map(|x| f64::from(255 - 3 * x) / 255.0);
     let linear = levels.map(|c| if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) });
     assert_near(0.5 * (means[0] + means[1]), 40.0 * linear.sum::<f64>() / 64.0);

@@ -1,4 +1,4 @@
-//! What the OBJ reader makes of files as they come: good, odd and broken.
+//! The OBJ reader on good, odd and broken files.
 
 use std::path::Path;
 
@@ -38,7 +38,7 @@ impl Folder {
     }
 
     fn try_load(&self) -> Result<Scene, Error> {
-        // Faces of one test often are the same.
+        // The faces of a test are often the same.
         let options = LoadOptions::default().with_keep_overlaps(true);
         Scene::load_with(self.0.path().join("s.obj"), &options)
     }
@@ -47,7 +47,7 @@ impl Folder {
         self.try_load().unwrap()
     }
 
-    /// The error's text without the folder.
+    /// The text of the error without the folder.
     fn error(&self) -> String {
         let error = self.try_load().expect_err("should be refused");
         assert!(matches!(error, Error::Input { .. }), "{error:?}");
@@ -59,7 +59,7 @@ fn obj(text: &str) -> Folder {
     Folder::new().with("s.obj", text)
 }
 
-/// One textured triangle with a material of these statements.
+/// One textured triangle whose material has these statements.
 fn material(statements: &str) -> Folder {
     obj(&format!("mtllib s.mtl\n{TRIANGLE}usemtl m\nf 1/1 2/2 3/3\n"))
         .with("s.mtl", format!("newmtl m\n{statements}\n"))
@@ -165,7 +165,7 @@ fn lines_end_and_continue_in_all_ways() {
 }
 
 #[test]
-fn text_in_utf_16_and_what_is_no_text() {
+fn utf_16_is_text_and_binary_files_are_refused() {
     let utf_16 = |text: &str| -> Vec<u8> {
         ["\u{feff}", text].concat().encode_utf16().flat_map(u16::to_le_bytes).collect()
     };
@@ -179,7 +179,7 @@ fn text_in_utf_16_and_what_is_no_text() {
 }
 
 #[test]
-fn latin_1_names_are_told_apart() {
+fn latin_1_names_are_distinguished() {
     let text = format!("mtllib s.mtl\n{TRIANGLE}").into_bytes();
     let text = [&text[..], b"usemtl gr\xfcn\nf 1 2 3\nusemtl gr\xf6n\nf 3 2 1\n"].concat();
     let scene = Folder::new()
@@ -218,7 +218,7 @@ fn library_names_come_in_many_forms() {
 }
 
 #[test]
-fn what_is_missing_is_told_once() {
+fn missing_files_and_materials_are_reported_once() {
     let text = format!("mtllib no.mtl\nmtllib no.mtl\n{TRIANGLE}f 1 2 3\nf 1 2 3\n")
         + "usemtl m\nf 1 2 3\nusemtl n\nf 1 2 3\nusemtl m\nf 1 2 3\nusemtl unused\n";
     let scene = obj(&text).load();
@@ -242,7 +242,7 @@ fn short_faces_are_skipped() {
 }
 
 #[test]
-fn colours_in_other_words() {
+fn colours_in_other_forms() {
     assert_eq!(reflectance(&material("Kd 0.25")), [0.25; 3]);
     assert_eq!(reflectance(&material("v 0 0.1 0\nnonsense\nKd 0.25 0 1 0.7")), [0.25, 0.0, 1.0]);
     let red = reflectance(&material("Kd xyz 0.4124 0.2126 0.0193"));
@@ -259,7 +259,7 @@ fn colours_in_other_words() {
 }
 
 #[test]
-fn what_is_not_diffuse_is_told_in_one_sentence() {
+fn what_is_not_diffuse_is_reported_in_one_sentence() {
     let more = "Kd 0.1\nKs 0 0.1 0\nd 0.5\nTf 0.5 1 1\nillum 7\nbump x.png\nmap_Tr y.png\nPm 1\nNs many\n";
     let scene = material(&format!("{more}newmtl unused\nKs 1 1 1")).load();
     assert_eq!(scene.warnings.len(), 1, "{:?}", scene.warnings);
@@ -283,7 +283,7 @@ fn texture_multiplies() {
     assert_eq!(scene.textures.len(), 1);
     assert!(scene.textures[0].is_grey());
     assert_eq!(scene.texcoords.len(), 1);
-    // Corner 0 is at u = 0, corner 1 at u = 1: white up to the middle.
+    // Corner 0 is at u = 0 and corner 1 at u = 1. The texture is white up to the middle.
     assert_eq!(scene.reflectance_at(0, [0.8, 0.1, 0.1]), [0.5, 0.25, 1.0]);
     assert_eq!(scene.emission_at(0, [0.1, 0.8, 0.1]), [0.0; 3]);
     let whole = [[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]];
@@ -301,7 +301,7 @@ fn factor_is_one_where_only_the_map_is_given() {
 }
 
 #[test]
-fn a_black_factor_is_told() {
+fn a_black_factor_is_reported() {
     let scene = material("Kd 0 0 0\nmap_Kd t.png").image("t.png", 1, &[WHITE]).load();
     assert_eq!(scene.reflectance_at(0, [0.2, 0.2, 0.6]), [0.0; 3]);
     assert_eq!(count(&scene, "s.mtl:3: map_Kd has no effect because Kd is 0"), 1);
@@ -329,7 +329,7 @@ fn texture_options_move_the_image() {
     let scene = material(line).image("t.png", 2, &[WHITE, BLACK]).load();
     let map = scene.materials[0].reflectance_map.as_ref().unwrap();
     assert_eq!((map.scale, map.offset, map.clamp), (DVec2::new(2.0, 1.0), DVec2::new(0.5, 0.0), true));
-    // u = 0.5 + 2 · 0.8 lies beyond the image, where repeating would find white.
+    // u = 0.5 + 2 · 0.8 lies beyond the image. Repeating would find white there.
     assert_eq!(scene.reflectance_at(0, [0.1, 0.8, 0.1]), [0.0; 3]);
     assert_eq!(count(&scene, "s.mtl:3: texture options without effect: -blendu"), 1);
 }
@@ -372,7 +372,7 @@ fn faces_without_texture_coordinates_go_without_texture() {
 }
 
 #[test]
-fn faces_and_what_they_belong_to_are_kept_for_who_asks() {
+fn faces_and_their_groups_are_kept_on_request() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("parts.obj");
     let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\no a\ng b c\nf 1 2 2\nf 1 2 3\ng\nf 1 3 4\ng b c\nf 2 3 4\n";
@@ -384,7 +384,7 @@ fn faces_and_what_they_belong_to_are_kept_for_who_asks() {
     assert_eq!(faces, [(0, 5, 0), (2, 8, 1), (3, 9, 1), (4, 11, 2), (5, 13, 1)]);
     let parts: Vec<_> = scene.parts.iter().map(|p| (p.object.as_deref(), p.group.as_deref())).collect();
     assert_eq!(parts, [(None, None), (Some("a"), Some("b c")), (Some("a"), None)]);
-    // The one without area is no surface, and the others keep their numbers.
+    // The face without area is no surface. The others keep their numbers.
     let names =
         |by: By| Surfaces::of(&scene, &by, Side::Front).list.into_iter().map(|s| s.name).collect::<Vec<_>>();
     assert_eq!(names(By::Face), ["0", "2", "3", "4"]);
@@ -414,9 +414,9 @@ fn colours_of_vertices_are_reflectances_times_kd() {
                 assert!((found[c] - factor * colour[c]).abs() < 1e-6, "{t}: {found:?}");
             }
         }
-        // A face of which one vertex has no colour has none.
+        // A face with an uncoloured vertex has no colour.
         assert_eq!(scene.mean_reflectance(3, &[[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]]), [0.5; 3]);
-        // A reflectance from outside counts before them, and not before Kd.
+        // A reflectance given by the caller replaces them, but not Kd.
         let options = LoadOptions::default().with_keep_overlaps(true).with_reflectance(Some([0.3; 3]));
         let given = Scene::load_with(&path, &options).unwrap();
         assert!(given.colours.is_empty());
@@ -426,7 +426,7 @@ fn colours_of_vertices_are_reflectances_times_kd() {
 }
 
 #[test]
-fn normals_are_kept_for_smooth_shading_and_turn_no_face() {
+fn normals_are_kept_for_smooth_shading_and_do_not_flip_faces() {
     let text = format!(
         "{TRIANGLE}vn 0 0 -1\nvn 0 3 4 # long\nvn nan 0 0\nf 1//1 2/2/2 3//-1\nf 1 2//9 3//1\nf 1/1 2/2 3/3\n"
     );

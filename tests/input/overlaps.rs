@@ -1,4 +1,4 @@
-//! Faces that overlap in one plane: what is hidden is cut away, and nothing else changes.
+//! Faces that overlap in one plane: hidden parts are cut away, and nothing else changes.
 
 use glam::{DVec3, dvec3};
 use radiosity::{
@@ -8,7 +8,7 @@ use radiosity::{
 
 use crate::common::{Random, is_closed};
 
-/// A polygon of a material.
+/// A polygon and its material.
 type Face = (u32, Vec<DVec3>);
 
 const WALL: u32 = 0;
@@ -24,7 +24,7 @@ fn level(low: [f64; 2], high: [f64; 2], y: f64) -> Vec<DVec3> {
     ]
 }
 
-/// A room of 4 x 3 x 4 with the ceiling first, its sides seen from within.
+/// A room of 4 x 3 x 4, seen from inside. The ceiling comes first.
 fn room() -> Vec<Face> {
     let floor = level([0.0, 0.0], [4.0, 4.0], 0.0).into_iter().rev().collect();
     let wall = |a: [f64; 2], b: [f64; 2]| {
@@ -36,7 +36,7 @@ fn room() -> Vec<Face> {
     vec![ceiling, (WALL, floor), wall(p, q), wall(q, r), wall(r, s), wall(s, p)]
 }
 
-/// A square of side 1 in the ceiling, turned by an angle.
+/// A square of side 1 in the ceiling, rotated by an angle.
 fn turned(x: f64, z: f64, angle: f64) -> Vec<DVec3> {
     let (sin, cos) = angle.sin_cos();
     let corner = |(u, v): (f64, f64)| dvec3(x + cos * u - sin * v, 3.0, z + sin * u + cos * v);
@@ -59,7 +59,7 @@ fn scene(faces: &[Face], place: impl Fn(DVec3) -> DVec3) -> Scene {
     scene
 }
 
-/// The area of a material's front.
+/// The total area of a material.
 fn area(scene: &Scene, material: u32) -> f64 {
     (0..scene.triangles.len())
         .filter(|&t| scene.triangles[t].material == material)
@@ -67,7 +67,7 @@ fn area(scene: &Scene, material: u32) -> f64 {
         .sum()
 }
 
-/// As a file with six digits has it.
+/// Rounded to the six digits of a file.
 fn six_digits(p: DVec3) -> DVec3 {
     p.to_array().map(|x| format!("{x:.5e}").parse::<f64>().unwrap()).into()
 }
@@ -80,8 +80,9 @@ fn turn(seed: u64) -> impl Fn(DVec3) -> DVec3 {
     move |p| rotation * p
 }
 
-/// Lamps in the plane of a ceiling, with the ceiling first and last in the file, as written and as rounded: every lamp has all its
-/// area, the ceiling what is left, and the room stays closed without a crack.
+/// Lamps in the plane of a ceiling that comes first or last in the file, exact or rounded. Every lamp keeps its whole
+/// area, the ceiling keeps the rest, and the room stays closed without a crack. The tolerance is the rounding of six
+/// digits.
 #[test]
 fn lamps_flush_with_a_ceiling_replace_it() {
     let fan = |k: u32| {
@@ -111,20 +112,23 @@ fn lamps_flush_with_a_ceiling_replace_it() {
                     false => scene(&faces, |p| if seed == 0 { p } else { turn(p) }),
                 };
                 let context = format!("{name}, last {last}, rounded {rounded}, {seed}");
-                // Of six digits the sixth is a millionth of the room.
+                // The sixth digit is a millionth of the room.
                 let slack = if rounded { 2e-5 * lit } else { 1e-9 };
                 assert!((area(&scene, LAMP) - lit).abs() <= slack, "{context}: {}", area(&scene, LAMP));
                 assert!((area(&scene, WALL) - (80.0 - lit)).abs() <= 2e-3, "{context}");
                 assert!(is_closed(&scene), "{context}: {:?}", Inspection::of(&scene).edges);
-                let told = &scene.hidden[0];
-                assert_eq!((told.material.as_str(), &told.behind[..]), ("wall", &["lamp".to_string()][..]));
-                assert!((told.area - lit).abs() <= 2e-3, "{context}: {}", told.area);
+                let hidden = &scene.hidden[0];
+                assert_eq!(
+                    (hidden.material.as_str(), &hidden.behind[..]),
+                    ("wall", &["lamp".to_string()][..])
+                );
+                assert!((hidden.area - lit).abs() <= 2e-3, "{context}: {}", hidden.area);
             }
         }
     }
 }
 
-/// Ten micrometres in a room of five metres are a gap, and six digits can say so.
+/// Ten micrometres in a room of five metres are a gap, which six digits can express.
 #[test]
 fn small_gaps_stay() {
     for gap in [1e-5, 1e-4, 1e-3] {
@@ -139,14 +143,14 @@ fn small_gaps_stay() {
     }
 }
 
-/// The rule: what emits is in front, then the smaller surface, then the first.
+/// Emitters are in front, then smaller surfaces, then the first in the file.
 #[test]
-fn who_is_in_front() {
+fn the_order_of_overlapping_faces() {
     let small = level([1.0, 1.0], [2.0, 2.0], 3.0);
     let overlapping = level([1.5, 1.0], [2.5, 2.0], 3.0);
     let large = level([0.5, 0.5], [3.5, 3.5], 3.0);
-    // Materials and faces, and the area that each material has: a lamp is in front of a smaller rug, a rug of a larger wall, the first of
-    // two of one size.
+    // Faces with their materials, and the resulting area of each material. A lamp is in front of a smaller rug, a rug
+    // in front of a larger wall, and the first in front of the second of the same size.
     let cases: [(&str, Vec<Face>, [f64; 3]); 5] = [
         ("large lamp", vec![(RUG, small.clone()), (LAMP, large.clone())], [0.0, 9.0, 0.0]),
         ("large lamp first", vec![(LAMP, large.clone()), (RUG, small.clone())], [0.0, 9.0, 0.0]),
@@ -160,7 +164,7 @@ fn who_is_in_front() {
             assert!((area(&scene, material) - right).abs() < 1e-12, "{name}: {}", area(&scene, material));
         }
     }
-    // A carpet is in front of the tiles below, though each of these is smaller: they are one surface.
+    // A carpet is in front of the tiles below it although each tile is smaller: together they are one surface.
     let mut faces: Vec<Face> = (0..16)
         .map(|k| (f64::from(k % 4), f64::from(k / 4)))
         .map(|(x, z)| (WALL, level([x, z], [x + 1.0, z + 1.0], 3.0)))
@@ -173,7 +177,7 @@ fn who_is_in_front() {
     );
 }
 
-/// Faces that only touch, cross, or show their fronts to each other hide nothing.
+/// Faces that only touch, cross, or face each other hide nothing.
 #[test]
 fn other_faces_are_left_alone() {
     let floor = level([0.0, 0.0], [4.0, 4.0], 0.0);
@@ -187,7 +191,7 @@ fn other_faces_are_left_alone() {
     }
 }
 
-/// Texture coordinates of what is left are those of the file there.
+/// The remaining pieces keep the texture coordinates of the file.
 #[test]
 fn pieces_keep_their_place_on_the_texture() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! STL files: what they say, and what they may not say.
+//! STL files: both forms give the same scene, and faults are named.
 
 use std::fs;
 
@@ -43,10 +43,10 @@ fn load(bytes: &[u8]) -> Result<Scene, String> {
 }
 
 #[test]
-fn text_and_bytes_say_the_same() {
+fn text_and_binary_files_give_the_same_scene() {
     let text = solid("lower part", TRIANGLES[0]) + &solid("upper", TRIANGLES[1]);
     let ascii = load(text.as_bytes()).unwrap();
-    // The header of a binary file may begin as a text does.
+    // The header of a binary file may begin like a text file.
     for header in [&b"solid of a program"[..], b""] {
         let scene = load(&binary(header)).unwrap();
         assert_eq!((&scene.vertices, &scene.triangles), (&ascii.vertices, &ascii.triangles));
