@@ -29,15 +29,16 @@ fn bake(here: &Here, arguments: &str) {
     assert!(output.stdout.is_empty());
 }
 
-/// Weights of the corners of a triangle at a point of its plane.
+/// Barycentric coordinates of a point in the plane of a triangle.
 fn barycentric([a, b, c]: [DVec3; 3], p: DVec3) -> [f64; 3] {
     let n = (b - a).cross(c - a);
     let share = |u: DVec3, v: DVec3| (u - p).cross(v - p).dot(n) / n.length_squared();
     [share(b, c), share(c, a), share(a, b)]
 }
 
+/// The light at a point of the scene can be read from the written files alone: it agrees with path tracing within 10 %.
 #[test]
-fn the_files_alone_tell_the_light_at_a_point() {
+fn the_files_alone_give_the_light_at_a_point() {
     let here = here();
     bake(&here, &format!("{} -o out/deep --resolution 128 --mask --standard-error", cornell()));
     let mut names: Vec<_> = fs::read_dir(here.path("out/deep"))
@@ -88,10 +89,10 @@ fn the_files_alone_tell_the_light_at_a_point() {
             .find(|(_, w)| w.iter().all(|&x| x >= 0.0))
             .unwrap();
         let uv: DVec2 = (0..3).map(|k| scene.texcoords[t][k] * weights[k]).sum();
-        // v is upwards, rows of an image are downwards.
+        // v runs up, rows of an image run down.
         let (x, y) = ((uv.x * 128.0) as u32, ((1.0 - uv.y) * 128.0) as u32);
         let found = map.get_pixel(x, y).0.map(f64::from);
-        // A texel is 13 mm of a room of 556, its light up to 5 % off beside paths' and texels' noise of 1 %.
+        // Texels of 13 mm in a room of 556 change the light by up to 5 %. Paths and texels have noise of 1 %.
         for c in 0..3 {
             assert!((found[c] / numbers[6 + c] - 1.0).abs() < 0.1, "{found:?} at {line}");
         }
@@ -117,7 +118,7 @@ fn the_same_bytes_for_any_number_of_threads() {
 }
 
 #[test]
-fn own_coordinates_that_do_not_suit_are_kept_beside() {
+fn unsuitable_coordinates_are_kept_in_a_second_file() {
     let here = here();
     bake(&here, "scene.obj -o out --resolution 32 --final-gather 4 --report out/report.json");
     let report = here.json("out/report.json");
@@ -153,7 +154,7 @@ fn pages_have_their_own_files_and_materials() {
 }
 
 #[test]
-fn bad_input_is_told_and_leaves_nothing() {
+fn bad_input_is_reported_and_leaves_nothing() {
     let here = here();
     let errors = here.fails("bake scene.obj -o out --keep-uv", 2);
     assert!(errors.contains("triangle 1 and triangle 3") && errors.contains("hint: "), "{errors}");
@@ -210,7 +211,7 @@ const LEVEL: &str = "# made by hand\nmtllib level.mtl\no Floor_01\nv 0 0 0\nv 0 
     f 9 9 10\n# the end\n";
 
 #[test]
-fn the_mesh_that_comes_back_is_the_file_with_other_texture_coordinates() {
+fn the_written_mesh_is_the_file_with_other_texture_coordinates() {
     let here = Here::new("", "");
     fs::create_dir(here.path("level")).unwrap();
     fs::write(here.path("level/level.obj"), LEVEL).unwrap();
@@ -298,10 +299,11 @@ fn quads_and_normals_of_a_ply_come_back() {
     assert!(Scene::load(here.path("out/scene.obj")).unwrap().warnings.is_empty());
 }
 
-/// Two signals at once, as timeout(1) sends them. The second one does not wait for work that stops after the first.
+/// Two signals at once, as timeout(1) sends them. The second ends the program while it still stops after the first, but
+/// no directory stays.
 #[cfg(unix)]
 #[test]
-fn a_directory_made_for_nothing_goes_with_the_second_signal() {
+fn a_new_directory_is_removed_even_after_a_second_signal() {
     let here = here();
     let scene = cornell();
     for command in ["bake", "tradeoff"] {
@@ -316,7 +318,7 @@ fn a_directory_made_for_nothing_goes_with_the_second_signal() {
             while !here.path("a/b").exists() {
                 assert!(child.try_wait().unwrap().is_none(), "{command} ended without its directory");
             }
-            // The test whether the directory is writable makes files for a moment.
+            // The program checks that the directory is writable by creating files for a moment.
             std::thread::sleep(Duration::from_millis(20));
             let script = format!("kill -INT {0}; sleep 0.00{pause}; kill -INT {0} 2>/dev/null", child.id());
             Command::new("sh").args(["-c", &script]).status().unwrap();

@@ -1,4 +1,4 @@
-//! `solve --checkpoint`, killed and stopped: the result has the same bytes as that of an undisturbed run.
+//! `solve --checkpoint`, killed and stopped: the result has the bytes of an undisturbed run.
 
 use std::{
     fs,
@@ -19,7 +19,7 @@ fn plate() -> Here {
     Here::new(obj, "newmtl wall\nKd 0.5 0.7 0.6\nnewmtl lamp\nKd 0\nKe 5 4 3\n")
 }
 
-/// Numbers in a fixed order, in [0, 1).
+/// A fixed sequence of random numbers in [0, 1).
 struct Random(u64);
 
 impl Random {
@@ -43,7 +43,7 @@ fn size(here: &Here, name: &str) -> u64 {
     fs::metadata(here.path(name)).map_or(0, |m| m.len())
 }
 
-/// Waits until the file has a number of bytes. `false` if the program ended before.
+/// Waits until the file has this many bytes. Returns `false` if the program ends before.
 fn grows_to(here: &Here, name: &str, bytes: u64, child: &mut Child) -> bool {
     loop {
         if size(here, name) >= bytes {
@@ -68,9 +68,9 @@ fn report(here: &Here) -> Value {
     report
 }
 
-/// Runs with a checkpoint. Kills the run each time the file has grown to one of some shares of its size, and continues with
-/// another number of threads. The last run must give the bytes of an undisturbed run. Returns how many kills hit a running
-/// program.
+/// Runs with a checkpoint. Kills the run whenever the file has grown to one of the given shares of its final size, and
+/// continues with another number of threads. The last run must give the bytes of an undisturbed run. Returns how many
+/// kills hit a running program.
 fn survive(here: &Here, options: &str, shares: &[f64]) -> u32 {
     let command = format!("solve scene.obj -o out.ply --report r.json --quiet {options}");
     assert_eq!(here.run(&command).status.code(), Some(0), "{options}");
@@ -106,7 +106,7 @@ const RUNS: [&str; 4] = [
     "--error 4",
 ];
 
-/// Kills at the first bytes and at four random places.
+/// Killed at the first bytes and at four random places, runs end with the same bytes.
 #[test]
 fn killed_again_and_again_it_ends_with_the_same_bytes() {
     let here = plate();
@@ -141,7 +141,7 @@ fn killed_hundreds_of_times_it_ends_with_the_same_bytes() {
 
 /// After a signal to stop, the file stays, a message says how to continue, no ray is lost, and no other file is left.
 #[test]
-fn stopped_it_says_how_to_go_on() {
+fn a_stopped_run_states_how_to_continue() {
     let here = plate();
     let command = "solve scene.obj -o out.ply --quiet --patches 2000 --rays 512";
     assert_eq!(here.run(command).status.code(), Some(0));
@@ -163,10 +163,10 @@ fn stopped_it_says_how_to_go_on() {
     assert!(here.read("out.ply") == truth && size(&here, "rays") > kept);
 }
 
-/// When the file cannot grow any more, the run ends with one error. Its contents stay valid and are used when there is room
-/// again.
+/// If the file cannot grow any more, the run ends with one error. The contents of the file stay valid, and the next run
+/// with room uses them.
 #[test]
-fn a_full_disk_costs_only_what_did_not_fit() {
+fn a_full_disk_loses_only_the_rays_that_did_not_fit() {
     let here = plate();
     let command = "solve scene.obj -o out.ply --quiet --patches 1000 --rays 64";
     assert_eq!(here.run(command).status.code(), Some(0));
@@ -191,9 +191,9 @@ fn a_full_disk_costs_only_what_did_not_fit() {
     assert!(here.read("out.ply") == truth);
 }
 
-/// Neither a scene nor an output becomes a checkpoint. Other files stay as they are. A failed run leaves no checkpoint.
+/// A scene or an output never becomes a checkpoint. Other files stay as they are. A failed run leaves no checkpoint.
 #[test]
-fn a_checkpoint_takes_the_place_of_nothing() {
+fn a_checkpoint_replaces_no_other_file() {
     let here = plate();
     fs::write(here.path("notes"), "Notes on many things, longer than the header of a checkpoint is.")
         .unwrap();

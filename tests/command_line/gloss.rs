@@ -1,4 +1,4 @@
-//! Specular parts on the command line.
+//! Specular reflection on the command line.
 
 use std::{f64::consts::PI, fs};
 
@@ -6,8 +6,8 @@ use crate::common::program::{Here, stderr};
 use glam::{DVec3, dvec3};
 use radiosity::form_factor::exact::point_to_polygon;
 
-/// A black floor, a black lamp above it that shines down, and an upright mirror beside both, in which a point of the floor sees
-/// all of the lamp.
+/// A black floor, a black lamp that faces down above it, and an upright mirror beside both, in which a point of the
+/// floor sees the whole lamp.
 const MIRROR: &str = "mtllib scene.mtl\nusemtl black
 v -1 0 -4\nv -1 0 4\nv 4 0 4\nv 4 0 -4\nf 1 2 3 4\nusemtl lamp
 v 0 1.5 0\nv 1 1.5 0\nv 1 1.5 0.6\nv 0 1.5 0.6\nf 5 6 7 8\nusemtl wall
@@ -38,10 +38,12 @@ fn probed(here: &Here, options: &str) -> [[f64; 3]; 2] {
     [6, 9].map(|k| numbers[k..k + 3].try_into().unwrap())
 }
 
+/// The irradiance at a point is π L (F + k F'), where F is the form factor of the lamp, F' that of its mirror image and
+/// k the reflectance of the mirror, within four standard errors.
 #[test]
 fn a_mirror_shows_a_second_lamp() {
     let [direct, image] = [LAMP, mirrored()].map(|lamp| point_to_polygon(POINT, DVec3::Y, &lamp));
-    // 4.6 % of the lamp's own light, many times the errors allowed below.
+    // 4.6 % of the direct light of the lamp, many times the errors allowed below.
     assert!((0.04..0.05).contains(&(image / direct)));
     for (lines, options, ks) in [
         ("Ks 1 0.5 0\nillum 3\n", "", [1.0, 0.5, 0.0]),
@@ -57,11 +59,12 @@ fn a_mirror_shows_a_second_lamp() {
     }
 }
 
-/// A sharp lobe of Ks acts like a mirror of Ks, except for its width. Phong lobes reflect less away from normal incidence.
+/// A sharp lobe of Ks acts like a mirror of Ks, except for its width. Phong lobes reflect less away from normal
+/// incidence. The tolerance is four standard errors and some percent for the width.
 #[test]
 fn sharp_lobes_of_files_and_options_are_nearly_mirrors() {
     let [direct, image] = [LAMP, mirrored()].map(|lamp| PI * 3.0 * point_to_polygon(POINT, DVec3::Y, &lamp));
-    // Cosine of the angle between the wall's normal and the direction to the mirrored lamp.
+    // Cosine of the angle between the normal of the wall and the direction to the mirror image of the lamp.
     let cos = 3.0 / 3f64.hypot(1.5);
     for (lines, options, least) in [
         ("Ks 0.8 0.8 0.8\nNs 100000\nillum 2\n", "", 0.95 * cos),
@@ -81,7 +84,7 @@ fn sharp_lobes_of_files_and_options_are_nearly_mirrors() {
 }
 
 #[test]
-fn what_is_wrong_with_a_model_is_told() {
+fn faults_of_a_model_are_reported() {
     let here = with_wall("");
     let said = here.fails("probe scene.obj --points points --model wand=mirror:1", 2);
     assert!(
@@ -113,8 +116,10 @@ fn materials_that_would_make_light_are_scaled_with_a_warning() {
     );
 }
 
+/// `solve` reports how it treats gloss: a diffuse wall reflects some of the light that is absorbed when its gloss is
+/// left out.
 #[test]
-fn solve_tells_what_becomes_of_gloss() {
+fn solve_reports_how_it_treats_gloss() {
     let here = with_wall("Ks 0.6 0.6 0.6\nillum 3\n");
     let mean = |options: &str, what: &str| {
         let output = here.run(&format!("solve scene.obj --patches 100 --rays 64 --report r.json {options}"));
@@ -124,12 +129,12 @@ fn solve_tells_what_becomes_of_gloss() {
         here.json("r.json")["energy"]["absorbed"][0].as_f64().unwrap()
     };
     let (dropped, diffuse) = (mean("", "left out"), mean("--specular diffuse", "counted as diffuse"));
-    // The wall absorbs all of its light, or two fifths, and reflects some of the rest to the floor.
+    // The wall absorbs all of its light, or two fifths of it and reflects some of the rest to the floor.
     assert!(diffuse < 0.99 * dropped, "{diffuse} {dropped}");
 }
 
 #[test]
-fn pictures_by_particles_tell_that_mirrors_are_dark() {
+fn light_tracing_warns_that_mirrors_are_dark() {
     let here = with_wall("");
     let render = |model: &str| {
         let size = "--width 8 --height 8 --eye 3,1,0 --look-at -1,1,0";
@@ -139,8 +144,9 @@ fn pictures_by_particles_tell_that_mirrors_are_dark() {
     assert!(!stderr(&render("ggx:1,0.3")).contains("mirrors are dark"));
 }
 
+/// `validate --lambert` estimates the light that is lost without a mirror. The loss is at least four standard errors.
 #[test]
-fn validation_tells_what_lambertian_surfaces_cost() {
+fn validation_reports_the_cost_of_lambertian_surfaces() {
     let here = with_wall("Ks 0.9 0.9 0.9\nillum 3\n");
     let validate = |options: &str| {
         let effort = "--patches 60 --rays 256 --paths 1024 --particles 20000 --report r.json";
@@ -166,7 +172,7 @@ fn validation_tells_what_lambertian_surfaces_cost() {
         assert!(header.contains(&format!("property float {property}\n")), "{header}");
     }
     assert_eq!(report["lambert"], again["lambert"]);
-    // Without gloss both runs give the same bits.
+    // Without gloss both solutions have the same bits.
     fs::write(here.path("scene.mtl"), BLACK).unwrap();
     let (said, report) = validate("--lambert");
     assert_eq!(report["lambert"]["rms_relative"], 0.0);

@@ -12,7 +12,7 @@ use crate::common::{
 
 const FAST: &str = "--resolution 64 --quality draft --final-gather 0 --quiet";
 
-/// A box of two boards, a floor and a lamp that shines down on it, in an empty directory.
+/// A floor and a lamp above it that faces down, each a board.
 fn boards() -> Gltf {
     let mut file = Gltf::new();
     let floor = file.material("floor", [0.5, 0.4, 0.3], [0.0; 3]);
@@ -63,7 +63,7 @@ fn corners(path: &Path) -> Vec<[[u64; 3]; 3]> {
 }
 
 #[test]
-fn a_lit_scene_keeps_what_came_and_shows_the_radiosity() {
+fn a_lit_scene_keeps_its_contents_and_shows_the_radiosity() {
     let mut file = boards();
     file.json["nodes"][0]["name"] = "house".into();
     file.json["nodes"][0]["translation"] = json!([0.1, 0.2, 0.3]);
@@ -95,7 +95,7 @@ fn a_lit_scene_keeps_what_came_and_shows_the_radiosity() {
     assert!((strength.as_f64().unwrap() - 40.0 / white).abs() < 1e-6 * 40.0 / white);
     assert!(material(lamp).get("emissiveTexture").is_none());
 
-    // The floor is black and emits its part of the map: at each texel reflectance times irradiance.
+    // The floor is black and emits its part of the map: reflectance times irradiance at each texel.
     let floor = primitives.iter().find(|p| material(p)["name"] == "floor").unwrap();
     assert_eq!(material(floor)["pbrMetallicRoughness"]["baseColorFactor"], json!([0.0, 0.0, 0.0, 1.0]));
     assert_eq!(material(floor)["extras"]["radiosity"]["material"], 0);
@@ -130,7 +130,7 @@ fn a_lit_scene_keeps_what_came_and_shows_the_radiosity() {
 }
 
 #[test]
-fn instances_become_meshes_of_their_own_with_places_of_their_own_in_the_map() {
+fn instances_become_meshes_with_their_own_places_in_the_map() {
     let mut file = boards();
     file.json["nodes"] = json!([{"children": [1, 2]}, {"mesh": 0}, {"mesh": 0, "translation": [10, 0, 0], "scale": [-1, 1, 1]}]);
     let places = file.floats::<3>(&[[0., 0., 10.], [0., 0., 20.]]);
@@ -147,7 +147,7 @@ fn instances_become_meshes_of_their_own_with_places_of_their_own_in_the_map() {
     let meshes: BTreeSet<u64> =
         [1, 2, 4, 5].iter().map(|&n| out["nodes"][n]["mesh"].as_u64().unwrap()).collect();
     assert_eq!(meshes.len(), 4);
-    // The middle of each floor is another texel.
+    // The middle of each floor lies in another texel.
     let mut middles = BTreeSet::new();
     for mesh in meshes {
         let primitive = &out["meshes"][mesh as usize]["primitives"][0];
@@ -159,9 +159,9 @@ fn instances_become_meshes_of_their_own_with_places_of_their_own_in_the_map() {
 }
 
 #[test]
-fn what_lies_behind_other_faces_is_not_written() {
+fn surface_behind_other_faces_is_not_written() {
     let mut file = boards();
-    // A panel of its own node that lies wholly behind the lamp, and a rug on the floor.
+    // A panel with a node of its own, wholly behind the lamp, and a rug on the floor.
     let panel = file.material("panel", [0.5; 3], [0.0; 3]);
     let rug = file.material("rug", [0.2; 3], [0.0; 3]);
     file.rectangle([-1., 0., -1.], [0., 0., 1.], [1., 0., 0.], rug);
@@ -174,7 +174,7 @@ fn what_lies_behind_other_faces_is_not_written() {
     let (out, _) = baked(&here, "");
     assert!(out["nodes"][node].get("mesh").is_none(), "{}", out["nodes"][node]);
     let scene = Scene::load(here.path("out.glb")).unwrap();
-    // Lamp 1, floor 16 with the rug in it: every place once.
+    // The lamp has an area of 1, the floor with its rug 16: everything occurs once.
     let area: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
     assert!((area - 17.0).abs() < 1e-5, "{area}");
     assert!(scene.hidden.is_empty(), "{:?}", scene.hidden);
@@ -229,7 +229,7 @@ fn scenes_of_other_formats_become_gltf_with_their_materials() {
 }
 
 #[test]
-fn solve_writes_colours_at_vertices_that_no_light_changes() {
+fn solve_writes_unlit_vertex_colours() {
     let here = here(&boards());
     let output = here.run("solve in.glb -o out.glb --quality draft --quiet");
     assert!(output.status.success(), "{}", stderr(&output));
@@ -243,7 +243,7 @@ fn solve_writes_colours_at_vertices_that_no_light_changes() {
     assert!(floats(&out, &bytes, &lamp["attributes"]["COLOR_0"], 3).iter().flatten().all(|&c| c == 1.0));
     let floor = floats(&out, &bytes, &out["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"], 3);
     assert!(floor.len() > 100);
-    // One lamp, which is white: all light of the floor has the colour of the floor.
+    // The only lamp is white, so all light of the floor has the colour of the floor.
     for colour in floor.iter().filter(|c| c[0] < 1.0) {
         assert!(
             (colour[1] - 0.8 * colour[0]).abs() < 1e-5 && (colour[2] - 0.6 * colour[0]).abs() < 1e-5,
@@ -253,7 +253,7 @@ fn solve_writes_colours_at_vertices_that_no_light_changes() {
 }
 
 #[test]
-fn files_that_no_bake_wrote_are_not_replaced() {
+fn files_that_no_bake_wrote_are_never_replaced() {
     let here = here(&boards());
     fs::write(here.path("out.exr"), "a picture").unwrap();
     let said = here.fails(&format!("bake in.glb -o out.glb {FAST}"), 2);

@@ -15,42 +15,42 @@ fn survey(scene: &Scene) -> Survey {
     Survey::of(scene, &Tracer::new(scene), RAYS, 7)
 }
 
-/// A share of rays, within five standard errors of independent ones; those of a sequence err less.
+/// Asserts a share of rays within five standard errors of independent rays. Rays of a sequence have smaller errors.
 fn assert_share(count: u64, rays: u64, wanted: f64) {
     let got = count as f64 / rays as f64;
     let error = (wanted * (1.0 - wanted) / rays as f64).sqrt();
     assert!((got - wanted).abs() <= 5.0 * error, "{got} instead of {wanted}");
 }
 
-/// The unit room seen from inside, its last wall handed to `edit`.
+/// The unit room seen from inside. `edit` changes the triangles of its last wall, which emits.
 fn room_with(edit: impl Fn(Corners) -> Option<Corners>) -> Scene {
     let mut walls = room(DVec3::ZERO, DVec3::ONE);
     let last: Vec<Corners> = walls.split_off(10).into_iter().filter_map(edit).collect();
     scene(&[black(walls), part(last, 0.5, 1.0)])
 }
 
-/// A closed room sees its own fronts alone.
+/// A closed room sees only its own fronts.
 #[test]
-fn a_closed_room_sees_fronts() {
+fn a_closed_room_sees_only_fronts() {
     let seen = survey(&room_with(Some));
     assert_eq!(seen.all, Seen { rays: RAYS, fronts: RAYS, backs: 0, escaped: 0 });
     assert_eq!(seen.lamps, Seen { rays: RAYS / 4, fronts: RAYS / 4, backs: 0, escaped: 0 });
     assert_eq!((seen.back_area, &seen.backs_of[..]), (0.0, &[0, 0][..]));
 }
 
-/// The opening sees nothing but walls, so that by reciprocity ∑ A F(wall, opening) = A of the opening: a fifth of what
-/// the five walls send out.
+/// The opening sees only walls, so by reciprocity ∑ A F(wall, opening) = A of the opening: a fifth of all rays of the
+/// five walls escape.
 #[test]
-fn an_opening_lets_its_share_out() {
+fn a_fifth_of_the_rays_escape_through_an_opening() {
     let seen = survey(&room_with(|_| None)).all;
     assert_eq!(seen.backs, 0);
     assert_share(seen.escaped, seen.rays, 1.0 / 5.0);
 }
 
-/// A wall that is turned round sends its sixth of the rays outside. The rays that left through the opening before, a fifth of
+/// A reversed wall sends its sixth of the rays outside. The rays that escaped through the opening before, a fifth of
 /// five sixths, now hit its back.
 #[test]
-fn a_turned_wall_is_met_from_behind() {
+fn a_reversed_wall_is_hit_from_behind() {
     let seen = survey(&room_with(|[a, b, c]| Some([a, c, b])));
     assert_share(seen.all.escaped, seen.all.rays, 1.0 / 6.0);
     assert_share(seen.all.backs, seen.all.rays, 1.0 / 6.0);
@@ -60,23 +60,24 @@ fn a_turned_wall_is_met_from_behind() {
     assert_eq!(seen.lamps.escaped, seen.lamps.rays);
 }
 
-/// Rays hit only some of many small triangles, but their number is estimated. The inside of the sphere is seen from a small
-/// lamp only. Its N rays spread evenly over n triangles, so they hit about n (1 - exp(-N / n)).
+/// The area of all visible backs is estimated although rays hit only some of many small triangles. The inside of the
+/// sphere is seen from a small lamp only. Its N rays spread evenly over n triangles, so they hit about n (1 - exp(-N /
+/// n)).
 #[test]
-fn backs_that_no_ray_happened_to_meet_are_estimated() {
+fn backs_that_no_ray_hit_are_estimated() {
     let shell = icosphere(1.0, 5);
     let lamp = part(icosphere(0.2, 1), 0.5, 1.0);
     let scene = scene(&[black(shell), lamp]);
     let seen = survey(&scene);
     let (n, rays) = (20_480.0, seen.all.backs as f64);
     let met = n * -(-rays / n).exp_m1();
-    assert!(met < 0.2 * n, "the test needs rays that are few, {rays}");
-    // The estimate's standard deviation is some sqrt(n)·(n / rays)^1.5 ≈ 2000 of 20480 here; its bias is downward where
-    // triangles are not equally likely to be met.
+    assert!(met < 0.2 * n, "the test needs few rays, not {rays}");
+    // The standard deviation of the estimate is about sqrt(n)·(n / rays)^1.5 ≈ 2000 of 20480 here. Its bias is downward
+    // if triangles are not equally likely to be hit.
     assert!((seen.back_area - 1.0).abs() < 0.3, "{}", seen.back_area);
 }
 
-/// A triangle 10¹¹ times as long as wide has no area in single precision. Its rays are cast all the same, and so are those of
+/// A triangle 10¹¹ times as long as wide has no area in single precision, but its rays are cast, and so are those of
 /// triangles of any size.
 #[test]
 fn slivers_and_giants_are_surveyed() {
@@ -94,7 +95,7 @@ v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1
 f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n";
 
 #[test]
-fn a_room_is_told_in_figures_and_sentences() {
+fn a_room_is_described_in_figures_and_sentences() {
     let here = Here::new(ROOM, "newmtl wall\nKd 0.5 0.25 0\nKe 1 1 1\n");
     let output = here.run("inspect scene.obj --report r.json");
     assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()));
@@ -121,8 +122,8 @@ fn a_room_is_told_in_figures_and_sentences() {
 }
 
 #[test]
-fn what_will_go_wrong_is_told_and_is_no_failure() {
-    // No lamp, a wall turned round, a doubled face, a face without area, and a missing texture.
+fn concerns_are_reported_and_are_no_failure() {
+    // No lamp, a reversed wall, a doubled face, a face without area, and a missing texture.
     let obj = ROOM.replace("f 2 6 8 4", "f 4 8 6 2\nf 1 2 4\nf 1 1 2");
     let here = Here::new(&obj, "newmtl wall\nmap_Kd no.png\n");
     let output = here.run("inspect scene.obj --report r.json");
@@ -149,7 +150,7 @@ fn what_will_go_wrong_is_told_and_is_no_failure() {
 }
 
 #[test]
-fn a_lamp_that_faces_outward_is_told() {
+fn a_lamp_that_faces_outward_is_reported() {
     let obj = ROOM.replace("f 1 2 4 3", "usemtl lamp\nf 3 4 2 1\nusemtl wall");
     let here = Here::new(&obj, "newmtl wall\nKd 0.5\nnewmtl lamp\nKd 0.5\nKe 1\n");
     assert_eq!(here.run("inspect scene.obj --report r.json").status.code(), Some(0));
@@ -158,7 +159,7 @@ fn a_lamp_that_faces_outward_is_told() {
 }
 
 #[test]
-fn materials_can_be_told_to_emit() {
+fn options_make_materials_emit() {
     let obj = ROOM.replace("f 1 2 4 3", "usemtl my lamp\nf 1 2 4 3\nusemtl wall");
     let here = Here::new(&obj, "newmtl wall\nKd 0.5\nnewmtl my lamp\n");
     let emissions = |arguments: &str| {
@@ -189,7 +190,7 @@ fn materials_can_be_told_to_emit() {
 }
 
 #[test]
-fn no_output_takes_the_place_of_a_file_of_the_scene() {
+fn no_output_replaces_a_file_of_the_scene() {
     let obj = ROOM
         .replace("mtllib scene.mtl", "mtllib out.ply\nvt 0 0\nvt 1 0\nvt 0 1")
         .replace("f 1 2 4 3", "f 1/1 2/2 4/3 3/1");
@@ -212,14 +213,14 @@ fn no_output_takes_the_place_of_a_file_of_the_scene() {
         assert!(errors.contains("the output would replace the input"), "{arguments}: {errors}");
     }
     assert_eq!((here.read("out.ply"), here.read("t.png")), (mtl, texture));
-    // A file that the scene does not use may go.
+    // A file that the scene does not use may be replaced.
     std::fs::write(here.path("other.ply"), "old").unwrap();
     let output = here.run("solve scene.obj -o other.ply --quality draft");
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(here.read("other.ply").starts_with(b"ply\n"));
 }
 
-/// A luminaire with its faces inside out lights itself only. The warning names it, but not the correct one beside it.
+/// A luminaire with its faces inside out lights only itself. The warning names it, but not the correct one beside it.
 #[test]
 fn lamps_that_shine_into_their_own_housing_are_named() {
     let mut obj = "mtllib scene.mtl\n".to_string();
@@ -239,7 +240,7 @@ fn lamps_that_shine_into_their_own_housing_are_named() {
         );
         vertices += 4;
     };
-    // A plate above each lamp; one lamp shines down into the room, one up at its plate.
+    // A plate above each lamp. One lamp faces down into the room, the other up at its plate.
     for (x, up) in [(0.0, false), (3.0, true)] {
         square("housing", x, 3.05, !up);
         square(if up { "turned" } else { "right" }, x, 3.0, up);
@@ -253,8 +254,8 @@ fn lamps_that_shine_into_their_own_housing_are_named() {
     assert!(!said.contains("`right`"), "{said}");
 }
 
-/// A luminaire of six faces inside out is named once. A strip of light deep in a channel shines out of it and is not named, though
-/// most of its light meets the channel first and its back sees the room above.
+/// A luminaire of six faces inside out is named once. A strip of light deep in a channel lights the room and is not
+/// named, though most of its light meets the channel first and its back sees the room above.
 #[test]
 fn a_luminaire_is_named_once_and_a_recessed_one_is_not() {
     let case = room_faces(DVec3::new(2.0, 2.0, 2.5), DVec3::new(3.0, 3.0, 2.6)).concat();
@@ -274,19 +275,19 @@ fn a_luminaire_is_named_once_and_a_recessed_one_is_not() {
     let named = turned_lamps(&scene, &Tracer::new(&scene));
     let materials: Vec<u32> = named.iter().map(|lamp| scene.triangles[lamp.triangle].material).collect();
     assert_eq!(materials, [3], "{named:?}");
-    // Nothing gets out of a closed box.
+    // No light leaves a closed box.
     assert_eq!((named[0].kept, named[0].lit), (1.0, 3));
 }
 
-/// Light between blocks that touch is not counted among what is seen.
+/// Surface between touching blocks is not counted as visible.
 #[test]
-fn what_is_shut_in_solids_is_not_surveyed() {
+fn surface_inside_solids_is_not_surveyed() {
     let blocks = crate::common::room_of_blocks(|_, _| true);
     let scene = scene(&[part(blocks, 0.5, 1.0)]);
     let seen = survey(&scene);
-    // 54 squares outside and 6 in the room are seen; the rest are between blocks.
+    // The 54 squares outside and the 6 of the room are visible. The rest lie between blocks.
     assert!((seen.shut_in_area - (26.0 * 6.0 - 60.0)).abs() < 1e-9, "{}", seen.shut_in_area);
     assert_eq!((seen.all.backs, seen.all.fronts + seen.all.escaped), (0, RAYS));
-    // Convex outside: all that leaves there escapes.
+    // The outside is convex, so all of its light escapes.
     assert_share(seen.all.escaped, RAYS, 54.0 / 60.0);
 }

@@ -1,4 +1,4 @@
-//! `solve` without a matrix, because memory is too small for one.
+//! `solve` without a matrix, if memory is too small for one.
 
 use crate::common::program::{Here, stderr};
 use ply_rs::{
@@ -15,7 +15,7 @@ fn mesh(name: &str) -> String {
 /// Area, then irradiance, radiosity and error in three channels.
 type Face = (f64, [[f64; 3]; 3]);
 
-/// The faces of fronts: backs come after them, and not every run finds the same.
+/// The faces of fronts. Backs come after them, and not every run finds the same ones.
 fn fronts(here: &Here, name: &str) -> Vec<Face> {
     let ply = Parser::<DefaultElement>::new().read_ply(&mut &here.read(name)[..]).unwrap();
     let is_front = |face: &&DefaultElement| matches!(face["side"], Property::UChar(0));
@@ -41,11 +41,11 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// The matrix would take 40 MB and more (`tests/command_line/memory.rs`), but 25 MB are allowed. 95 % of the 95 % intervals of
-/// the difference from the matrix's answer should contain zero. Errors of patches are correlated, so single runs scatter by
-/// some per cent.
+/// The matrix would take at least 40 MB (`tests/command_line/memory.rs`), but only 25 MB are allowed. 95 % of the 95 %
+/// intervals of the difference between both solutions contain zero. Errors of patches are correlated, so the share of a
+/// run scatters by some percent: 90 % is required.
 #[test]
-fn what_fits_no_matrix_is_solved_without_one_within_its_error_bars() {
+fn work_too_large_for_a_matrix_is_solved_without_one_within_its_error_bars() {
     let here = Here::new("", "");
     for name in ["cornell-box", "door-ajar"] {
         let work = format!("{} --patches 8000", mesh(name));
@@ -76,16 +76,17 @@ fn what_fits_no_matrix_is_solved_without_one_within_its_error_bars() {
         let share = inside as f64 / (3 * found.len()) as f64;
         println!("{name}: {:.1} % in 95 % intervals", 100.0 * share);
         assert!(share >= 0.9, "{name}: {share}");
-        // The file has the larger of a patch's own variance and that of its siblings. With 16 batches the larger of the two is
-        // 15 % above their mean, and the error 7 %. Backs are not counted here.
-        let told = number(&report["error"]["rms_relative"]);
+        // The file has the larger of a patch's own variance and the variance of its siblings. With 16 batches the
+        // larger of the two is 15 % above their mean, and the error 7 %. Backs are not counted here.
+        let reported = number(&report["error"]["rms_relative"]);
         let written = (squares / areas).sqrt() / (mean / areas);
-        assert!((0.95..1.2).contains(&(written / told)), "{name}: {written} and {told}");
+        assert!((0.95..1.2).contains(&(written / reported)), "{name}: {written} and {reported}");
         check_energy(&report);
     }
 }
 
-/// Emitted light is absorbed or escapes, and the imbalance of the rays is within its standard error.
+/// Asserts that all emitted light is absorbed or escapes, and that the imbalance of the rays is within five standard
+/// errors.
 fn check_energy(report: &Value) {
     let energy = &report["energy"];
     for c in 0..3 {
@@ -111,8 +112,8 @@ fn sweeps_write_the_same_bytes_for_any_number_of_threads() {
     assert!(one == bytes(2) && one == bytes(3));
 }
 
-/// 1,080 patches with 64 rays need a matrix of 21.3 MB, which does not fit into 19 MB. It fits into 23 MB, but the matrix of the
-/// number of rays for this error does not.
+/// 1,080 patches with 64 rays need a matrix of 21.3 MB, which does not fit into 19 MB. It fits into 23 MB, but the
+/// matrix for the number of rays that this error needs does not.
 #[test]
 fn an_error_is_reached_without_a_matrix() {
     let here = Here::new("", "");
@@ -133,10 +134,10 @@ fn an_error_is_reached_without_a_matrix() {
     }
 }
 
-/// Patches that are small enough for this error do not fit into memory. The sampling error reaches it, the total error does
-/// not.
+/// Patches that are small enough for this error do not fit into memory. The sampling error is reached, the total error
+/// is not.
 #[test]
-fn an_error_that_patches_leave_is_not_reached() {
+fn an_error_below_the_discretisation_error_is_not_reached() {
     let here = Here::new("", "");
     let output = here.run(&format!("solve {} --error 1 --memory 25MB --report r.json", mesh("cornell-box")));
     let said = stderr(&output);
@@ -149,7 +150,7 @@ fn an_error_that_patches_leave_is_not_reached() {
 }
 
 #[test]
-fn what_sweeps_cannot_do_is_refused_with_a_way_out() {
+fn options_that_sweeps_lack_are_refused_with_a_way_out() {
     let here = Here::new("", "");
     let scene = mesh("cornell-box");
     for option in ["--checkpoint rays", "--estimator one-way", "--tolerance 1e-3"] {
@@ -159,7 +160,7 @@ fn what_sweeps_cannot_do_is_refused_with_a_way_out() {
             errors.contains(named) && errors.contains("has no effect with --solver stochastic-jacobi"),
             "{errors}"
         );
-        // Not chosen, but needed.
+        // Not requested, but necessary.
         let errors =
             here.fails(&format!("solve {scene} --patches 8000 --rays 256 --memory 25MB {option}"), 2);
         assert!(errors.contains("of memory, --memory allows 23.8 MiB"), "{errors}");

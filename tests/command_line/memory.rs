@@ -14,7 +14,7 @@ fn mesh(name: &str) -> String {
     format!("{}/meshes/{name}.obj", env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The memory forecast for a solution of a scene, and the memory it took.
+/// The memory forecast for the solution of a scene, and the memory that it took.
 fn forecast_and_peak(
     here: &Here,
     file: &str,
@@ -43,7 +43,8 @@ fn forecast_and_peak(
     (forecast, peak)
 }
 
-/// The used memory is at most the forecast and at least a third of it, because several rays can share an entry of the matrix.
+/// Asserts that the memory is at most the forecast, and at least a third of it, because several rays can share an entry
+/// of the matrix.
 fn check(cases: &[(u32, u32)], names: &[&str]) {
     let here = Here::new("", "");
     for name in names {
@@ -56,14 +57,15 @@ fn check(cases: &[(u32, u32)], names: &[&str]) {
     }
 }
 
+/// A solution takes at most the memory that was forecast.
 #[test]
-fn no_more_is_taken_than_was_forecast() {
+fn memory_is_at_most_the_forecast() {
     check(&[(8000, 64)], &["cornell-box", "furnace"]);
 }
 
 /// Solvers that need more memory than the stored matrix, and white walls, which need a search for trapped light.
 #[test]
-fn solvers_take_no_more_than_was_forecast() {
+fn solvers_take_at_most_the_forecast() {
     let here = Here::new("", "");
     for name in ["textured.obj", "textured.mtl", "checkerboard.png", "gradient.png"] {
         fs::copy(mesh("").replace(".obj", name), here.path(name)).unwrap();
@@ -89,9 +91,9 @@ fn solvers_take_no_more_than_was_forecast() {
     }
 }
 
-/// The same without a matrix, for any number of rays.
+/// Without a matrix memory is at most the forecast, for any number of rays.
 #[test]
-fn sweeps_take_no_more_than_was_forecast() {
+fn sweeps_take_at_most_the_forecast() {
     let here = Here::new("", "");
     for (name, patches, rays) in [
         ("cornell-box", 1000, 256),
@@ -115,14 +117,14 @@ fn sweeps_take_no_more_than_was_forecast() {
 /// The table in docs/extremes.md: `cargo test --test command_line memory:: -- --ignored --nocapture`.
 #[test]
 #[ignore = "minutes, and a gigabyte"]
-fn no_more_is_taken_than_was_forecast_on_many_scenes() {
+fn memory_is_at_most_the_forecast_on_many_scenes() {
     let cases = [(1000, 64), (8000, 64), (8000, 256), (2000, 1024), (32000, 128), (100_000, 64)];
     check(&cases, &["cornell-box", "door-ajar", "furnace", "textured"]);
 }
 
-/// Every command that solves refuses too large work at once, and works when it is called as the hint says.
+/// Every command that solves refuses too large work at once, and works with each option of the hint.
 #[test]
-fn what_memory_does_not_allow_is_refused_with_a_way_out() {
+fn work_beyond_the_memory_is_refused_with_a_way_out() {
     let here = Here::new("", "");
     let file = mesh("cornell-box");
     for (command, size) in [
@@ -169,9 +171,9 @@ fn what_memory_does_not_allow_is_refused_with_a_way_out() {
     assert!(here.fails(&format!("solve {file} --memory lots"), 2).contains("a size like 500MB or 4GiB"));
 }
 
-/// The limit applies to sampling too. If an option needs a matrix, sampling ends when memory is full, with a message.
+/// The limit applies to sampling too. If an option needs a matrix, sampling ends with a message when memory is full.
 #[test]
-fn sampling_in_rounds_ends_where_memory_does() {
+fn sampling_in_rounds_ends_when_memory_is_full() {
     let here = Here::new("", "");
     let file = mesh("cornell-box");
     let command =

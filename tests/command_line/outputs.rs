@@ -1,4 +1,4 @@
-//! Outputs that cannot be written, and outputs that would replace an input: one clear error, no loss, and no files left behind.
+//! Outputs that cannot be written, or would replace an input: one clear error, no loss, and no files left behind.
 
 use std::{
     fs,
@@ -8,7 +8,7 @@ use std::{
 
 use crate::common::program::{Here, stderr};
 
-/// The textured mesh of the repository, with what it refers to.
+/// The textured mesh of the repository, with the files that it refers to.
 fn textured() -> Here {
     let here = Here::new("", "");
     for name in ["textured.obj", "textured.mtl", "checkerboard.png", "gradient.png"] {
@@ -24,13 +24,13 @@ const BAKE: &str = "bake textured.obj --patches 50 --rays 16 --resolution 64";
 const PROBE: &str = "probe textured.obj --points points --spp 16";
 const VALIDATE: &str = "validate textured.obj --patches 20 --rays 16 --paths 16 --particles 1024";
 
-/// Everything in the directory, byte by byte.
+/// All files of the directory with their bytes.
 fn contents(here: &Here) -> Vec<(String, Vec<u8>)> {
     let files = here.names().into_iter().filter(|name| here.path(name).is_file());
     files.map(|name| (name.clone(), here.read(&name))).collect()
 }
 
-/// Runs a command that must fail: exit status 2, one line of error with `place` and `why`, and no changed file.
+/// Runs a command that must fail: exit status 2, one line of error with `place` and one of `why`, and no changed file.
 fn refused(here: &Here, arguments: &str, place: &str, why: &[&str]) {
     let before = contents(here);
     let errors = here.fails(arguments, 2);
@@ -71,13 +71,13 @@ fn no_output_replaces_an_input() {
     fs::hard_link(here.path("board.json"), here.path("sub/link.json")).unwrap();
     std::os::unix::fs::symlink(here.path("textured.obj"), here.path("out.ply")).unwrap();
     refused(&here, &format!("{SOLVE} -o out.ply"), "out.ply", &["replace the input"]);
-    // The other name of the same bytes may be replaced: the texture keeps its own.
+    // Another name of the same bytes may be replaced: the texture keeps its own.
     let board = here.read("board.json");
     assert_eq!(here.run(&format!("{SOLVE} --report sub/link.json")).status.code(), Some(0));
     assert!(here.read("board.json") == board);
 }
 
-/// Names of files may contain line ends. The error is one line all the same.
+/// Names of files may contain line ends. The error is still one line.
 #[test]
 fn errors_of_odd_names_are_one_line() {
     let here = textured();
@@ -130,7 +130,7 @@ fn places_that_do_not_exist_or_are_directories() {
     assert_eq!(here.read("dir.ply/kept"), b"kept");
 }
 
-/// Directories that nobody can write to, not even root, and one that only other users cannot write to.
+/// Directories that nobody can write to, not even root, and one that root can write to.
 #[cfg(target_os = "linux")]
 #[test]
 fn directories_that_cannot_be_written_to() {
@@ -158,7 +158,7 @@ fn directories_that_cannot_be_written_to() {
     }
 }
 
-/// The device that is always full.
+/// A device that is always full.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_device_without_room() {
@@ -191,7 +191,8 @@ fn a_device_without_room() {
     }
 }
 
-/// Runs with a limit on the size of files, in a shell's units of 512 or 1024 bytes: as on a disk that fills up while writing.
+/// Runs with a limit on the size of files, in the shell's units of 512 or 1024 bytes, like on a disk that fills up
+/// while writing.
 fn limited(here: &Here, units: u32, arguments: &str) -> Output {
     Command::new("sh")
         .current_dir(here.directory())
@@ -209,7 +210,7 @@ fn a_disk_that_fills_up_while_writing() {
     let before = contents(&here);
     for (units, command, place) in [
         (4, format!("{SOLVE} -o out.ply --report r.json"), "out.ply"),
-        // There is room for the report, not for the mesh; and the other way round.
+        // There is room for the report but not for the mesh, and the other way round.
         (20, format!("{SOLVE} --patches 400 -o out.ply --report r.json"), "out.ply"),
         (4, format!("{RENDER} -o out.exr --report r.json"), "out.exr"),
         (8, format!("{BAKE} -o lit"), "lit"),

@@ -10,7 +10,7 @@ fn try_load(bytes: impl AsRef<[u8]>) -> Result<Scene, Error> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.PLY");
     std::fs::write(&path, bytes).unwrap();
-    // Faces of one test often are the same.
+    // The faces of a test are often the same.
     Scene::load_with(&path, &LoadOptions::default().with_keep_overlaps(true))
 }
 
@@ -18,7 +18,7 @@ fn load(bytes: impl AsRef<[u8]>) -> Scene {
     try_load(bytes).unwrap()
 }
 
-/// The error's text without the folder.
+/// The text of the error without the folder.
 fn error(bytes: impl AsRef<[u8]>) -> String {
     let error = try_load(bytes).expect_err("should be refused");
     let Error::Input { file, .. } = &error else { panic!("{error:?}") };
@@ -65,7 +65,7 @@ fn a_square_in_every_encoding_and_type_is_two_triangles() {
         for coordinate in ["float", "double", "float64"] {
             for length in ["uchar", "ushort", "int"] {
                 for index in ["char", "uint8", "short", "ushort", "int", "uint32"] {
-                    // Another element and another list come between, and are passed over.
+                    // Another element and another list come between, and are skipped.
                     let mut bytes = format!(
                         "ply\nformat {encoding} 1.0\ncomment here\nobj_info there\nelement vertex 4\n\
                          property {coordinate} x\nproperty uchar flags\nproperty {coordinate} y\n\
@@ -99,7 +99,7 @@ fn a_square_in_every_encoding_and_type_is_two_triangles() {
 }
 
 #[test]
-fn lines_end_in_all_ways_and_blanks_do_not_count() {
+fn lines_end_in_all_ways_and_blanks_do_not_matter() {
     for text in [
         square().replace('\n', "\r\n"),
         square().replace('\n', "\r"),
@@ -113,7 +113,7 @@ fn lines_end_in_all_ways_and_blanks_do_not_count() {
     }
     let latin = [&b"ply\ncomment gr\xfcn\n"[..], &square().as_bytes()[4..]].concat();
     assert_eq!(load(latin).triangles.len(), 2);
-    // The data of a binary file may begin with what ends lines.
+    // The data of a binary file may begin with bytes that look like line ends.
     for (end, first) in [("\n", 10u8), ("\r\n", 10), ("\r", 10), ("\n", 13), ("\r", 13)] {
         let mut bytes = HEADER
             .replace("ascii", "binary_little_endian")
@@ -134,11 +134,11 @@ fn concave_faces_are_cut_inside() {
     assert!((scene.area(0) + scene.area(1) - 4.0).abs() < 1e-12);
 }
 
-/// IEC 61966-2-1 of 188 is 0.502886.
+/// The linear value of 188 by IEC 61966-2-1.
 const MID: f64 = 0.502_886;
 
 #[test]
-fn colours_are_decoded_and_averaged_and_the_face_counts_before_its_vertices() {
+fn colours_are_decoded_and_averaged_and_the_face_takes_precedence() {
     let colours = "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue";
     let vertices = "0 0 0 255 188 0\n1 0 0 255 188 0\n1 1 0 0 188 255\n0 1 0 0 188 0\n";
     let text = HEADER.replace("property float z", colours) + vertices + "4 0 1 2 3\n";
@@ -146,7 +146,7 @@ fn colours_are_decoded_and_averaged_and_the_face_counts_before_its_vertices() {
     let [r, g, b] = scene.material(0).reflectance;
     assert_eq!((r, b), (0.5, 0.25));
     assert!((g - MID).abs() < 1e-6, "{g}");
-    // As a colour again: 0.5 is 188, 0.25 is 137.
+    // Encoded again, 0.5 is 188 and 0.25 is 137.
     assert_eq!(scene.material(0).name, "#bcbc89");
     assert_eq!(scene.warnings, [""; 0]);
 
@@ -181,7 +181,7 @@ fn reflectance_and_emission_come_as_numbers() {
 }
 
 #[test]
-fn what_is_not_said_gets_a_default_and_is_told_once() {
+fn missing_values_get_defaults_and_are_reported_once() {
     let scene = load(square().replace("face 1", "face 3") + "2 0 1\n3 0 1 2\n");
     assert_eq!(scene.triangles.len(), 3);
     assert_eq!((scene.materials[0].name.as_str(), scene.materials[0].reflectance), ("(none)", [0.5; 3]));
@@ -201,7 +201,7 @@ fn what_is_not_said_gets_a_default_and_is_told_once() {
 }
 
 #[test]
-fn a_reflectance_from_outside_counts_before_colours() {
+fn a_given_reflectance_takes_precedence_over_colours() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("white.ply");
     let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
@@ -220,7 +220,7 @@ fn a_reflectance_from_outside_counts_before_colours() {
 }
 
 #[test]
-fn a_reflectance_with_a_name_counts_before_all_that_the_file_says() {
+fn a_reflectance_for_a_material_takes_precedence_over_the_file() {
     let here = Here::new(
         "mtllib scene.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl wall\nf 1 2 3\nusemtl lamp\nf 1 3 2\n",
         "newmtl wall\nKd 1 1 1\nnewmtl lamp\nKd 0.5 0.5 0.5\nKe 1 1 1\n",
@@ -235,7 +235,7 @@ fn a_reflectance_with_a_name_counts_before_all_that_the_file_says() {
 }
 
 #[test]
-fn bad_files_are_named_with_line_or_element() {
+fn bad_files_are_reported_with_line_or_element() {
     let header = |from: &str, to: &str| square().replace(from, to);
     for (text, wanted) in [
         (String::new(), "s.PLY:1: not a PLY file: it does not begin with `ply`"),
@@ -298,7 +298,7 @@ fn bad_files_are_named_with_line_or_element() {
     assert_eq!(error(bytes), "s.PLY: face 0: List length cannot be negative (i8)");
 }
 
-/// A scene of this repository, written as PLY with all its digits, is the same scene.
+/// A scene of this repository is the same after it is written as PLY with all its digits.
 #[test]
 fn a_scene_survives_the_way_through_ply() {
     let scene = Scene::load(format!("{}/meshes/cornell-box.obj", env!("CARGO_MANIFEST_DIR"))).unwrap();
@@ -330,7 +330,8 @@ fn a_scene_survives_the_way_through_ply() {
     assert_eq!(again.materials.len(), scene.materials.len());
 }
 
-/// Unit cube seen from inside: B = Be + ρ B, so that with Be = π L, L = 1/π and ρ = 1/2 B is 2 everywhere.
+/// A unit cube seen from inside: B = Be + ρ B with Be = π L, L = 1/π and ρ = 1/2 gives B = 2 everywhere. Half of it is
+/// absorbed: 6 W.
 #[test]
 fn every_command_takes_ply_and_light_by_option() {
     let here = Here::new("", "");
@@ -355,7 +356,7 @@ fn every_command_takes_ply_and_light_by_option() {
     run(&format!("validate cube.Ply --patches 50 --rays 32 --paths 16 --particles 1024 {light}"));
     run("inspect cube.Ply --reflectance 0.5");
 
-    // The output is a scene again: 192 triangles of the same cube. Its colours are not reflectances.
+    // The output is a scene too: 192 triangles of the same cube. Its colours are not reflectances.
     let again = Scene::load(here.path("out.ply")).unwrap();
     assert_eq!(again.triangles.len(), 192);
     let area: f64 = (0..192).map(|t| again.area(t)).sum();
@@ -368,7 +369,8 @@ fn every_command_takes_ply_and_light_by_option() {
     assert!(here.fails("solve cube.Ply --emit 1@#ffffff", 2).contains("its materials are (none)"));
 }
 
-/// A file of `solve` is read as the original surface. A face that shows a back is turned, unless the file has its front.
+/// A file of `solve` is read as the original surface. A face that shows a back is reversed, unless the file has its
+/// front.
 #[test]
 fn a_solution_is_read_as_one_surface() {
     let sides = "vertex_indices\nproperty int triangle\nproperty uchar side";
@@ -376,7 +378,7 @@ fn a_solution_is_read_as_one_surface() {
     let both = text.replace("4 0 1 2 3", "4 0 1 2 3 0 0\n4 3 2 1 0 0 1");
     let scene = load(both.replace("element vertex", "comment faces: both sides of patches\nelement vertex"));
     assert_eq!(scene.triangles.len(), 2);
-    // One face a patch, the second of which shows its back.
+    // One face per patch. The second one shows its back.
     let one = load(text.replace("4 0 1 2 3", "3 0 1 2 0 0\n3 3 2 0 1 1"));
     assert_eq!((one.triangles.len(), one.normal(0)), (2, one.normal(1)));
     // Without the number of the triangle, `side` is a property of some other program.

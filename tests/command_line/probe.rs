@@ -6,7 +6,7 @@ use crate::common::program::{Here, stderr};
 use glam::{DVec3, dvec3};
 use radiosity::form_factor::exact::point_to_polygon;
 
-/// A black floor and a black lamp of 1 x 0.6 above it that shines down with radiances 3, 1, 1/4.
+/// A black floor, and above it a black lamp of 1 x 0.6 that faces down with radiances 3, 1, 1/4.
 const LAMP: &str = "mtllib scene.mtl\nusemtl black
 v -4 0 -4\nv -4 0 4\nv 4 0 4\nv 4 0 -4\nf 1 2 3 4\nusemtl lamp
 v 0 1.5 0\nv 1 1.5 0\nv 1 1.5 0.6\nv 0 1.5 0.6\nf 5 6 7 8\n";
@@ -14,7 +14,7 @@ const BLACK: &str = "newmtl black\nKd 0 0 0\nnewmtl lamp\nKd 0 0 0\nKe 3 1 0.25\
 const CORNERS: [DVec3; 4] =
     [dvec3(0.0, 1.5, 0.0), dvec3(1.0, 1.5, 0.0), dvec3(1.0, 1.5, 0.6), dvec3(0.0, 1.5, 0.6)];
 
-/// The numbers of each line.
+/// The numbers of every line.
 fn table(bytes: &[u8]) -> Vec<Vec<f64>> {
     let text = std::str::from_utf8(bytes).unwrap();
     text.lines().map(|line| line.split_whitespace().map(|word| word.parse().unwrap()).collect()).collect()
@@ -27,10 +27,12 @@ fn probe(here: &Here, options: &str) -> Vec<Vec<f64>> {
     table(&output.stdout)
 }
 
+/// In a black scene the irradiance at a point is Lambert's formula for the lamp, within four standard errors.
 #[test]
 fn direct_light_is_lambert_s() {
     let here = Here::new(LAMP, BLACK);
-    // On the floor, below its middle and aside; in the air, upright and tilted so that the lamp straddles the horizon.
+    // On the floor, below the middle of the lamp and aside; in the air, upright and tilted so that the lamp straddles
+    // the horizon.
     let probes = [
         (dvec3(0.5, 0.0, 0.3), DVec3::Y),
         (dvec3(-2.0, 0.0, 1.7), DVec3::Y),
@@ -60,7 +62,7 @@ fn direct_light_is_lambert_s() {
     }
 }
 
-/// The square of these lengths is beyond double precision; scaled by a power of two the direction is the same to the bit.
+/// The squares of these lengths are beyond double precision. Scaling by a power of two keeps the direction, to the bit.
 #[test]
 fn directions_of_any_length_are_directions() {
     let here = Here::new(LAMP, BLACK);
@@ -76,8 +78,9 @@ fn directions_of_any_length_are_directions() {
     }
 }
 
+/// In a furnace both methods give an irradiance of 1, within 4.5 standard errors.
 #[test]
-fn both_methods_tell_the_irradiance_of_a_furnace() {
+fn both_methods_give_the_irradiance_of_a_furnace() {
     let here = Here::new(LAMP, BLACK);
     fs::write(here.path("p"), "0.5 0 0.5 0 1 0\n0.2 0.2 0.2 1 1 1\n0.45 0.7 0.4 0 3 0\n").unwrap();
     let scene = format!("{}/meshes/furnace.obj", env!("CARGO_MANIFEST_DIR"));
@@ -88,10 +91,12 @@ fn both_methods_tell_the_irradiance_of_a_furnace() {
     }
 }
 
+/// Both methods agree where most light is indirect. The tolerance is four standard errors and the change between two
+/// patch sizes, which estimates the discretisation error.
 #[test]
-fn both_methods_agree_where_light_arrives_by_detours() {
+fn both_methods_agree_on_indirect_light() {
     let here = Here::new(LAMP, BLACK);
-    // On the ceiling, which the lamp never shines on; in the shadow of the tall block; on the red wall.
+    // On the ceiling, which the lamp does not light; in the shadow of the tall block; on the red wall.
     fs::write(here.path("p"), "100 548.8 450 0 -1 0\n500 0 450 0 1 0\n556 200 100 -1 0 0\n").unwrap();
     let scene = format!("{}/meshes/cornell-box.obj", env!("CARGO_MANIFEST_DIR"));
     let by = |options: &str| probe(&here, &format!("{scene} --points p {options}"));
@@ -101,7 +106,7 @@ fn both_methods_agree_where_light_arrives_by_detours() {
     for (i, p) in paths.iter().enumerate() {
         for c in 0..3 {
             let (want, error) = (p[6 + c], p[9 + c]);
-            // The change from patches to smaller ones shows the error of the solution.
+            // The change between two patch sizes estimates the error of the solution.
             let allowed = 4.0 * error.hypot(fine[i][9 + c]) + (coarse[i][6 + c] - fine[i][6 + c]).abs();
             assert!(allowed < 0.15 * want, "{i}: {p:?} {:?} {:?}", coarse[i], fine[i]);
             assert!((fine[i][6 + c] - want).abs() < allowed, "{i}: {p:?} {:?} {:?}", coarse[i], fine[i]);
@@ -110,7 +115,7 @@ fn both_methods_agree_where_light_arrives_by_detours() {
 }
 
 #[test]
-fn a_file_holds_what_stdout_shows_whatever_the_threads() {
+fn a_file_has_the_bytes_of_stdout_for_any_number_of_threads() {
     let here = Here::new(LAMP, BLACK);
     fs::write(here.path("p"), "0.5 0 0.3 0 1 0\n1 0 1 0 1 0\n").unwrap();
     let shown = here.run("probe scene.obj --points p --spp 256 --threads 1").stdout;
@@ -127,7 +132,7 @@ fn a_file_holds_what_stdout_shows_whatever_the_threads() {
 }
 
 #[test]
-fn bad_points_are_told_with_file_and_line() {
+fn bad_points_are_reported_with_file_and_line() {
     let here = Here::new(LAMP, BLACK);
     fs::write(here.path("good"), "0.5 0 0.3 0 1 0\n").unwrap();
     fs::write(here.path("bad"), "0.5 0 0.3 0 1 0\n\n# two\n1 2 3 4 5\n").unwrap();
@@ -172,7 +177,8 @@ fn points_below_a_surface_are_named() {
     assert!(table(&below.stdout)[1][6] == 0.0);
 }
 
-/// A pane in front of the lamp blocks its light, unless its material is ignored. Then the light is that without a pane.
+/// A pane blocks the light of the lamp unless its material is ignored. Then the light is that without a pane, within 1
+/// %.
 #[test]
 fn materials_can_be_ignored() {
     let pane = "usemtl glass\nv -1 1 -1\nv 2 1 -1\nv 2 1 2\nv -1 1 2\nf 9 10 11 12\n";

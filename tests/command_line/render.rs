@@ -8,14 +8,14 @@ use crate::common::program::{Here, stderr};
 type Block = [f64; 3];
 
 const SIZE: u32 = 48;
-/// Blocks in a row; each is 12 x 12 pixels.
+/// Blocks per row. Each has 12 x 12 pixels.
 const BLOCKS: u32 = 4;
 
 fn mesh(name: &str) -> String {
     format!("{}/meshes/{name}.obj", env!("CARGO_MANIFEST_DIR"))
 }
 
-/// A directory with a scene that has nothing to see.
+/// A directory with a scene that shows nothing.
 fn here() -> Here {
     Here::new("mtllib scene.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "newmtl m\nKe 1 1 1\n")
 }
@@ -42,7 +42,7 @@ fn blocks(bytes: &[u8]) -> Vec<Block> {
     means
 }
 
-/// Mean and standard error of each block over several seeds.
+/// The mean of each block over several seeds, and its standard error.
 fn sampled(here: &Here, options: &str, seeds: u32) -> Vec<(Block, Block)> {
     let runs: Vec<Vec<Block>> = (0..seeds)
         .map(|seed| {
@@ -63,8 +63,10 @@ fn sampled(here: &Here, options: &str, seeds: u32) -> Vec<(Block, Block)> {
         .collect()
 }
 
+/// All methods give the same picture of the Cornell box, block by block: unbiased ones within five standard errors, and
+/// radiosity also within the change between patches and patches of half the size.
 #[test]
-fn paths_particles_and_radiosity_make_one_picture_of_the_cornell_box() {
+fn all_methods_give_one_picture_of_the_cornell_box() {
     let here = here();
     let path = sampled(&here, "--method path --spp 64", 6);
     let light = sampled(&here, "--method light --spp 64", 6);
@@ -81,7 +83,10 @@ fn paths_particles_and_radiosity_make_one_picture_of_the_cornell_box() {
                 squares += (difference / error).powi(2) / 48.0;
             }
         }
-        assert!((0.4..2.5).contains(&squares), "{name}: differences are {squares} of what their errors say");
+        assert!(
+            (0.4..2.5).contains(&squares),
+            "{name}: mean square of differences over their errors {squares}"
+        );
     }
     for way in ["--spp 16", "--spp 4 --final-gather 16"] {
         let solved = |patches: u32| {
@@ -91,7 +96,7 @@ fn paths_particles_and_radiosity_make_one_picture_of_the_cornell_box() {
         let mut allowance = 0.0;
         for (b, ((p, k), f)) in path.iter().zip(&coarse).zip(&fine).enumerate() {
             for c in 0..3 {
-                // The error of the patches' size falls at least linearly with it: half the size, half the error.
+                // The discretisation error falls at least linearly: half the size of patches, half the error.
                 let patches = (k.0[c] - f.0[c]).abs();
                 let allowed = patches + 5.0 * p.1[c].hypot(f.1[c]);
                 let difference = (p.0[c] - f.0[c]).abs();
@@ -103,11 +108,12 @@ fn paths_particles_and_radiosity_make_one_picture_of_the_cornell_box() {
     }
 }
 
+/// In a furnace the radiosity is 1 W/m² everywhere, so every method shows a radiance of 1/π, within four standard
+/// errors.
 #[test]
-fn inside_a_furnace_every_method_sees_one_over_pi_everywhere() {
+fn every_method_sees_one_over_pi_everywhere_in_a_furnace() {
     let here = here();
     let furnace = mesh("furnace");
-    // Where radiosity is 1 W/m2 all round, radiance is 1/π.
     for (options, sharp) in [
         ("--method path --spp 64", 0.005),
         ("--method path --spp 256 --no-next-event", 0.005),
@@ -120,11 +126,11 @@ fn inside_a_furnace_every_method_sees_one_over_pi_everywhere() {
         let n = means.len() as f64;
         let mean = means.iter().map(|m| m[1]).sum::<f64>() / n;
         let error = (means.iter().map(|m| (m[1] - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))).sqrt();
-        assert!(error <= sharp / PI, "{options}: ± {error} is too blunt");
+        assert!(error <= sharp / PI, "{options}: the error {error} is too large");
         assert!((mean - 1.0 / PI).abs() <= 4.0 * error + 1e-7, "{options}: {mean} ± {error}");
         for m in means {
-            assert_eq!((m[0], m[2]), (m[1], m[1]), "{options}: grey light has turned coloured");
-            // Single blocks, with the spread of blocks.
+            assert_eq!((m[0], m[2]), (m[1], m[1]), "{options}: grey light has become coloured");
+            // Each block, with the spread of blocks.
             assert!((m[1] - mean).abs() < 4.5 * error * n.sqrt() + 1e-7, "{options}: {m:?}, mean {mean}");
         }
     }
@@ -138,12 +144,12 @@ fn files_hold_radiance_or_its_exposure() {
         image::load_from_memory(&render(&here, &mesh("furnace"), &options, name)).unwrap()
     };
     let hdr = run("out.hdr", "").to_rgb32f();
-    // Eight bits of mantissa, of which the first is 1.
+    // Eight bits of mantissa, the first of which is 1.
     assert_eq!(hdr.dimensions(), (20, 10));
     assert!(hdr.pixels().all(|p| p.0.iter().all(|x| (f64::from(*x) * PI - 1.0).abs() < 1.0 / 128.0)));
     let exr = run("out.exr", "").to_rgb32f();
     assert!(exr.pixels().all(|p| p.0.iter().all(|x| (f64::from(*x) * PI - 1.0).abs() < 1e-5)));
-    // 1/π of white is 153 of 255 by IEC 61966-2-1, 2/π is 209; automatic exposure shows even light at 0.8: 231.
+    // 1/π of white is 153 of 255 by IEC 61966-2-1, and 2/π is 209. Automatic exposure shows even light at 0.8: 231.
     for (options, value) in [
         ("--white 1", 153),
         ("--white 1 --exposure 1", 209),
@@ -175,7 +181,7 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
 }
 
 #[test]
-fn the_camera_is_where_it_was_put_and_the_report_says_so() {
+fn the_camera_is_where_options_place_it_and_the_report_states_it() {
     let here = here();
     // From inside, close to the red wall (x = 556), looking at it.
     let options =
@@ -190,7 +196,7 @@ fn the_camera_is_where_it_was_put_and_the_report_says_so() {
     assert_eq!((&report["method"], &report["samples"]), (&"path".into(), &16.into()));
     let mean: f64 = picture.pixels().map(|p| f64::from(p.0[0])).sum::<f64>() / 96.0;
     assert!((report["picture"]["mean_radiance"][0].as_f64().unwrap() / mean - 1.0).abs() < 1e-6);
-    // The eye alone: the picture's middle stays the middle of the box.
+    // Only the eye is given: the picture is centred on the middle of the box.
     let output = here.run(&format!(
         "render {} -o out.png --spp 1 --width 8 --height 8 --eye -5,270,-700",
         mesh("cornell-box")
@@ -204,7 +210,7 @@ fn the_camera_is_where_it_was_put_and_the_report_says_so() {
 }
 
 #[test]
-fn bad_usage_is_told_and_leaves_no_file() {
+fn bad_usage_is_reported_and_leaves_no_file() {
     let here = here();
     let cornell = mesh("cornell-box");
     for (options, said) in [
@@ -217,7 +223,7 @@ fn bad_usage_is_told_and_leaves_no_file() {
         ("-o out.png --eye 1,2,3 --look-at 1,2,3", "own place"),
         ("-o out.png --up 0,0,1", "parallel"),
         ("-o out.png --eye 278,273,-800 --look-at 278,273,-900", "sees nothing"),
-        // In the tall block; behind the back wall.
+        // Inside the tall block; behind the back wall.
         ("-o out.png --eye 368,100,351 --look-at 368,100,400", "no light gets there"),
         ("-o out.png --eye 278,273,2000 --look-at 278,273,0", "no light gets there"),
         ("-o out.png --method light --no-next-event", "pinhole"),

@@ -10,15 +10,15 @@ use serde_json::Value;
 
 use crate::common::program::{Here, stderr};
 
-/// A closed unit cube seen from inside, whose walls all emit 1/π and reflect half: B = Be + B / 2 = 2.
+/// A closed unit cube seen from inside. All walls emit 1/π and reflect half: B = Be + B / 2 = 2.
 const FURNACE: &str = "mtllib scene.mtl\nusemtl wall
 v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1
 f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n";
 const GLOW: &str =
     "newmtl wall\nKd 0.5 0.5 0.5\nKe 0.31830988618379067 0.31830988618379067 0.31830988618379067\n";
 
-/// Every pixel of `--picture` sees a wall of radiosity 2 W/m², so its radiance is 2/π. The mesh and the report come from the same
-/// run, and a solution without a matrix can be seen as well.
+/// Every pixel of `--picture` sees a wall of radiosity 2 W/m², so its radiance is 2/π. The mesh and the picture come
+/// from the same run, also for a solution without a matrix.
 #[test]
 fn the_picture_of_a_solution_shows_its_radiance() {
     let here = Here::new(FURNACE, GLOW);
@@ -32,13 +32,13 @@ fn the_picture_of_a_solution_shows_its_radiance() {
             image::load_from_memory_with_format(&bytes, image::ImageFormat::OpenExr).unwrap().to_rgb32f();
         assert_eq!(picture.dimensions(), (640, 480));
         let off = picture.iter().map(|&l| (f64::from(l) * PI / 2.0 - 1.0).abs()).fold(0.0, f64::max);
-        assert!(off < tolerance, "{solver}: a pixel is {off} off");
+        assert!(off < tolerance, "{solver}: a pixel has an error of {off}");
     }
     here.fails("solve scene.obj -o out.ply --picture out.gif", 2);
     here.fails("solve scene.obj --picture out.png --report out.png", 2);
 }
 
-/// The same cube, of which one side is a lamp and the others have a colour.
+/// The same cube with one lamp; the other sides have a colour.
 fn lamp() -> Here {
     let obj = FURNACE.replace("f 1 2 4 3", "usemtl lamp\nf 1 2 4 3\nusemtl wall");
     Here::new(&obj, "newmtl wall\nKd 0.5 0.9 0.1\nnewmtl lamp\nKd 0.5 0.5 0.5\nKe 1 1 1\n")
@@ -48,6 +48,8 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
+/// A furnace has B = 2 and absorbs the 6 W that it emits, to the tolerance of the solver and single precision of the
+/// file.
 #[test]
 fn the_furnace_is_solved_exactly_and_reported() {
     let here = Here::new(FURNACE, GLOW);
@@ -106,9 +108,7 @@ fn the_report_has_the_promised_fields_in_the_promised_order() {
     .into_iter()
     .flat_map(str::split_whitespace)
     {
-        let at = rest
-            .find(&format!("\"{field}\":"))
-            .unwrap_or_else(|| panic!("{field} is not where it should be"));
+        let at = rest.find(&format!("\"{field}\":")).unwrap_or_else(|| panic!("{field} is not in its place"));
         rest = &rest[at + field.len()..];
     }
     let seconds = &here.json("r.json")["seconds"];
@@ -117,13 +117,13 @@ fn the_report_has_the_promised_fields_in_the_promised_order() {
         .iter()
         .sum();
     assert!(sum <= number(&seconds["total"]) + 1e-5);
-    // Whole triangles have no largest edge; infinity is written as null.
+    // Whole triangles have no largest edge: infinity is written as null.
     assert!(here.json("r.json")["scene"]["patch_edge"].is_null());
     assert_eq!(here.json("r.json")["scene"]["patches"], 12);
 }
 
-/// If no option sets the patches, `--error` makes them small where light varies, so that triangles have patches of several
-/// sizes. If an option sets them, all patches of a triangle have one size.
+/// If no option sets the patches, `--error` makes them small where light varies, so that triangles have patches of
+/// several sizes. If an option sets them, all patches of a triangle have one size.
 #[test]
 fn a_wanted_error_alone_cuts_patches_by_the_light() {
     let here = Here::new("", "");
@@ -204,10 +204,12 @@ fn every_solver_and_quality_gives_the_furnace_the_same_light() {
     let (_, name, report) = absorbed("--quality draft --estimator one-way");
     assert_eq!((name.as_str(), &report["options"]["estimator"]), ("gauss-seidel", &Value::from("one-way")));
     assert_eq!(report["scene"]["patches"], 768);
-    // After half of the rays all patches are known to be equally bright, and no more rays are worth casting.
+    // After half of the rays all patches are known to be equally bright, so no more rays are cast.
     assert_eq!(absorbed("--quality draft").2["options"]["rays_per_patch"], 32.0);
 }
 
+/// The reported error is the RMS of the standard errors in the mesh, and falls with the root of the number of rays or
+/// faster.
 #[test]
 fn standard_errors_are_in_the_mesh_and_fall_with_more_rays() {
     let here = lamp();
@@ -234,7 +236,7 @@ fn standard_errors_are_in_the_mesh_and_fall_with_more_rays() {
         relative
     };
     let (few, many) = (errors(32), errors(512));
-    // At least as the root of the rays, which is a factor of 4.
+    // 16 times the rays leave at most a quarter of the error; a third is allowed.
     assert!(few < 0.5 && many < few / 3.0, "{few} {many}");
 }
 
@@ -258,12 +260,12 @@ fn exposure_moves_colours_by_stops_and_nothing_else() {
     let (darker, same, grey) = run("-1");
     assert_eq!(radiosity, same);
     assert!((grey / white - 2.0).abs() < 1e-12);
-    // 0.8 and 0.4 of white as sRGB.
+    // 0.8 and 0.4 of white, encoded as sRGB.
     assert_eq!((colour, darker), (Property::UChar(231), Property::UChar(170)));
 }
 
 #[test]
-fn bad_usage_is_told_before_any_work_and_exits_with_two() {
+fn bad_usage_is_reported_before_any_work_and_exits_with_two() {
     let here = Here::new(FURNACE, GLOW);
     for (arguments, said) in [
         ("", "Usage"),
@@ -305,7 +307,7 @@ fn bad_usage_is_told_before_any_work_and_exits_with_two() {
 }
 
 #[test]
-fn every_command_tells_its_version() {
+fn every_command_prints_its_version() {
     let here = Here::new("", "");
     for command in ["", "solve", "validate", "render", "bake", "probe", "inspect", "tradeoff", "view-factors"]
     {
@@ -317,7 +319,7 @@ fn every_command_tells_its_version() {
 }
 
 #[test]
-fn bad_input_is_told_with_file_and_line() {
+fn bad_input_is_reported_with_file_and_line() {
     let here = Here::new(&FURNACE.replace("f 1 5 6 2", "f 1 5 66 2"), GLOW);
     let errors = here.fails("solve scene.obj -o out.ply --report r.json", 2);
     assert!(errors.starts_with("error: scene.obj:13: "), "{errors}");
@@ -339,7 +341,7 @@ fn bad_input_is_told_with_file_and_line() {
 }
 
 #[test]
-fn what_was_there_stays_when_the_run_fails() {
+fn existing_files_stay_when_the_run_fails() {
     let here = lamp();
     fs::write(here.path("out.ply"), "old").unwrap();
     let errors = here.fails("solve scene.obj -o out.ply --tolerance 1e-300 --patches 50 --rays 16", 1);

@@ -5,15 +5,16 @@ use std::fs;
 use crate::common::program::{Here, stderr};
 use serde_json::Value;
 
-/// A closed room whose ceiling shines.
+/// A closed room whose ceiling emits.
 const ROOM: &str = "mtllib scene.mtl\nusemtl wall
 v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1
 f 1 2 4 3\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\nusemtl lamp\nf 5 7 8 6\n";
 const MATERIALS: &str = "newmtl wall\nKd 0.5 0.5 0.5\nnewmtl lamp\nKd 0 0 0\nKe 1 1 1\n";
 const SMALL: &str = "--patches 800 --most-rays 400000";
 
-/// The errors of the patches of one triangle may be fully correlated, so there are at least 12 independent ones. The mean of 12
-/// squares of normal variables has a relative standard deviation of sqrt(2/12). Four of these are allowed.
+/// Upper limit for the ratio of a mean square error to its expectation. The errors of the patches of one triangle may
+/// be fully correlated, so there are at least 12 independent ones. The mean of 12 squares of normal variables has a
+/// relative standard deviation of sqrt(2/12). Four of these are allowed.
 const BAND: f64 = 1.0 + 4.0 * 0.408_248;
 
 fn here() -> Here {
@@ -28,7 +29,7 @@ fn of<'a>(points: &'a [Value], series: &str) -> Vec<&'a Value> {
     points.iter().filter(|p| p["series"] == series).collect()
 }
 
-/// Names of the elements of well-formed XML without comments; panics when tags do not match.
+/// The names of the elements of well-formed XML without comments. Panics if tags do not match.
 fn elements(xml: &str) -> Vec<&str> {
     let (mut open, mut all) = (Vec::new(), Vec::new());
     for tag in xml.split('<').skip(1) {
@@ -67,7 +68,7 @@ fn errors_fall_as_rays_grow_and_files_can_be_read() {
     let points = report["points"].as_array().unwrap();
     assert_eq!(fs::read_dir(here.path("out")).unwrap().count(), 4);
 
-    // Every number is finite: no others are in JSON. Costs are above zero.
+    // Every number is finite, since JSON has no others. Costs are above zero.
     for p in points {
         assert!(number(p, "error") >= 0.0 && number(p, "seconds") > 0.0 && number(p, "bytes") > 0.0, "{p}");
     }
@@ -76,7 +77,7 @@ fn errors_fall_as_rays_grow_and_files_can_be_read() {
     check_errors(&report, points);
     check_variants(points);
 
-    // Another run, with any number of threads, replaces the files and gives the same figures except for times.
+    // Another run with any number of threads replaces the files and gives the same figures except for times.
     let again = here.run(&format!("tradeoff r&d<1.obj -o out --threads 1 --quiet {SMALL}"));
     assert_eq!((again.status.code(), again.stdout.len()), (Some(0), 0));
     assert_eq!(fs::read_dir(here.path("out")).unwrap().count(), 4);
@@ -119,13 +120,13 @@ fn check_svg(svg: &str, points: &[Value]) {
     for unwanted in ["NaN", "inf", "-0.0"] {
         assert!(!svg.contains(unwanted), "{unwanted}");
     }
-    // A mark for each point with an error; crosses are lines.
+    // A mark for each point with an error. Crosses are lines.
     let is_cross = |p: &&Value| p["series"] == "estimator";
     let drawn = points.iter().filter(|p| number(p, "error") > 0.0 && !is_cross(p)).count();
     assert!(all.iter().filter(|name| matches!(**name, "circle" | "polygon")).count() >= drawn);
 }
 
-/// With more rays the error falls to the discretisation error, and it agrees with the estimate.
+/// Checks that the error falls with more rays down to the discretisation error, and that it agrees with the estimate.
 fn check_errors(report: &Value, points: &[Value]) {
     let known = number(&report["reference"], "error");
     let rays = of(points, "rays");
@@ -156,13 +157,13 @@ fn check_variants(points: &[Value]) {
         names,
         ["pooled with rays by variance", "pooled with rays evenly", "pooled without shadow rays", "one way"]
     );
-    // Without shadow rays the lamp is found by hemisphere rays, and none is dark.
+    // Without shadow rays hemisphere rays find the lamp, so no patch stays dark.
     for p in &estimators {
         let (error, estimate) = (number(p, "error"), number(p, "estimated_error"));
         assert!(estimate > 0.0 && error < 1.0, "{p}");
         assert!(error * error <= BAND * estimate * estimate, "{p}");
     }
-    // A half of all connections is known to both ends: pooled, one way cannot be better.
+    // Both ends of a ray contribute to the pooled estimate, so one-way form factors cannot be better.
     assert!(number(estimators[3], "error") > number(estimators[0], "error"));
 
     let solvers = of(points, "solver");
@@ -172,14 +173,15 @@ fn check_variants(points: &[Value]) {
         assert!(line.len() >= 4, "{name}");
         assert!(line.windows(2).all(|p| number(p[0], "tolerance") > number(p[1], "tolerance")));
         assert!(line.windows(2).all(|p| number(p[0], "iterations") <= number(p[1], "iterations")));
-        // At 1e-10 of the emitted power all solvers have the answer of the dense system and so the same sampling error.
+        // At 1e-10 of the emitted power all solvers have the solution of the dense system, and so the same sampling
+        // error.
         let (last, same) = (number(line[line.len() - 1], "error"), number(direct, "error"));
         assert!((last / same - 1.0).abs() < 1e-6, "{name}: {last} {same}");
     }
 }
 
 #[test]
-fn bad_input_is_told_and_nothing_is_left() {
+fn bad_input_is_reported_and_nothing_is_left() {
     let here = here();
     fs::write(here.path("file"), "precious").unwrap();
     fs::create_dir(here.path("foreign")).unwrap();
@@ -193,7 +195,7 @@ fn bad_input_is_told_and_nothing_is_left() {
         "tradeoff scene.obj -o out --patches 0",
         "tradeoff scene.obj -o out --most-rays 0",
         "tradeoff scene.obj",
-        // More patches than any machine holds.
+        // More patches than any machine has memory for.
         "tradeoff scene.obj -o out --patches 4000000000",
     ] {
         let errors = here.fails(arguments, 2);
@@ -202,7 +204,7 @@ fn bad_input_is_told_and_nothing_is_left() {
     assert_eq!(here.read("file"), b"precious");
     assert_eq!(here.read("foreign/tradeoff.svg"), b"precious");
 
-    // Light that nothing absorbs is found while computing.
+    // The missing equilibrium is found while computing.
     fs::write(
         here.path("scene.mtl"),
         MATERIALS.replace("Kd 0.5 0.5 0.5", "Kd 1 1 1").replace("Kd 0 0 0", "Kd 1 1 1"),
@@ -210,11 +212,11 @@ fn bad_input_is_told_and_nothing_is_left() {
     .unwrap();
     let errors = here.fails(&format!("tradeoff scene.obj -o out {SMALL}"), 2);
     assert!(errors.contains("no equilibrium"), "{errors}");
-    // A directory that is there stays, without files.
+    // An existing directory stays, without files.
     fs::create_dir(here.path("out")).unwrap();
     here.fails(&format!("tradeoff scene.obj -o out {SMALL}"), 2);
     assert_eq!(fs::read_dir(here.path("out")).unwrap().count(), 0);
-    // Nothing that emits.
+    // No emitter.
     fs::write(here.path("scene.mtl"), "newmtl wall\nKd 0.5 0.5 0.5\nnewmtl lamp\n").unwrap();
     assert!(here.fails("tradeoff scene.obj -o out", 2).contains("nothing emits light"));
 }

@@ -7,10 +7,10 @@ use radiosity::form_factor::exact::{
     opposed_rectangles, opposed_squares_with_blocker, perpendicular_rectangles,
 };
 
-/// Rounding of single precision, which is more than the error of closed forms.
+/// Rounding of single precision, which is more than the error of the closed forms.
 const STORED: f64 = 3e-7;
 
-/// A table: names, areas, escaped shares, and rows.
+/// A table with names, areas, escaped shares, and rows.
 struct Table {
     names: Vec<String>,
     areas: Vec<f64>,
@@ -37,13 +37,13 @@ impl Table {
         table
     }
 
-    /// Properties of all tables.
+    /// Checks properties of all tables: rows sum to one and are reciprocal.
     fn check(&self) {
         let n = self.names.len();
         assert!(self.rows.len() == n && self.rows.iter().all(|row| row.len() == n));
         for i in 0..n {
             let sum = self.escaped[i] + self.rows[i].iter().sum::<f64>();
-            // Light from sky and ground does not count.
+            // Rows of sky and ground are empty.
             if self.areas[i].is_infinite() {
                 assert_eq!(sum, 0.0);
                 continue;
@@ -78,7 +78,7 @@ fn table(obj: &str, options: &str) -> Table {
     Table::read(&run(obj, options).0, "out.csv")
 }
 
-/// Faces of a file, each with the lines before it and its corners.
+/// An OBJ file of faces, each with the lines before it and its corners.
 fn obj<'a>(faces: impl IntoIterator<Item = (&'a str, Vec<[f64; 3]>)>) -> String {
     let mut text = String::new();
     for (before, corners) in faces {
@@ -92,7 +92,7 @@ fn obj<'a>(faces: impl IntoIterator<Item = (&'a str, Vec<[f64; 3]>)>) -> String 
     text
 }
 
-/// A rectangle of a × b at a height, that faces up or down.
+/// A rectangle of a × b at height z that faces up or down.
 fn flat(a: f64, b: f64, z: f64, up: bool) -> Vec<[f64; 3]> {
     let mut corners = vec![[0.0, 0.0, z], [a, 0.0, z], [a, b, z], [0.0, b, z]];
     if !up {
@@ -103,7 +103,7 @@ fn flat(a: f64, b: f64, z: f64, up: bool) -> Vec<[f64; 3]> {
 
 const WALLS: [&str; 6] = ["left", "right", "front", "rear", "floor", "ceiling"];
 
-/// The walls of the unit cube, seen from inside, each cut in n × n.
+/// The walls of the unit cube, seen from inside, each cut into n × n.
 fn cube(n: u32, before: impl Fn(usize) -> &'static str) -> Vec<(&'static str, Vec<[f64; 3]>)> {
     let mut faces = Vec::new();
     for wall in 0..6 {
@@ -127,7 +127,7 @@ fn cube(n: u32, before: impl Fn(usize) -> &'static str) -> Vec<(&'static str, Ve
     faces
 }
 
-/// Cubes have two view factors.
+/// The two view factors of a cube.
 fn of_cube(i: usize, j: usize) -> f64 {
     match (i == j, i / 2 == j / 2) {
         (true, _) => 0.0,
@@ -154,13 +154,14 @@ fn two_rectangles_are_closed_forms() {
             (found.areas[0] - l * w).abs() < 1e-9 * l * w && (found.areas[1] - l * h).abs() < 1e-9 * l * h
         );
     }
-    // Numbers published with these formulas.
+    // A number published with these formulas.
     let opposed = table(&obj([("", flat(1.0, 1.0, 0.0, true)), ("", flat(1.0, 1.0, 1.0, false))]), "");
     assert!((opposed.rows[0][1] - 0.199824895698).abs() < STORED);
 }
 
+/// A thin sheet between two squares blocks as much as the closed form says, within 4.5 of the reported standard errors.
 #[test]
-fn a_blocker_hides_what_the_closed_form_says_within_the_told_error() {
+fn a_blocker_hides_as_much_as_the_closed_form_says() {
     let middle = |up| {
         let mut corners = flat(0.5, 0.5, 0.5, up);
         corners.iter_mut().for_each(|p| (p[0], p[1]) = (p[0] + 0.25, p[1] + 0.25));
@@ -190,9 +191,9 @@ fn a_blocker_hides_what_the_closed_form_says_within_the_told_error() {
     let (f, error) = known[&("0", "1")];
     let exact = opposed_squares_with_blocker(1.0, 1.0, 0.5);
     assert!((f - exact).abs() < 4.5 * error, "{f} ± {error}, not {exact}");
-    // This pair has nearly all of the error, in both directions. RMS over the six view factors that are not zero.
-    let told = here.json("r.json")["error"]["rms"].as_f64().unwrap();
-    assert!(told <= 2e-4 && error > 3f64.sqrt() * told * 0.9, "{told} {error}");
+    // This pair has nearly all of the error, in both directions. The RMS is over the six view factors above zero.
+    let rms = here.json("r.json")["error"]["rms"].as_f64().unwrap();
+    assert!(rms <= 2e-4 && error > 3f64.sqrt() * rms * 0.9, "{rms} {error}");
     assert_eq!(here.json("r.json")["enclosed"], false);
 }
 
@@ -209,7 +210,7 @@ fn a_cube_is_closed_and_its_parts_sum_up() {
         assert!((groups.areas[i] - 1.0).abs() < 1e-12);
         for j in 0..6 {
             assert!((whole.rows[i][j] - of_cube(i, j)).abs() < STORED);
-            // Nothing is hidden, so there is no sampling: unoccluded view factors are known to a thousandth.
+            // Nothing blocks, so there is no sampling: unblocked view factors are known to a thousandth.
             assert!((groups.rows[i][j] - of_cube(i, j)).abs() < 1e-3 * of_cube(i, j) + STORED, "{i} {j}");
             let of_part = |k: usize| parts.rows[k][9 * j..9 * j + 9].iter().sum::<f64>();
             let sum = (9 * i..9 * i + 9).map(of_part).sum::<f64>() / 9.0;
@@ -220,7 +221,7 @@ fn a_cube_is_closed_and_its_parts_sum_up() {
 
 #[test]
 fn surfaces_may_see_themselves() {
-    // Floor and ceiling are one object, one of the walls has no name.
+    // Floor and ceiling are one object. One of the walls has no name.
     let named = |wall: usize| ["o a", "o a", "o b", "o", "o plates", "o plates"][wall];
     let found = table(&obj(cube(1, named)), "--by object");
     assert_eq!(found.names, ["a", "b", "(none)", "plates"]);
@@ -241,7 +242,7 @@ fn surfaces_may_see_themselves() {
 
 #[test]
 fn faces_of_any_shape_are_surfaces() {
-    // The floor as a trapezoid, a triangle, and an L that is left; the ceiling as a hexagon with corners on its edges.
+    // The floor is a trapezoid, a triangle, and the remaining L. The ceiling is a hexagon with corners on its edges.
     let mut faces = cube(1, |_| "");
     faces.truncate(4);
     let corners = |list: &[(f64, f64)], z: f64| list.iter().map(|&(x, y)| [x, y, z]).collect::<Vec<_>>();
@@ -269,7 +270,7 @@ fn faces_of_any_shape_are_surfaces() {
 }
 
 #[test]
-fn what_a_room_is_is_told_by_rays_or_by_the_user() {
+fn rays_or_the_user_decide_if_a_room_is_enclosed() {
     let closed = obj(cube(1, |_| ""));
     let open = obj(cube(1, |_| "").into_iter().take(5));
     let outward = obj(cube(1, |_| "").into_iter().map(|(b, c)| (b, c.into_iter().rev().collect())));
@@ -278,64 +279,64 @@ fn what_a_room_is_is_told_by_rays_or_by_the_user() {
         (here.json("r.json"), Table::read(&here, "out.csv"), said)
     };
     // No warning about the missing reflectance.
-    let (told, _, said) = report(&closed, "");
+    let (json, _, said) = report(&closed, "");
     assert_eq!(said, "");
-    assert_eq!((&told["enclosed"], &told["look"]["escaped"]), (&true.into(), &0.into()));
-    let (told, found, _) = report(&open, "");
-    assert_eq!(told["enclosed"], false);
+    assert_eq!((&json["enclosed"], &json["look"]["escaped"]), (&true.into(), &0.into()));
+    let (json, found, _) = report(&open, "");
+    assert_eq!(json["enclosed"], false);
     for wall in 0..5 {
         assert!((found.escaped[wall] - of_cube(wall, 5)).abs() < 1e-6, "{:?}", found.escaped);
     }
-    // Everything escapes.
+    // Declared open, the closed room still loses nothing.
     let (_, found, _) = report(&closed, "--open");
     assert!(found.escaped.iter().all(|&e| e < 1e-6));
-    // A room shown its outside.
-    let (told, found, _) = report(&outward, "");
-    assert!(found.escaped.iter().all(|&e| e == 1.0) && told["non_zeros"] == 0);
-    let (told, found, _) = report(&outward, "--side back");
-    assert_eq!(told["enclosed"], true);
+    // A room seen from outside.
+    let (json, found, _) = report(&outward, "");
+    assert!(found.escaped.iter().all(|&e| e == 1.0) && json["non_zeros"] == 0);
+    let (json, found, _) = report(&outward, "--side back");
+    assert_eq!(json["enclosed"], true);
     assert!((found.rows[0][1] - of_cube(0, 1)).abs() < STORED);
-    // All walls twice: the inside as above, the outside alone.
-    let (told, found, said) = report(&closed, "--side both");
+    // Both sides of all walls: the inside as above, the outside sees nothing.
+    let (json, found, said) = report(&closed, "--side both");
     assert_eq!(found.names[6..8], ["0 back", "1 back"]);
-    assert!(told["enclosed"] == false && !said.contains("backs"), "{said}");
+    assert!(json["enclosed"] == false && !said.contains("backs"), "{said}");
     assert!((found.rows[0][1] - of_cube(0, 1)).abs() < 1e-6 && found.escaped[0] < 1e-6);
     assert!(found.escaped[6..].iter().all(|&e| e == 1.0));
-    // The claim that an open box is closed is refused.
+    // An open box that is declared closed is refused.
     let here = Here::new(&open, "");
     let errors = here.fails("view-factors scene.obj -o out.csv --enclosed", 2);
     assert!(errors.contains("error: scene.obj:") && errors.contains("no room is enclosed"), "{errors}");
-    // However much sampling leaves open.
+    // Also if the sampling error is large.
     let errors = here.fails("view-factors scene.obj -o out.csv --enclosed --error 0.1", 2);
     assert!(errors.contains("no room is enclosed"), "{errors}");
     assert!(errors.contains("hint: ") && errors.contains("rays left the room"), "{errors}");
 }
 
 #[test]
-fn a_turned_wall_and_faces_at_one_place_are_told() {
+fn reversed_walls_and_overlapping_faces_are_reported() {
     let mut faces = cube(1, |_| "");
     faces[5].1.reverse();
     let (_, said) = run(&obj(faces.clone()), "");
     assert!(said.contains("% of what surfaces see are backs"), "{said}");
     assert!(said.contains("face 5 runs along an edge the same way as its neighbour"), "{said}");
     faces[5].1.reverse();
-    // Once more from another corner: the same face.
+    // The same face once more, from another corner.
     let mut again = faces[4].clone();
     again.1.rotate_left(1);
     faces.push(again);
     let (here, said) = run(&obj(faces.clone()), "");
     assert!(said.contains("faces overlap in one plane"), "{said}");
     assert_eq!(Table::read(&here, "out.csv").names.len(), 6);
-    // Half of the floor once more takes the place of that half.
+    // Half of the floor once more replaces that half.
     faces[6].1 = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.5, 0.0], [0.0, 0.5, 0.0]];
     let (here, said) = run(&obj(faces), "");
     assert!(said.contains("faces overlap in one plane"), "{said}");
     assert_eq!(Table::read(&here, "out.csv").areas[4..], [0.5, 1.0, 0.5]);
 }
 
+/// A box inside another at a distance of 0.01: rows close although few rays pass the gap and escape past the edges.
 #[test]
 fn boxes_one_in_the_other_close() {
-    // 0.01 apart: few rays pass between them and escape past the edges.
     let mut faces = cube(1, |_| "");
     for (_, mut corners) in cube(1, |_| "") {
         corners.iter_mut().flatten().for_each(|x| *x = 0.01 + 0.98 * *x);
@@ -349,7 +350,7 @@ fn boxes_one_in_the_other_close() {
     }
 }
 
-/// The formats hold the same numbers.
+/// All formats hold the same numbers.
 #[test]
 fn tables_in_other_formats() {
     let scene = obj(cube(1, |_| "").into_iter().take(5));
@@ -368,7 +369,7 @@ fn tables_in_other_formats() {
     let numbers =
         |bytes: &[u8]| bytes.chunks(8).map(|c| f64::from_le_bytes(c.try_into().unwrap())).collect::<Vec<_>>();
     assert_eq!(numbers(&npy[start..]), all);
-    // Rows from 1, columns from 1.
+    // Rows and columns count from 1.
     let text = String::from_utf8(here.read("out.mtx")).unwrap();
     let mut lines = text.lines();
     assert_eq!(lines.next(), Some("%%MatrixMarket matrix coordinate real general"));
@@ -382,7 +383,7 @@ fn tables_in_other_formats() {
         found[7 * i + j] = words[2].parse().unwrap();
     }
     assert_eq!(found, all);
-    // An archive as SciPy reads it: its last member holds the values, and it ends with a directory of five.
+    // An archive that SciPy reads: its last member has the values, and it ends with a directory of five.
     let npz = here.read("out.npz");
     let values: Vec<u8> = all.iter().filter(|&&f| f > 0.0).flat_map(|f| f.to_le_bytes()).collect();
     assert!(npz.windows(values.len()).any(|window| window == values));
@@ -394,7 +395,7 @@ fn tables_in_other_formats() {
     assert!(here.fails("view-factors scene.obj -o out.txt", 2).contains("unknown kind of table"));
 }
 
-/// A unit cube without a lid: light that leaves it upward reaches the sky, as it would reach the lid.
+/// A unit cube without a lid: the light that leaves it upward reaches the sky, as much as would reach the lid.
 #[test]
 fn the_sky_and_the_ground_are_surfaces() {
     let (here, _) = run(&obj(cube(1, |_| "").into_iter().take(5)), "--up z --sky --report r.json");
@@ -428,7 +429,7 @@ fn names_reach_the_table_as_they_are() {
 }
 
 #[test]
-fn the_same_bytes_for_any_number_of_threads_and_what_is_said() {
+fn the_same_bytes_for_any_number_of_threads_and_a_summary_on_stdout() {
     let mut faces = cube(1, |_| "");
     for (_, mut corners) in cube(1, |_| "") {
         corners.iter_mut().flatten().for_each(|x| *x = 0.3 + 0.3 * *x);
@@ -467,7 +468,7 @@ fn a_ply_has_faces_too() {
 }
 
 #[test]
-fn what_cannot_be_done_is_refused_with_nothing_left_behind() {
+fn impossible_requests_are_refused_with_nothing_left_behind() {
     let here = Here::new(&obj(cube(1, |_| "")), "");
     fs::write(here.path("bad.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n").unwrap();
     for (arguments, said) in [
@@ -489,7 +490,7 @@ fn what_cannot_be_done_is_refused_with_nothing_left_behind() {
     }
 }
 
-/// Faces of a PLY by a number that each has; what has no such number is refused.
+/// Faces of a PLY are grouped by a number that each has. A property that no face has is refused.
 #[test]
 fn faces_of_a_ply_are_grouped_by_a_property() {
     let here = Here::new("", "");
@@ -508,14 +509,15 @@ fn faces_of_a_ply_are_grouped_by_a_property() {
     assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
     let found = Table::read(&here, "out.csv");
     assert_eq!((found.names, found.areas), (vec!["7".into(), "8".into(), "9".into()], vec![2.0; 3]));
-    // Two walls across from each other are one surface.
+    // Two opposite walls are one surface.
     assert!((found.rows[0][0] - of_cube(0, 1)).abs() < STORED);
     let errors = here.fails("view-factors room.ply --by property:colour", 2);
     assert!(errors.contains("no face has a property `colour`"), "{errors}");
     assert!(here.fails("view-factors room.ply --by zone", 2).contains("property:NAME"));
 }
 
-/// A material that blocks only: the floor sees the ceiling past it, and it has no row.
+/// A material that only blocks has no row. The floor sees the ceiling past it as the closed form says, within some
+/// standard errors.
 #[test]
 fn an_obstruction_has_no_row() {
     let mut faces =
