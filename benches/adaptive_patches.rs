@@ -1,10 +1,11 @@
-//! Compares patches that are small where light varies with as many patches of one size: error of irradiance over some 500
+//! Compares patches that are small where light varies with patches of one size: error of irradiance over about 500
 //! patches against path tracing.
 //!
 //!     cargo bench --bench adaptive_patches -- [SCENE.obj …]
 //!
-//! Two solutions x1, x2 and two references r1, r2 with different seeds give the error that remains with many rays: the mean of
-//! (x1 - r1)(x2 - r2) is free of their noise. Solutions of the same patches with many rays check the error bars.
+//! Two solutions x1, x2 and two references r1, r2 with different seeds give the error that remains with many rays: the
+//! mean of (x1 - r1)(x2 - r2) is free of their noise. Solutions of the same patches with many rays check the error
+//! bars.
 
 use std::time::Instant;
 
@@ -23,14 +24,14 @@ use radiosity::{
     trace::Tracer,
 };
 
-/// Patches over which errors are taken.
+/// The number of patches over which errors are averaged.
 const COMMON: usize = 500;
-/// Paths a patch of each truth; rays a patch of the solutions.
+/// Paths per patch of each reference, and rays per patch of the solutions.
 const PATHS: u32 = 16_384;
 const RAYS: f64 = 256.0;
-/// Rays a patch of the solution that shows where light varies.
+/// Rays per patch of the solution that shows where light varies.
 const PILOT: f64 = 64.0;
-/// Rays a patch of the truth for error bars, and solutions compared with it.
+/// Rays per patch of the reference for error bars, and the number of solutions compared with it.
 const MANY: f64 = 8192.0;
 const SEEDS: u64 = 4;
 
@@ -70,7 +71,7 @@ impl Lab {
         averaged(&self.common, &solved.patches, &solved.solution.irradiance)
     }
 
-    /// RMS error relative to the mean; of one solution, and without what its sampling adds if two are given.
+    /// RMS error relative to the mean: of one solution, or without its sampling error if two are given.
     fn error(&self, first: &[f64], second: &[f64]) -> f64 {
         let ([one, two], channels) = (&self.truth, self.common.channels());
         let (mut squares, mut mean, mut weight) = (0.0, 0.0, 0.0);
@@ -95,7 +96,7 @@ impl Lab {
         Ok(())
     }
 
-    /// Estimated against actual sampling errors.
+    /// Prints estimated and actual sampling errors.
     fn error_bars(&self, patches: &Patches, rays: f64) -> Result<()> {
         let truth = self.solved(patches, MANY, 1000)?;
         let values = patches.fronts() * truth.solution.channels;

@@ -1,9 +1,9 @@
-//! Compares errors with error bars on the scenes by which the estimators were chosen. Solves the same patches with several seeds,
-//! and once with many rays as the reference. Prints a Markdown table.
+//! Compares errors with error bars on the scenes by which the estimators were chosen. Solves the same patches with
+//! several seeds, and once with many rays as the reference. Prints a Markdown table.
 //!
 //!     cargo bench --bench calibration -- [PART OF A SCENE'S NAME | SCENE.obj | --targets] ...
 //!
-//! With `--targets`, it also tells how honest a wanted error of 2 % is.
+//! With `--targets`, it also counts how often a wanted error of 2 % is reached.
 
 #[path = "calibration/scenes.rs"]
 mod scenes;
@@ -23,9 +23,9 @@ use radiosity::{
 };
 
 const PATCHES: usize = 1000;
-/// Seeds at each number of rays.
+/// Rays per patch, and the number of seeds for each.
 const RAYS: [(f64, u64); 3] = [(64.0, 8), (256.0, 6), (1024.0, 4)];
-/// The reference has 8 to 128 times the rays: what it adds to the variance of a difference is that much smaller.
+/// The reference has 8 to 128 times the rays, so its part of the variance of a difference is that much smaller.
 const REFERENCE_RAYS: f64 = 8192.0;
 
 fn main() -> Result<()> {
@@ -43,7 +43,7 @@ fn main() -> Result<()> {
         chosen.push((path.clone(), Scene::load(&path)?));
     }
     println!(
-        "| scene | patches | rays a patch | RMS error | as estimated | within 95 % intervals | mean off | escaped off |"
+        "| scene | patches | rays per patch | RMS error | estimated | within 95 % intervals | error of mean | error of escaped |"
     );
     println!("|---|---|---|---|---|---|---|---|");
     for (name, scene) in chosen {
@@ -64,14 +64,14 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Errors and error bars with so many rays a patch, in the mean of so many seeds.
+/// Prints errors and error bars with the given number of rays per patch, averaged over the given number of seeds.
 fn row(
     name: &str,
     reference: &Solved,
     (rays, seeds): (f64, u64),
     solve: impl Fn(u64) -> Result<Solved>,
 ) -> Result<()> {
-    // Fronts come first, and are the same patches for every seed.
+    // Fronts come first and are the same patches for every seed.
     let fronts = reference.patches.fronts();
     let values = fronts * reference.solution.channels;
     let areas = &reference.form_factors.areas()[..fronts];
@@ -88,7 +88,7 @@ fn row(
         let off: Vec<f64> = solved.solution.irradiance.iter().zip(truth).map(|(e, t)| e - t).collect();
         actual += relative_rms(&off, truth, areas).powi(2) / seeds as f64;
         estimated += relative_rms(errors, truth, areas).powi(2) / seeds as f64;
-        // Where no light arrives at all, neither error nor bar says anything.
+        // Patches without any light have neither an error nor an error bar.
         let lit = off.iter().zip(errors).filter(|&(off, bar)| *off != 0.0 || *bar != 0.0);
         lit.for_each(|(off, bar)| {
             all += 1;
@@ -124,7 +124,7 @@ fn mean_and_error(values: &[f64]) -> String {
     format!("{:+.2} ± {:.2} %", 100.0 * mean, 100.0 * (squares / (many * (many - 1.0))).sqrt())
 }
 
-/// How honest a wanted error is: twenty seeds.
+/// Counts how often a wanted error is reached, over twenty seeds.
 fn honesty(name: &str, scene: &Scene, tracer: &Tracer, reference: &Solved) -> Result<()> {
     const TARGET: f64 = 0.02;
     let plan = Plan::default().with_error(Some(TARGET));

@@ -1,6 +1,7 @@
-//! Coverage of the standard errors of view factors: `cargo bench --bench coverage`. Of twelve scenes in which something is hidden, it counts
-//! how often the right value of a pair above 1e-4 is within 1.96 standard errors, over 25 seeds. The right value is the mean of 75 other
-//! seeds: no estimate has a bias (tests/light/view_factors.rs), and this mean has about a ninth of the standard error of one.
+//! Coverage of the standard errors of view factors: `cargo bench --bench coverage`. For twelve scenes with occlusion it
+//! counts how often the true value of a pair above 1e-4 is within 1.96 standard errors, over 25 seeds. The true value
+//! is the mean of 75 other seeds: estimates have no bias (tests/light/view_factors.rs), and this mean has about a ninth
+//! of the standard error of one seed.
 
 use glam::{DQuat, DVec3, dvec3};
 use radiosity::{
@@ -14,22 +15,22 @@ const OTHERS: u64 = 75;
 type Polygons = Vec<Vec<DVec3>>;
 
 fn main() {
-    println!("| scene | error | pairs | told / made | in 95 % intervals |");
+    println!("| scene | error | pairs | estimated / actual | in 95 % intervals |");
     println!("|---|---|---|---|---|");
     for (name, polygons, error) in scenes() {
         let run = |seed: u64| {
             let options = ViewFactorOptions::default().with_error(error).with_enclosed(false).with_seed(seed);
-            view_factors(&polygons, &options, &Progress::new()).expect("nobody stops it")
+            view_factors(&polygons, &options, &Progress::new()).expect("the run is not stopped")
         };
         let found: Vec<ViewFactors> = (0..SEEDS + OTHERS).map(run).collect();
         let (own, others) = found.split_at(SEEDS as usize);
-        let (mut inside, mut all, mut pairs, mut told, mut made) = (0u64, 0u64, 0, 0.0, 0.0);
+        let (mut inside, mut all, mut pairs, mut estimated, mut actual) = (0u64, 0u64, 0, 0.0, 0.0);
         for (i, j) in (0..polygons.len()).flat_map(|i| (0..i).map(move |j| (i, j))) {
             let values: Vec<f64> = others.iter().map(|f| f.get(i, j)).collect();
             let mean = values.iter().sum::<f64>() / OTHERS as f64;
             let spread =
                 values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (OTHERS * (OTHERS - 1)) as f64;
-            // Not what nothing hides: there is no chance in it.
+            // Unblocked pairs are not sampled.
             if mean < 1e-4 || spread.sqrt() < 1e-5 * mean {
                 continue;
             }
@@ -38,12 +39,12 @@ fn main() {
                 let (off, error) = (one.get(i, j) - mean, one.standard_error(i, j));
                 all += 1;
                 inside += u64::from(off.abs() < 1.96 * (error * error + spread).sqrt());
-                told += error * error;
-                made += off * off - spread;
+                estimated += error * error;
+                actual += off * off - spread;
             }
         }
         let share = 100.0 * inside as f64 / all as f64;
-        println!("| {name} | {error:.0e} | {pairs} | {:.2} | {share:.1} % |", (told / made).sqrt());
+        println!("| {name} | {error:.0e} | {pairs} | {:.2} | {share:.1} % |", (estimated / actual).sqrt());
     }
 }
 
@@ -64,7 +65,7 @@ fn sides(centre: DVec3, half: DVec3, turn: f64, inside: bool) -> Polygons {
     (0..6).map(side).collect()
 }
 
-/// A panel of some length that touches the ground at an angle, before a wall.
+/// A panel of this length that touches the ground at an angle, in front of a wall.
 fn panel(degrees: f64, length: f64) -> Polygons {
     let along = DVec3::Y * length;
     let (sine, cosine) = degrees.to_radians().sin_cos();

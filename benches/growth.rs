@@ -1,8 +1,9 @@
-//! How time and memory grow from a thousand patches to a million. Prints a Markdown table and draws `docs/images/growth.svg`.
+//! How time and memory grow from a thousand patches to a million. Prints a Markdown table and draws
+//! `docs/images/growth.svg`.
 //!
 //!     cargo bench --bench growth -- [MOST_PATCHES [SCENE.obj | spheres | walls]]
 //!
-//! `spheres` and `walls` have a million triangles, one patch each, and leave the picture as it is.
+//! `spheres` and `walls` have a million triangles with one patch each, and do not draw the picture.
 //!
 //! The peak memory of a process never falls, so each size runs in its own process: this program, started again.
 
@@ -25,12 +26,12 @@ use radiosity::{
 };
 
 const RAYS: f64 = 64.0;
-/// Tells a new process how many patches it is to have.
+/// This environment variable gives a new process its number of patches.
 const TASK: &str = "RADIOSITY_GROWTH_PATCHES";
 const STAGES: [&str; 7] =
     ["casting", "form factors", "solving", "error bars", "patch size", "bias", "writing"];
 
-/// One size: patches, seconds of each stage, peak in bytes.
+/// The results of one size: patches, seconds of each stage, peak in bytes.
 struct Run {
     patches: f64,
     seconds: Vec<f64>,
@@ -57,7 +58,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         };
         return run(&scene, patches.parse()?);
     }
-    println!("| patches | {} | all | all / casting | peak MiB | bytes a pair |", STAGES.join(" | "));
+    println!("| patches | {} | all | all / casting | peak MiB | bytes per pair |", STAGES.join(" | "));
     println!("|---|{}---|---|---|---|", "---|".repeat(STAGES.len()));
     let mut runs: Vec<Run> = Vec::new();
     for count in
@@ -70,7 +71,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let [patches, seconds @ .., peak, pair] = &numbers[..] else {
             return Err(format!("{count} patches: {}", String::from_utf8_lossy(&out.stderr)).into());
         };
-        // Of fewer patches than triangles there are none.
+        // There are never fewer patches than triangles.
         if runs.last().is_some_and(|last| last.patches == *patches) {
             continue;
         }
@@ -132,14 +133,14 @@ fn run(scene: &Scene, count: usize) -> Result<(), Box<dyn Error>> {
     ply::encode(&mut std::io::sink(), scene, &patches, &solution, &options)?;
     lap(&mut seconds);
     let pair = form_factors.matrix_bytes() as f64 / (0.5 * form_factors.non_zeros() as f64);
-    let peak = peak_bytes().ok_or("this system does not tell how much memory was held")?;
+    let peak = peak_bytes().ok_or("this system does not report the peak memory")?;
     print!("{}", patches.len());
     seconds.iter().for_each(|s| print!(" {s}"));
     println!(" {peak} {pair}");
     Ok(())
 }
 
-/// Seconds and memory over patches, all logarithmic.
+/// Draws seconds and memory over patches, on logarithmic axes.
 fn svg(runs: &[Run]) -> String {
     let mut body = String::new();
     let casting = (runs.iter().map(|r| (r.patches, r.seconds[0])).collect(), "#e69f00", "casting alone");
@@ -224,7 +225,7 @@ fn panel(out: &mut String, left: f64, label: &str, lines: &[Line]) {
     }
 }
 
-/// A power of ten as people write it.
+/// A power of ten as a plain number.
 fn plain(decade: i32) -> String {
     if decade < 0 { format!("{}", 1.0 / 10f64.powi(-decade)) } else { format!("{}", 10f64.powi(decade)) }
 }

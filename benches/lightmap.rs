@@ -1,7 +1,7 @@
-//! Lightmaps, time and memory against the number of texels: `cargo bench --bench lightmap`.
+//! Time and memory of lightmaps against the number of texels: `cargo bench --bench lightmap`.
 //!
-//! Each size runs in a process of its own, whose peak of memory is that size's. From 256 to 1024 texels a side both
-//! must not grow faster than the number of texels by more than a third.
+//! Each size runs in its own process, whose peak memory is that of this size. From 256 to 1024 texels per side both may
+//! grow at most a third faster than the number of texels.
 
 mod scenes;
 
@@ -21,15 +21,17 @@ use scenes::CORNELL;
 const SIDES: [usize; 4] = [128, 256, 512, 1024];
 const RAYS: u32 = 16;
 const MIB: f64 = (1 << 20) as f64;
-/// Tells a new process which of [`SIDES`] is its task.
+/// This environment variable gives a new process the index of its task in [`SIDES`].
 const TASK: &str = "RADIOSITY_BENCH_TASK";
 
 fn main() {
     if let Ok(task) = std::env::var(TASK) {
         return run(SIDES[task.parse::<usize>().expect("a number")]);
     }
-    println!("{RAYS} rays a texel, all steps; {CORNELL}; peak of the process in MiB, of which the map's");
-    println!("texels a side  covered  seconds  million texels/s   peak  the map's");
+    println!(
+        "{RAYS} rays per texel, all steps; {CORNELL}; peak of the process in MiB, and the map's part of it"
+    );
+    println!("texels per side covered  seconds  million texels/s   peak  the map's");
     let figures: Vec<[f64; 2]> = (0..SIDES.len())
         .map(|task| {
             let program = std::env::current_exe().expect("a running program has a name");

@@ -1,9 +1,9 @@
-//! The product of the form factors with three channels of radiosity, against plain reading and copying of as many
+//! The product of the form factors with three channels of radiosity, against plain reading and copying of equally many
 //! bytes: `cargo bench --bench matrix`.
 //!
-//! Every solver spends its time in this product, and memory is what bounds it. The three take turns in one run, and the
-//! figure to look at is the ratio: it hardly depends on what else the machine does. Pairs are those stored, each of which serves
-//! both of its patches.
+//! Every solver spends its time in this product, and memory bandwidth limits it. The three take turns in one run. The
+//! figure to look at is the ratio, which hardly depends on other load on the machine. Pairs are the stored ones, each
+//! of which serves both of its patches.
 
 mod scenes;
 
@@ -36,7 +36,7 @@ fn measure(count: usize) {
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new()).unwrap();
     let n = form_factors.len();
     let radiosity: Vec<f64> = (0..3 * n).map(|i| 1.0 + (i % 7) as f64).collect();
-    // What cannot be avoided: the matrix once, and of each patch two scale factors and three channels in and out.
+    // The minimum: the matrix once, and per patch two scale factors and three channels in and out.
     let bytes = form_factors.matrix_bytes() + n * (16 + 2 * 24);
     let from = vec![1u64; bytes / 8];
     let mut to = vec![0u64; bytes / 8];

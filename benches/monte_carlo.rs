@@ -1,6 +1,7 @@
-//! Paths of the referee a second: `cargo bench --bench monte_carlo`.
+//! Paths of the referee per second: `cargo bench --bench monte_carlo`.
 //!
-//! Speed, not worth: paths that look at lamps are slower, and need far fewer of themselves where lamps are small.
+//! This measures speed, not efficiency: paths with next event estimation are slower, but far fewer are needed if lamps
+//! are small.
 
 mod scenes;
 
@@ -54,7 +55,7 @@ fn paths(bencher: Bencher, place: Place, options: PathOptions) {
         .bench_local(|| paths.irradiances(&places, &effort, &Progress::new()).unwrap());
 }
 
-/// The middles of triangles drawn at random.
+/// The centroids of random triangles.
 fn receivers(scene: &Scene, tracer: &Tracer) -> Vec<Receiver> {
     let triangles = scene.triangles.len() as u64;
     (0..RECEIVERS)

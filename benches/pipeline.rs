@@ -1,6 +1,7 @@
 //! Time and memory from a scene to its radiosity and error bars: `cargo bench --bench pipeline`.
 //!
-//! The peak memory of a process never falls, so each size runs in its own process: this program, started again. 100,000 patches at 64 rays must fit into 2 GiB.
+//! The peak memory of a process never falls, so each size runs in its own process: this program, started again. 100,000
+//! patches with 64 rays must fit into 2 GiB.
 
 mod scenes;
 
@@ -23,7 +24,7 @@ const RAYS: f64 = 64.0;
 const ROUNDS: usize = 5;
 const MIB: f64 = (1 << 20) as f64;
 const MOST_BYTES: u64 = 2 << 30;
-/// Tells a new process which of [`RUNS`] is its task.
+/// This environment variable gives a new process the index of its task in [`RUNS`].
 const TASK: &str = "RADIOSITY_BENCH_TASK";
 
 fn main() {
@@ -32,7 +33,7 @@ fn main() {
         return run(place, patches);
     }
     println!(
-        "{RAYS} rays a patch; the fastest of {ROUNDS} rounds, in seconds; matrix with hits and peak of the process in MiB"
+        "{RAYS} rays per patch; the fastest of {ROUNDS} rounds, in seconds; matrix with hits and peak of the process in MiB"
     );
     println!(
         "scene                    patches  casting  Mrays/s  solving  iterations  error bars  non-zeros   held   peak"
@@ -61,7 +62,7 @@ fn run(place: Place, count: usize) {
         let start = Instant::now();
         black_box(ErrorBars::of(&form_factors, &patches, &solution));
         judging = judging.min(start.elapsed().as_secs_f64());
-        // Later rounds may find the memory in pieces.
+        // Later rounds may find fragmented memory.
         if round == 0 {
             peak = peak_bytes();
         }

@@ -1,10 +1,10 @@
-//! Closest hits of hemisphere rays, in millions a second, beside Embree's where that is installed:
+//! Closest hits of hemisphere rays, in millions per second, beside Embree's if that is installed:
 //! `cargo bench --bench rays`. An argument selects the scenes whose names contain it.
 //!
-//! Each ray leaves a random point of the scene, so that no two in a row share a part of the hierarchy: what is measured
-//! is the worst order. The program itself casts the rays of a patch together and is faster. Ours and Embree's turns
-//! alternate, and the ratio is the median over the rounds: other load on the machine strikes both. Ours go one by one, and in
-//! turns as the program casts the rays of a patch (`Tracer::closest_each`).
+//! Each ray leaves a random point of the scene, so that successive rays share no part of the hierarchy: this measures
+//! the worst order. The program itself casts the rays of a patch together and is faster. Our turns and Embree's
+//! alternate, and the ratio is the median over the rounds, so that other load on the machine affects both. Our rays are
+//! cast one by one, and in turns as the program casts the rays of a patch (`Tracer::closest_each`).
 
 mod embree;
 mod scenes;
@@ -48,7 +48,7 @@ fn measure(place: Place) {
     let (tracer, built_in, rays) = prepare(place);
     let embree = Embree::new(&tracer);
     if let Some(embree) = &embree {
-        // Else the two would not be at the same work.
+        // Otherwise the two would do different work.
         let differ = |(from, to): &&(Vec3A, Vec3A)| {
             let (ours, theirs) = (tracer.closest(*from, *to), embree.closest(*from, *to));
             ours.is_some() != theirs.is_some()
@@ -99,7 +99,7 @@ fn measure(place: Place) {
     }
 }
 
-/// Seconds for all rays.
+/// The seconds for all rays.
 fn time(
     pool: &rayon::ThreadPool,
     rays: &[(Vec3A, Vec3A)],
@@ -118,7 +118,7 @@ fn quantile(values: impl Iterator<Item = f64>, q: f64) -> f64 {
     sorted[((sorted.len() - 1) as f64 * q).round() as usize]
 }
 
-/// Rays as origins and directions, and how long the tracer took to build.
+/// The tracer, the time to build it, and rays as origins and directions.
 fn prepare(place: Place) -> (Tracer, Duration, Vec<(Vec3A, Vec3A)>) {
     let scene = (place.make)();
     let start = Instant::now();
@@ -135,7 +135,7 @@ fn prepare(place: Place) -> (Tracer, Duration, Vec<(Vec3A, Vec3A)>) {
     (tracer, built_in, rays)
 }
 
-/// A ray from a point uniform on all fronts, its direction cosine-distributed.
+/// A ray from a uniformly random point of all fronts, with a cosine-distributed direction.
 fn ray(scene: &Scene, tracer: &Tracer, areas_below: &[f64], index: u32) -> (Vec3A, Vec3A) {
     let total = areas_below[scene.triangles.len() - 1];
     let wanted = mix(&[u64::from(index)]) as f64 / u64::MAX as f64 * total;

@@ -1,7 +1,8 @@
-//! View factors of a model of streets: `cargo bench --bench streets -- PLOTS CELLS [ERROR]`, by default 6 6 1e-4, which has 22,176
-//! triangles. `--write FILE.stl` writes the model instead, for the command line and for other programs.
+//! View factors of a model of streets: `cargo bench --bench streets -- PLOTS CELLS [ERROR]`, by default 6 6 1e-4, which
+//! has 22,176 triangles. `--write FILE.stl` writes the model instead, for the command line and for other programs.
 //!
-//! The authors of uDALES, a model of city climate, report 1,280 s for a model of 22,176 facets by View3D on 8 threads.
+//! The authors of uDALES, a model of urban climate, report 1,280 s for a model of 22,176 facets with View3D on 8
+//! threads.
 
 mod scenes;
 
@@ -33,8 +34,8 @@ fn main() {
     }
     let options = ViewFactorOptions::default().with_error(number(2, 1e-4)).with_enclosed(false);
     let start = Instant::now();
-    let found = view_factors(&polygons, &options, &Progress::new()).expect("nobody stops it");
-    println!("triangles, seconds, view factors that are not zero, RMS standard error, rays, peak GiB");
+    let found = view_factors(&polygons, &options, &Progress::new()).expect("the run is not stopped");
+    println!("triangles, seconds, view factors above zero, RMS standard error, rays, peak GiB");
     println!(
         "{}, {:.1}, {}, {:.1e}, {}, {:.2}",
         polygons.len(),

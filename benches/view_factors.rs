@@ -1,8 +1,9 @@
-//! View factors of a closed room with 20 boxes, of 504 and 2016 quadrilaterals: `cargo bench --bench view_factors`. With
-//! `-- --write FOLDER` the rooms and the reference are written as text, for other programs to be measured with.
+//! View factors of a closed room with 20 boxes, of 504 and 2016 quadrilaterals: `cargo bench --bench view_factors`.
+//! With `-- --write FOLDER` the rooms and the reference are written as text, so that other programs can be measured
+//! with them.
 //!
-//! The reference has a fifth of the error. Hemisphere rays from two triangles a quadrilateral, which share no estimator with
-//! it, are its check.
+//! The reference has a fifth of the error. Hemisphere rays from two triangles per quadrilateral, which share no
+//! estimator with it, check it.
 
 mod scenes;
 
@@ -21,14 +22,14 @@ use radiosity::{
 const ROUNDS: usize = 5;
 const RAYS: f64 = 1e7;
 const REFERENCE: f64 = 2e-5;
-/// RMS standard errors of the view factors that are not zero.
+/// Wanted RMS standard errors of the view factors above zero.
 const ERRORS: [f64; 4] = [1e-3, 4e-4, 2e-4, 1.5e-4];
 
 type Rows = Vec<Vec<f64>>;
 
 fn main() {
     let folder = std::env::args().skip_while(|a| a != "--write").nth(1);
-    println!("| quadrilaterals | rays | seconds | RMS error | rows off by |");
+    println!("| quadrilaterals | rays | seconds | RMS error | largest error of row sums |");
     println!("|---|---|---|---|---|");
     for cuts in [1, 2] {
         let polygons: Vec<Vec<DVec3>> = scenes::room_with_boxes(cuts).iter().map(|q| q.to_vec()).collect();
@@ -61,10 +62,10 @@ fn measure(reference: &Rows, run: impl Fn(u64) -> (Rows, u64)) {
     println!("| {n} | {:.2e} | {:.3} | {rms:.2e} | {off:.0e} |", rays as f64, seconds[ROUNDS / 2]);
 }
 
-/// From polygons to all rows of their view factors, and rays.
+/// All rows of the view factors between polygons, and the number of rays.
 fn between_polygons(polygons: &[Vec<DVec3>], error: f64, seed: u64) -> (Rows, u64) {
     let options = ViewFactorOptions::default().with_error(error).with_seed(seed);
-    let found = view_factors(polygons, &options, &Progress::new()).expect("nobody stops it");
+    let found = view_factors(polygons, &options, &Progress::new()).expect("the run is not stopped");
     let mut rows = vec![vec![0.0; polygons.len()]; polygons.len()];
     for (i, row) in rows.iter_mut().enumerate() {
         found.row(i).for_each(|(j, f)| row[j] = f);
@@ -72,7 +73,7 @@ fn between_polygons(polygons: &[Vec<DVec3>], error: f64, seed: u64) -> (Rows, u6
     (rows, found.rays)
 }
 
-/// The same by hemisphere rays from triangles.
+/// The same from hemisphere rays between triangles.
 fn hemisphere_rays(polygons: &[Vec<DVec3>], seed: u64) -> (Rows, u64) {
     let halves = |p: &Vec<DVec3>| [([p[0], p[1], p[2]], 0), ([p[0], p[2], p[3]], 0)];
     let triangles: Vec<_> = polygons.iter().flat_map(halves).collect();
@@ -83,7 +84,7 @@ fn hemisphere_rays(polygons: &[Vec<DVec3>], seed: u64) -> (Rows, u64) {
     let options =
         CastOptions::default().with_rays(rays).with_seed(seed).with_shadow_share(0.0).with_by_variance(false);
     let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &options, &Progress::new())
-        .expect("nobody stops it");
+        .expect("the run is not stopped");
     let mut rows = vec![vec![0.0; polygons.len()]; polygons.len()];
     for i in 0..patches.len() {
         let share = patches.area(i) / (patches.area(i & !1) + patches.area(i | 1));
@@ -92,7 +93,7 @@ fn hemisphere_rays(polygons: &[Vec<DVec3>], seed: u64) -> (Rows, u64) {
     (rows, form_factors.rays())
 }
 
-/// A line of twelve coordinates a quadrilateral, and a line of view factors.
+/// Writes a line of twelve coordinates per quadrilateral, and a line of view factors per row.
 fn write(folder: &Path, polygons: &[Vec<DVec3>], reference: &Rows) {
     let mut room = String::new();
     for p in polygons {

@@ -1,12 +1,12 @@
-//! Path tracing, light tracing and radiosity at equal time: which one when? Prints a Markdown table of errors.
+//! Path tracing, light tracing and radiosity with equal time: which one when? Prints a Markdown table of errors.
 //!
 //!     cargo bench --bench which_one_when -- [SECONDS A CELL] [PATCHES OF THE RADIOSITY SOLUTION]
 //!
-//! Each method is first run briefly to learn how many samples, particles or rays fit into the time. Building the
-//! scene's ray tracer is not counted, everything else is.
+//! Each method first runs briefly to find how many samples, particles or rays fit into the time. The time to build the
+//! ray tracer is not counted, everything else is.
 //!
-//! The truth r is known only by two independent references of five times the time each. The mean of (x - r1)(x - r2) is
-//! free of their noise in expectation, and its root is the error of x that is printed.
+//! The truth r is known only from two independent references with five times the time each. The mean of
+//! (x - r1)(x - r2) is free of their noise in expectation. Its root is the printed error of x.
 
 use std::{cell::RefCell, time::Instant};
 
@@ -28,9 +28,9 @@ use radiosity::{
 
 /// Side of the picture in pixels.
 const SIDE: usize = 64;
-/// Patches whose irradiance is asked for, at least.
+/// The least number of patches whose irradiance is compared.
 const ASKED: usize = 500;
-/// Hemisphere rays of a sample of the final gather.
+/// Hemisphere rays per sample of the final gather.
 const GATHER: u32 = 8;
 
 fn main() -> Result<()> {
@@ -64,7 +64,7 @@ fn room(n: usize, side: f64) -> Scene {
         names.iter().map(|&(name, r, g, b)| Material::new(name, [r, g, b], [0.0; 3])).collect();
     materials.push(Material::new("lamp", [0.5; 3], [100.0, 95.0, 85.0]));
     let mut triangles = Vec::new();
-    // Corners counter-clockwise seen from the front.
+    // Corners run counter-clockwise as seen from the front.
     let mut quad = |[a, b, c, d]: [DVec3; 4], material: u32| {
         triangles.extend([([a, b, c], material), ([a, c, d], material)]);
     };
@@ -92,7 +92,7 @@ fn room(n: usize, side: f64) -> Scene {
         .chain([4.0])
         .collect();
     for (i, z) in cuts.windows(2).enumerate() {
-        // Between rows of lamps a strip of ceiling goes from wall to wall.
+        // Between rows of lamps a strip of ceiling spans from wall to wall.
         let columns = if i % 2 == 1 { &cuts[..] } else { &[0.0, 4.0] };
         for (k, x) in columns.windows(2).enumerate() {
             let lamp = i % 2 == 1 && k % 2 == 1;
@@ -110,11 +110,11 @@ struct Contest<'a> {
     camera: Camera,
     budget: f64,
     solved_patches: usize,
-    /// The patches whose irradiance is asked for.
+    /// The patches whose irradiance is compared.
     asked: Patches,
     areas: Vec<f64>,
     progress: Progress,
-    /// Time taken over time given, of every run.
+    /// The ratio of used to allowed time, for every run.
     taken: RefCell<Vec<f64>>,
 }
 
@@ -127,7 +127,7 @@ impl<'a> Contest<'a> {
         Contest { scene, tracer, camera, budget, solved_patches, asked, areas, progress, taken }
     }
 
-    /// Prints two rows of the table; returns what else is worth a line.
+    /// Prints two rows of the table. Returns further remarks.
     fn run(&self, name: &str) -> Result<String> {
         let t = self.budget;
         let truth = [self.path_irradiance(true, 5.0 * t, 1001)?, self.light_irradiance(5.0 * t, 1002)?];
@@ -153,7 +153,7 @@ impl<'a> Contest<'a> {
         let dark = black.as_chunks::<3>().0.iter().filter(|p| **p == [0.0; 3]).count();
         let taken = self.taken.borrow();
         Ok(format!(
-            "- {name}: {} patches asked for, {} solved; without next event {} of the pixels stay black; runs took \
+            "- {name}: {} patches compared, {} solved; without next event {} of the pixels stay black; runs took \
              {:.2} to {:.2} of their time.",
             self.asked.fronts(),
             patches.fronts(),
@@ -163,7 +163,7 @@ impl<'a> Contest<'a> {
         ))
     }
 
-    /// Runs with as many units of work as take about `seconds`, by a straight line through the last two trials.
+    /// Runs with the amount of work that takes about `seconds`, extrapolated from the last two trials.
     fn timed<T>(&self, seconds: f64, run: impl Fn(u64) -> Result<T>) -> Result<T> {
         let clocked = |work: f64| -> Result<(T, f64)> {
             let start = Instant::now();
@@ -211,7 +211,7 @@ impl<'a> Contest<'a> {
         Ok(found.irradiance)
     }
 
-    /// A solution of `solved_patches` patches with as many rays as there is time for.
+    /// A solution of `solved_patches` patches with the number of rays that fits into the time.
     fn solved(&self, seconds: f64) -> Result<(Patches, Solution)> {
         self.timed(seconds, |rays| {
             let subdivision = Subdivision::Count(self.solved_patches.max(ASKED));
@@ -240,7 +240,7 @@ impl<'a> Contest<'a> {
         })?))
     }
 
-    /// Smoothed, nine tenths of the time go to the solution; gathered, half of it.
+    /// A picture of a solution. Without a gather nine tenths of the time go to the solution, with one half of it.
     fn solved_image(&self, gather: Option<u32>) -> Result<Vec<f64>> {
         let share = if gather.is_some() { 0.5 } else { 0.9 };
         let (patches, solution) = self.solved(share * self.budget)?;
@@ -252,7 +252,7 @@ impl<'a> Contest<'a> {
         Ok(values(&film))
     }
 
-    /// 1 for a pixel, 0 for one in which a lamp can be seen.
+    /// 1 for a pixel that shows no lamp, otherwise 0.
     fn weights(&self) -> Vec<f64> {
         let lens = self.camera.lens(&self.tracer);
         let shines = |direction: Vec3A| {

@@ -1,5 +1,5 @@
-//! From a scene to a picture: patches, form factors and radiosity, then a coloured mesh and a picture. Its pixels look up
-//! the radiosity instead of following light.
+//! From a scene to a picture: patches, form factors and radiosity, then a coloured mesh and a picture. The pixels of
+//! the picture look up the radiosity and trace no light.
 //!
 //!     cargo run --release --example cornell_box -- [SCENE.obj [FOLDER]]
 

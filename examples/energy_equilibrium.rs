@@ -1,5 +1,6 @@
-//! In equilibrium all emitted light is absorbed or escapes. The ledger of every solver shows it, for both estimators of the
-//! form factors. A wrong matrix balances too: the ledger alone does not prove that a solution is right.
+//! In equilibrium all emitted light is absorbed or escapes. The energy ledger of every solver shows this, for both
+//! estimators of the form factors. A wrong matrix balances too: the ledger alone does not prove that a solution is
+//! right.
 //!
 //!     cargo run --release --example energy_equilibrium -- [SCENE.obj]
 

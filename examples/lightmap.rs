@@ -1,5 +1,5 @@
-//! Renders a scene from its lightmap alone, and by path tracing. Prints the difference between the lightmap and path tracing
-//! at random points of the surface, for several numbers of rays.
+//! Renders a scene from its lightmap alone, and by path tracing. Prints the difference between the lightmap and path
+//! tracing at random points of the surface, for several numbers of rays.
 //!
 //!     cargo run --release --example lightmap -- [FOLDER [SCENE.obj]]
 //!
@@ -45,7 +45,7 @@ fn main() -> Result<()> {
     println!("solution: {} patches, {:.2} s", patches.len(), start.elapsed().as_secs_f64());
 
     let truth = Truth::new(&scene, &tracer, &progress)?;
-    println!("rays a texel  seconds  RMS %  from the median %  bias %  standard error of bias %");
+    println!("rays per texel  seconds  RMS %  from the median %  bias %  standard error of bias %");
     let mut best = None;
     for final_gather in [0, 4, 8, 16, 32, 64] {
         let start = Instant::now();
@@ -54,7 +54,7 @@ fn main() -> Result<()> {
         let map = bake(&scene, &tracer, (&patches, &solution), atlas, &options, &progress)?;
         let seconds = start.elapsed().as_secs_f64();
         let [rms, typical, bias, error] = truth.compare(&map).map(|x| 100.0 * x);
-        println!("{final_gather:12}  {seconds:7.2}  {rms:5.2}  {typical:17.2}  {bias:+6.3}  {error:6.3}");
+        println!("{final_gather:14}  {seconds:7.2}  {rms:5.2}  {typical:17.2}  {bias:+6.3}  {error:6.3}");
         best = Some(map);
     }
     let map = best.expect("maps were made");
@@ -91,7 +91,7 @@ fn main() -> Result<()> {
 
 /// Path-traced irradiance at random points of the fronts.
 struct Truth {
-    /// Triangle, weights of its corners, irradiance and standard error: green.
+    /// Triangle, barycentric coordinates, green irradiance and its standard error.
     points: Vec<(usize, [f64; 3], f64, f64)>,
 }
 
@@ -119,14 +119,15 @@ impl Truth {
             .iter()
             .zip(found)
             .map(|(&(t, at), e)| (t, at, e.mean[1], e.standard_error[1]))
-            // No light at all arrives inside solids; maps show their neighbours there.
+            // No light arrives inside solids. Maps have values of neighbours there.
             .filter(|point| point.2 > 0.0)
             .collect();
         Ok(Truth { points })
     }
 
-    /// Root mean square difference beyond the paths' own noise, relative to the mean; the median of the absolute
-    /// differences as what it would be of a normal distribution, noise included; mean difference and its standard error.
+    /// Returns, relative to the mean: the root mean square difference without the noise of the paths; the median of the
+    /// absolute differences, noise included, scaled to the standard deviation of a normal distribution; the mean
+    /// difference and its standard error.
     fn compare(&self, map: &Lightmap) -> [f64; 4] {
         let n = self.points.len() as f64;
         let mean = self.points.iter().map(|p| p.2).sum::<f64>() / n;

@@ -1,4 +1,4 @@
-//! Writes a scene of a row of spheres on a floor under a lamp, each of a material of its own, to try models of reflection on.
+//! Writes a scene of a row of spheres on a floor under a lamp. Each has its own material, to try models of reflection.
 //!
 //!     cargo run --release --example spheres -- spheres.obj
 
@@ -9,10 +9,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Materials and where their spheres stand.
+/// The materials, in the order of their spheres.
 const NAMES: [&str; 8] = ["lambert", "mirror", "phong", "blinn-phong", "ward", "beckmann", "ggx", "plastic"];
 
-/// Facets between the poles, and half of those round the axis: normals are those of the facets, so there must be many.
+/// Facets between the poles, and half of the facets around the axis. Normals are per facet, so there must be many.
 const ROWS: usize = 160;
 
 fn main() -> io::Result<()> {
@@ -34,7 +34,7 @@ fn main() -> io::Result<()> {
     Ok(())
 }
 
-/// A lamp that shines downwards: corners in the opposite order.
+/// Mirrors a corner, which reverses the order of corners: the lamp faces down.
 fn flip([x, y, z]: [f64; 3]) -> [f64; 3] {
     [-x, y, z]
 }
@@ -80,7 +80,7 @@ impl Obj {
                 let at = |r: usize, c: usize| first + r * columns + c % columns;
                 let mut corners =
                     vec![at(row, column), at(row + 1, column), at(row + 1, column + 1), at(row, column + 1)];
-                // At the poles a side has no length.
+                // At the poles one side has no length.
                 match row {
                     0 => drop(corners.pop()),
                     r if r + 1 == ROWS => drop(corners.remove(2)),

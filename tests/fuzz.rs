@@ -1,10 +1,10 @@
-//! Feeds the readers and the command line damaged input: good files with bytes, numbers, words and lines changed at random.
-//! Each must load, or be refused with one line, within bounds of time and memory.
+//! Feeds damaged input to the readers and the command line: good files with bytes, numbers, words and lines changed at
+//! random. Each file must load, or be refused with one line, within limits of time and memory.
 //!
 //!     cargo test --test fuzz -- obj|mtl|ply|gltf|glb|ies|ldt|toml|epw|cli|checkpoint SECONDS [FIRST]
 //!
-//! Case `k` depends on `k` alone. The file of a case that fails is kept and named; `FIRST` begins there again. `cargo test`
-//! alone does not run this program. Test builds check integer overflow.
+//! Case `k` depends on `k` alone. A case that fails prints its number and keeps its file; `FIRST` starts with that
+//! number. `cargo test` alone does not run this program. Test builds check integer overflow.
 
 #[path = "common/gltf.rs"]
 mod gltf;
@@ -35,15 +35,15 @@ use radiosity::{
     trace::{Tracer, sampling::mix},
 };
 
-/// Longest time for a case.
+/// The longest time for a case.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Memory that a case may touch: a constant for the program itself, and an amount for each byte of the file.
+/// The memory that a case may touch: a constant for the program itself, and an amount for each byte of the file.
 const MEMORY: u64 = 64 << 20;
 const MEMORY_PER_BYTE: u64 = 4000;
-/// Files grow no larger than this by mutation.
+/// Mutations keep files at most this large.
 const LARGEST: usize = 1 << 18;
 
-/// Numbers in a fixed order.
+/// A fixed sequence of random numbers.
 struct Random(u64);
 
 impl Random {
@@ -61,7 +61,7 @@ impl Random {
     }
 }
 
-/// Words to replace others with.
+/// Words that replace others.
 const WORDS: [&str; 66] = [
     "0",
     "1",
@@ -131,7 +131,7 @@ const WORDS: [&str; 66] = [
     "\0",
 ];
 
-/// `seed` with some changes, or parts of `others` in it.
+/// `seed` with some changes, and with parts of `others` in it.
 fn mutate(seed: &[u8], others: &[Vec<u8>], random: &mut Random) -> Vec<u8> {
     let mut bytes = seed.to_vec();
     for _ in 0..1 + random.below(6) {
@@ -148,7 +148,7 @@ fn mutate(seed: &[u8], others: &[Vec<u8>], random: &mut Random) -> Vec<u8> {
             }
             4 => drop(bytes.splice(at..at, random.pick(&WORDS).bytes())),
             5 | 6 => {
-                // A word for a word.
+                // Replace a word.
                 let blank = |b: &u8| b.is_ascii_whitespace();
                 let start = bytes[..at].iter().rposition(blank).map_or(0, |p| p + 1);
                 let end = bytes[at..].iter().position(blank).map_or(bytes.len(), |p| at + p);
@@ -162,7 +162,7 @@ fn mutate(seed: &[u8], others: &[Vec<u8>], random: &mut Random) -> Vec<u8> {
                 drop(bytes.splice(at..at, part.iter().copied()));
             }
             _ => {
-                // Lines in another order.
+                // Swap two lines.
                 let mut lines: Vec<&[u8]> = bytes.split_inclusive(|&b| b == b'\n').collect();
                 let (i, j) = (random.below(lines.len()), random.below(lines.len()));
                 if i < lines.len() && j < lines.len() {
@@ -187,7 +187,7 @@ const ODD_OBJ: &str = "# odd\nmtllib s.mtl other.mtl\nv 0 0 0 1\nv 1 0 0 0.5 0.5
 const ODD_MTL: &str = "newmtl m\nKd 0.5 0.25 0.125\nKs 1 1 1\nmap_Kd -s 2 2 -o 0.5 -clamp on t.png\nd 0.5\nTr 0.5\nillum 2\n\
     newmtl my lamp\nKd xyz 0.4 0.3 0.2\nKe 5\nmap_Ke t.png\nnewmtl s\nKd spectral a.rfl 1\nTf 1 1 1\nbump b.png\nPm 0.5\n";
 
-/// A mesh as PLY in one of the encodings.
+/// A mesh as PLY in the given encoding.
 fn to_ply(scene: &Scene, encoding: &str) -> Vec<u8> {
     let mut header =
         format!("ply\nformat {encoding} 1.0\ncomment seed\nelement vertex {}\n", scene.vertices.len());
@@ -254,14 +254,14 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
 const ODD_IES: &str = "IESNA:LM-63-1995\n[TEST] made\nTILT=NONE\n2 1000 1.5 3 3\n1 2 0.1 -0.2 0\n0.9 0.5 40\n0 45 90\n\
     0 90 180\n100 70.71 0\n90 60, 0\n80 50 0\n";
 
-/// A light file with something of everything.
+/// A light file with one of every kind.
 const ODD_LIGHTS: &str = "up = \"z\"\n[[sun]]\nplace = [48.1, 11.6]\nat = \"2026-06-21T12:00+02:00\"\nirradiance = [3, 2, 1]\n\
     [[directional]]\nname = \"d\"\ndirection = [0, 0, -2]\nirradiance = 5\n[[point]]\nposition = [1, 2, 3]\nintensity = 4\n\
     [[spot]]\nposition = [1, 2, 3]\ndirection = [0, 0, -1]\nintensity = 4\ninner = 10\nouter = 20\n\
     [[luminaire]]\nfile = \"s.ies\"\nposition = [0, 0, 2]\nrotation = 30\ndimming = 0.5\n\
     [sky]\nkind = \"perez\"\ndirect = 700\ndiffuse = 120\ncolour = [1, 0.5, 2]\n";
 
-/// A EULUMDAT file of this symmetry, with intensities of so many planes.
+/// A EULUMDAT file of this symmetry, with the intensities of this number of planes.
 fn odd_ldt(symmetry: u32, planes: usize) -> String {
     let mut text = format!("maker\n1\n{symmetry}\n4\n90\n3\n90\nreport\nname\nnumber\nfile\ndate\n");
     text += "600\n600\n50\n500\n0\n0\n0\n0\n0\n100\n80\n1.0\n0\n1\n2\nLED\n3000\n3000\n80\n20\n";
@@ -270,7 +270,7 @@ fn odd_ldt(symmetry: u32, planes: usize) -> String {
     text + &"200\n100,5\n0\n".repeat(planes)
 }
 
-/// A weather file of a day.
+/// A weather file of one day.
 fn odd_epw() -> String {
     let mut text = String::from("LOCATION,Munich,-,DEU,made,108660,48.1,11.6,1.0,520\n");
     for name in ["DESIGN CONDITIONS", "TYPICAL/EXTREME PERIODS", "GROUND TEMPERATURES"] {
@@ -287,7 +287,7 @@ fn odd_epw() -> String {
     text
 }
 
-/// A glTF file with something of everything.
+/// A glTF file with one of every feature.
 fn odd_gltf() -> gltf::Gltf {
     use serde_json::json;
     let mut file = gltf::Gltf::new();
@@ -324,10 +324,10 @@ fn odd_gltf() -> gltf::Gltf {
     file
 }
 
-/// Files that could be used after all: a fuzzer whose every file is refused on the first line tests little.
+/// The number of files that loaded. If all files are refused at their first line, the test checks little.
 static LOADED: AtomicU64 = AtomicU64::new(0);
 
-/// What is wrong with the way the file was taken, if anything.
+/// The fault in how the file was handled, if any.
 fn objection(path: &Path) -> Option<String> {
     let before = reset_peak();
     let said = match catch_unwind(AssertUnwindSafe(|| look(path))) {
@@ -403,7 +403,7 @@ fn look(path: &Path) -> Option<String> {
     scene.warnings.iter().find_map(|warning| lines(warning))
 }
 
-/// A room whose rays are kept, and what they met.
+/// A room, the checkpoint of its rays, and their hits.
 struct Kept {
     scene: Scene,
     tracer: Tracer,
@@ -435,15 +435,15 @@ impl Kept {
             file,
             &progress,
         );
-        // A file whose checksums are right may still say what cannot be; that is refused later.
+        // A file with right checksums may still contain impossible values, which are refused later.
         let Ok(f) = cast else { return Vec::new() };
         let hits = f.ray_set().expect("rays were cast");
         (0..f.len()).flat_map(|i| hits.of(i)).copied().collect()
     }
 
-    /// What is wrong with the way a changed file is taken, if anything.
+    /// The fault in how a changed checkpoint is handled, if any.
     fn objection(&self, path: &Path, random: &mut Random) -> Option<String> {
-        // More often than not the header stays.
+        // In most cases the header stays.
         let start = if random.below(4) > 0 { 48 } else { 0 };
         let other = [self.bytes[48..].to_vec()];
         let mut bytes = [&self.bytes[..start], &mutate(&self.bytes[start..], &other, random)].concat();
@@ -469,7 +469,7 @@ impl Kept {
                 let rays = if random.below(2) == 0 { 16.0 } else { 32.0 };
                 match catch_unwind(AssertUnwindSafe(|| self.cast(file, rays))) {
                     Err(cause) => {
-                        // Kernels that nobody measured give form factors that are none; debug builds say so.
+                        // Invented hits may give invalid form factors, which debug builds report.
                         let said = cause.downcast_ref::<String>().map_or("", String::as_str);
                         (!repaired || !said.contains("form factors are shares")).then(|| "panicked".into())
                     }
@@ -480,7 +480,7 @@ impl Kept {
     }
 }
 
-/// Makes the checksums of a checkpoint right again, as far as its lengths lead.
+/// Corrects the checksums of a checkpoint, as far as its lengths lead.
 fn repair(bytes: &mut [u8]) {
     let check = |bytes: &[u8]| crc32fast::hash(bytes).to_le_bytes();
     let mut at = 48;
@@ -496,7 +496,7 @@ fn repair(bytes: &mut [u8]) {
     }
 }
 
-/// Most memory touched since [`reset_peak`], on Linux.
+/// The peak of touched memory since [`reset_peak`], on Linux.
 fn peak() -> u64 {
     radiosity::output::report::peak_bytes().unwrap_or(0)
 }
@@ -506,7 +506,7 @@ fn reset_peak() -> u64 {
     peak()
 }
 
-/// A command line of the program's own words, often with unfit values.
+/// A command line of the program's own words, often with invalid values.
 fn arguments(random: &mut Random) -> Vec<String> {
     const VALUES: [&str; 24] = [
         "0",
@@ -601,7 +601,7 @@ fn arguments(random: &mut Random) -> Vec<String> {
     if random.below(8) == 0 {
         words[1] = random.pick(&scenes).into();
     }
-    // Little work, unless an option drawn below asks for more.
+    // Little work, unless one of the options below asks for more.
     let small: &[&str] = match &words[0][..] {
         "solve" => &["--patches", "60", "--rays", "16"],
         "render" => &["--spp", "1", "--width", "9", "--height", "7"],
@@ -628,7 +628,7 @@ fn arguments(random: &mut Random) -> Vec<String> {
     words
 }
 
-/// What is wrong with the way the program takes these words, if anything.
+/// The fault in how the program handles these words, if any.
 fn cli_objection(program: &Path, folder: &Path, words: &[String]) -> Option<String> {
     let mut child = Command::new("sh")
         .args(["-c", "ulimit -v 8000000; exec \"$@\"", "sh"])
@@ -674,7 +674,7 @@ fn cli_objection(program: &Path, folder: &Path, words: &[String]) -> Option<Stri
             if changed {
                 let _ = fs::copy(kept.join(name), folder.join(name));
             }
-            // The texture is of one scene alone and the points are of one command; to others they are files like any.
+            // Only one scene uses the texture, and only one command uses the points. All others may overwrite them.
             let foreign = match *name {
                 "t.png" => words[1] != "scene.obj",
                 "points" => words[0] != "probe",
@@ -689,7 +689,7 @@ fn cli_objection(program: &Path, folder: &Path, words: &[String]) -> Option<Stri
     }
 }
 
-/// The folder that the command line works in.
+/// Fills the folder in which the command line works.
 fn cli_folder(folder: &Path) {
     let obj = "mtllib scene.mtl\nusemtl wall\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1\n\
         vt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 4/3\nf 1 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nusemtl lamp\nf 2 6 8 4\n";
@@ -737,7 +737,7 @@ fn main() -> ExitCode {
     let kept = (target == "checkpoint").then(|| Kept::new(&folder));
     std::panic::set_hook(Box::new(|info| eprintln!("{info}")));
 
-    // A second thread reports a case that hangs: it cannot be stopped from within.
+    // A second thread reports a case that hangs, because it cannot be stopped from inside.
     static CASE: AtomicU64 = AtomicU64::new(0);
     static BEGAN: AtomicU64 = AtomicU64::new(0);
     let start = Instant::now();
@@ -768,7 +768,7 @@ fn main() -> ExitCode {
             })
         } else {
             let seed = &seeds[random.below(seeds.len())];
-            // Most changes of a header are refused by it: more often than not it stays.
+            // Most changes of a header are refused by it, so in most cases it stays.
             let data = seed.windows(11).position(|w| w == b"end_header\n").map_or(0, |p| p + 11);
             let kept = if random.below(3) > 0 { data } else { 0 };
             let bytes = [&seed[..kept], &mutate(&seed[kept..], &seeds, &mut random)].concat();

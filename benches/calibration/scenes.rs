@@ -1,4 +1,4 @@
-//! The scenes.
+//! The scenes of the calibration.
 
 use std::path::PathBuf;
 
@@ -7,11 +7,11 @@ use radiosity::{Result, Scene, scene::Material};
 
 type Triangles = Vec<([DVec3; 3], u32)>;
 
-/// What most scenes are made of.
+/// The material of most surfaces.
 const GREY: u32 = 0;
 const LAMP: u32 = 1;
 
-/// All of them, by name.
+/// All scenes with their names.
 pub fn all() -> Result<Vec<(String, Scene)>> {
     let mut scenes = Vec::new();
     for name in ["cornell-box.obj", "door-ajar.obj", "textured.obj"] {
@@ -55,7 +55,7 @@ fn cuboid(low: [f64; 3], high: [f64; 3], inside: bool, material: u32) -> Triangl
     sides(low, high, inside).into_iter().flat_map(|side| quad(side, material)).collect()
 }
 
-/// A square that looks down.
+/// A square that faces down.
 fn square(x: f64, y: f64, z: f64, side: f64, material: u32) -> [([DVec3; 3], u32); 2] {
     quad([[x, y, z], [x, y + side, z], [x + side, y + side, z], [x + side, y, z]], material)
 }
@@ -79,7 +79,7 @@ fn room_with_blocks() -> Triangles {
     triangles
 }
 
-/// A block on a floor under a lamp, nothing around.
+/// A block on a floor under a lamp, with nothing around.
 fn open() -> Scene {
     let mut triangles =
         quad([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 4.0, 0.0], [0.0, 4.0, 0.0]], GREY).to_vec();
@@ -95,7 +95,7 @@ fn small_lamp() -> Scene {
     scene(&triangles)
 }
 
-/// A closed room whose ceiling shines.
+/// A closed room whose ceiling emits.
 fn shining_ceiling(things: &[([DVec3; 3], u32)]) -> Scene {
     let [floor, ceiling, walls @ ..] = sides([0.0; 3], [1.0; 3], true);
     let mut triangles: Triangles =
@@ -105,7 +105,7 @@ fn shining_ceiling(things: &[([DVec3; 3], u32)]) -> Scene {
     scene(&triangles)
 }
 
-/// Eight small lamps of three colours and of mixtures.
+/// A room with eight small lamps of three colours and their mixtures.
 fn coloured_lamps() -> Scene {
     let mut triangles = room_with_blocks();
     let mut materials = vec![Material::new("grey", [0.6; 3], [0.0; 3])];
@@ -140,7 +140,7 @@ fn nine_rooms() -> Scene {
             (if room == 0 { from } else { from + THICK }, if room == 2 { to } else { to - THICK });
         let (door, end) = (f64::from(room) + 0.4, f64::from(room) + 0.6);
         let mut add = |corners: [[f64; 3]; 4]| {
-            // A mirror image looks the other way.
+            // A mirror image faces the other way.
             let turned = corners.map(|[u, v, z]| if along_x { [u, v, z] } else { [v, u, z] });
             let [a, b, c, d] = turned;
             triangles.extend(quad(if along_x { [a, b, c, d] } else { [a, d, c, b] }, GREY));

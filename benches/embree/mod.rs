@@ -1,13 +1,13 @@
-//! Embree 3, found at run time where it is installed (Debian: `libembree3-3`), to measure against.
+//! Embree 3, found at run time if it is installed (Debian: `libembree3-3`), for comparison.
 //!
-//! Only what the benchmark calls: one scene of triangles in robust mode, closest hits of single rays.
+//! Only the functions that the benchmark calls: one scene of triangles in robust mode, closest hits of single rays.
 
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
 
 use glam::Vec3A;
 use radiosity::trace::Tracer;
 
-// The C library has had these in itself, or beside itself linked by the standard library, ever since.
+// These are part of the C library, or of a library that the standard library links.
 unsafe extern "C" {
     fn dlopen(name: *const c_char, flags: c_int) -> *mut c_void;
     fn dlsym(library: *mut c_void, symbol: *const c_char) -> *mut c_void;
@@ -62,10 +62,10 @@ pub struct Embree {
 unsafe impl Sync for Embree {}
 
 impl Embree {
-    /// The tracer's triangles in unit space; none where Embree is not installed.
+    /// The tracer's triangles in unit space. Returns `None` if Embree is not installed.
     pub fn new(tracer: &Tracer) -> Option<Embree> {
         // SAFETY: the signatures are those of Embree 3's rtcore headers, the handles are used in their order, and both
-        // buffers are written within the sizes asked for.
+        // buffers are written within the requested sizes.
         unsafe {
             let library = dlopen(LIBRARY.as_ptr(), NOW);
             if library.is_null() {
@@ -105,7 +105,7 @@ impl Embree {
         }
     }
 
-    /// The distance of the triangle met first.
+    /// The distance of the closest hit.
     #[inline]
     pub fn closest(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
         let mut context = Context { flags: 0, filter: std::ptr::null(), instance: NOTHING };

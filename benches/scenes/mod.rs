@@ -5,7 +5,7 @@
 use glam::{DQuat, DVec3, dvec3};
 use radiosity::{Scene, scene::Material, trace::sampling::mix};
 
-/// A scene and how the tables call it.
+/// A scene and its name in the tables.
 #[derive(Clone, Copy)]
 pub struct Place {
     pub name: &'static str,
@@ -22,7 +22,7 @@ pub const CORNELL: Place = Place { name: "cornell, 36 triangles", make: || load(
 pub const DOOR: Place = Place { name: "door ajar", make: || load("door-ajar.obj") };
 pub const SPHERES_1E5: Place = Place { name: "spheres, 1e5", make: || spheres([4, 4, 5], 3) };
 pub const SPHERES_1E6: Place = Place { name: "spheres, 1e6", make: || spheres([7, 7, 4], 4) };
-/// Flat walls of equal small triangles are where a careless hierarchy falls apart: their Morton codes tie.
+/// Flat walls of equal small triangles are hard for hierarchies: their Morton codes tie.
 pub const WALLS_1E5: Place = Place { name: "tessellated walls, 1e5", make: || room(91) };
 pub const WALLS_1E6: Place = Place { name: "tessellated walls, 1e6", make: || room(289) };
 
@@ -43,14 +43,14 @@ fn scene(triangles: &Triangles) -> Scene {
     Scene::new(triangles, materials)
 }
 
-/// A closed unit cube whose walls are cut into n × n squares of two triangles; a lamp in the ceiling.
+/// A closed unit cube whose walls are cut into n × n squares of two triangles, with a lamp in the ceiling.
 fn room(n: u32) -> Scene {
     let mut triangles = Vec::new();
     add_room(n, &mut triangles);
     scene(&triangles)
 }
 
-/// The same with a grid of spheres, each of 20 · 4^level triangles.
+/// The same cube with a grid of spheres, each of 20 · 4^level triangles.
 fn spheres(grid: [u32; 3], level: u32) -> Scene {
     let mut triangles = Vec::new();
     add_room(16, &mut triangles);
@@ -69,7 +69,7 @@ fn add_room(n: u32, triangles: &mut Triangles) {
     for wall in 0..6 {
         let (axis, far) = (wall / 2, wall % 2);
         let origin = DVec3::AXES[axis] * far as f64;
-        // The product of the edges points inwards.
+        // The cross product of the edges points inwards.
         let (a, b) = (DVec3::AXES[(axis + 1 + far) % 3], DVec3::AXES[(axis + 2 - far) % 3]);
         for i in 0..n * n {
             let at = |u: u32, v: u32| origin + (a * f64::from(u) + b * f64::from(v)) / f64::from(n);
@@ -90,7 +90,7 @@ fn icosphere(level: u32) -> Vec<[DVec3; 3]> {
         .iter()
         .flat_map(|&(s, t)| [dvec3(0.0, s, t * golden), dvec3(s, t * golden, 0.0), dvec3(t * golden, 0.0, s)])
         .collect();
-    // Its faces are the triples of corners at the distance of an edge, which is 2.
+    // Faces are triples of corners whose distances are the length of an edge, 2.
     let is_edge = |a: DVec3, b: DVec3| (a.distance(b) - 2.0).abs() < 1e-9;
     let mut faces = Vec::new();
     for (i, &a) in corners.iter().enumerate() {
@@ -111,8 +111,8 @@ fn icosphere(level: u32) -> Vec<[DVec3; 3]> {
     faces
 }
 
-/// The quadrilaterals of a closed room with 20 boxes that float in it, turned about the vertical: six walls of 8 × 8 and six
-/// sides a box make 504; each cut in `cuts` × `cuts`. They face where light is.
+/// The quadrilaterals of a closed room with 20 floating boxes, rotated about the vertical. Six walls of 8 × 8 and six
+/// sides per box make 504. Each is cut into `cuts` × `cuts`. They face the air of the room.
 pub fn room_with_boxes(cuts: u32) -> Vec<[DVec3; 4]> {
     let size = dvec3(5.0, 4.0, 2.5);
     let mut quads = Vec::new();
@@ -127,7 +127,7 @@ pub fn room_with_boxes(cuts: u32) -> Vec<[DVec3; 4]> {
     quads
 }
 
-/// The six sides of a box, cut into n × n each; outwards with side 1, inwards with side -1.
+/// The six sides of a box, each cut into n × n. They face outward with side 1, and inward with side -1.
 fn add_box(centre: DVec3, half: DVec3, turn: f64, side: f64, n: u32, quads: &mut Vec<[DVec3; 4]>) {
     let turned = DQuat::from_rotation_z(turn);
     for wall in 0..6 {
@@ -145,8 +145,9 @@ fn add_box(centre: DVec3, half: DVec3, turn: f64, side: f64, n: u32, quads: &mut
     }
 }
 
-/// A model of streets as micrometeorology has them: blocks of buildings on a grid, all of triangles of one size, open to the sky. Each of
-/// `plots` x `plots` plots is twice as wide as its building, whose walls are `cells` squares wide and between 4 and 10 high.
+/// A model of streets as in micrometeorology: blocks of buildings on a grid under an open sky, all of triangles of one
+/// size. Each of `plots` x `plots` plots is twice as wide as its building. The walls of a building are `cells` squares
+/// wide and 4 to 10 high.
 pub fn streets(plots: u32, cells: u32) -> Vec<Vec<DVec3>> {
     let mut triangles = Vec::new();
     let mut square = |o: DVec3, a: DVec3, b: DVec3| {
@@ -155,7 +156,8 @@ pub fn streets(plots: u32, cells: u32) -> Vec<Vec<DVec3>> {
     };
     for plot in 0..plots * plots {
         let corner = dvec3(f64::from(plot % plots), f64::from(plot / plots), 0.0) * f64::from(2 * cells);
-        // Heights without a pattern that rows of plots share; the last building makes up 22,176 triangles in the model of 6 x 6 plots.
+        // No two rows of plots have the same pattern of heights. The last building makes up 22,176 triangles in the
+        // model of 6 x 6 plots.
         let height = if plot + 1 == plots * plots { 1 } else { 4 + plot * 5 % 7 };
         let (low, high) = (cells / 2, cells / 2 + cells);
         for (x, y) in (0..4 * cells * cells).map(|k| (k % (2 * cells), k / (2 * cells))) {

@@ -1,7 +1,7 @@
-//! Pairs of surfaces that have a formula of their own in Howell's catalogue.
+//! Pairs of surfaces with a formula in Howell's catalogue.
 //!
-//! The catalogue's expressions lose all digits when one length is far from the others (differences of nearly equal
-//! arc tangents); they are rearranged here so that every difference is taken before it is rounded.
+//! The catalogue's expressions lose all digits if one length is far from the others, since they subtract nearly equal
+//! arc tangents. Here they are rearranged so that no rounded numbers are subtracted.
 
 use std::f64::consts::PI;
 
@@ -35,8 +35,8 @@ fn arc_difference(x: f64, y: f64) -> f64 {
     q_minus_1 * (x / q).atan() - (x * q_minus_1 / (q + x * x)).atan()
 }
 
-/// The form factor from a rectangle `length` x `width` to a rectangle `length` x `height` at a right angle to it, the
-/// two sharing the edge of that `length` (Howell C-14).
+/// The form factor from a rectangle `length` x `width` to a rectangle `length` x `height` at a right angle to it. They
+/// share the edge of that `length` (Howell C-14).
 ///
 /// The relative error is a few units in the last place for any ratio of the three lengths.
 ///
@@ -82,10 +82,10 @@ pub fn coaxial_disks(r1: f64, r2: f64, distance: f64) -> f64 {
 /// The form factor between two parallel, directly opposed squares of `side` at `distance`, with an opaque square of
 /// side `blocker` centred midway between them and parallel to them.
 ///
-/// A ray is stopped when the mean of its two end points is inside the blocker. Per axis the end points at a difference
-/// d that do so have measure min(blocker, side - |d|), which is also the measure for unblocked intervals of length
-/// `blocker` and `2 side - blocker`. The light stopped is therefore the unoccluded exchange between two concentric
-/// squares of those sides at the same distance.
+/// A ray is blocked if the midpoint of its two end points is inside the blocker. Along one axis, the end points with a
+/// difference d for which this holds have measure min(blocker, side - |d|). Two unblocked intervals of lengths
+/// `blocker` and `2 side - blocker` have the same measure. So the blocked light is the unblocked exchange between two
+/// concentric squares of these sides at the same distance.
 ///
 /// # Panics
 ///

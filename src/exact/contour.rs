@@ -3,9 +3,10 @@
 //! "Modeling the Interaction of Light Between Diffuse Surfaces", SIGGRAPH 84).
 //!
 //! P. Schröder and P. Hanrahan ("On the Form Factor between Two Polygons", SIGGRAPH 93) give the integral over a pair
-//! of edges in closed form with dilogarithms of complex argument. Here the inner integral is closed and the outer one
-//! numerical, to the same digits and without the closed form's branch cuts: the singularities of the inner integral,
-//! as a function of the outer parameter, are known, and panels are halved until each is far from all of them.
+//! of edges in closed form with dilogarithms of complex argument. Here only the inner integral is in closed form. The
+//! outer one is numerical, with the same accuracy and without the branch cuts of the closed form: the singularities of
+//! the inner integral as a function of the outer parameter are known, and panels are halved until each is far from all
+//! of them.
 
 use std::f64::consts::PI;
 
@@ -13,18 +14,18 @@ use glam::DVec3;
 
 use super::cubature::gauss_legendre;
 
-/// Points a panel. With `CLEAR` the error of a panel is below 3.7^-32 = 4e-19 of the integrand.
+/// Points per panel. With [`CLEAR`] the error of a panel is below 3.7^-32 = 4e-19 of the integrand.
 const POINTS: usize = 16;
 
-/// The least sum of the distances from a singularity to a panel's two ends, in half-lengths of the panel: twice the
-/// major half-axis of the Bernstein ellipse, hence rho = 2 + sqrt(3) = 3.7.
+/// The least sum of the distances from a singularity to the two ends of a panel, in half-lengths of the panel. It is
+/// twice the major half-axis of the Bernstein ellipse, hence rho = 2 + sqrt(3) = 3.7.
 const CLEAR: f64 = 4.0;
 
-/// The width at which a panel that touches a singularity is left alone. The singularities are no worse than x ln x, so
-/// that what is lost there is about the square of this.
+/// Panels of at most this half-width are not halved further, even if they touch a singularity. The singularities are no
+/// worse than x ln x, so the error there is about the square of this.
 const SMALLEST: f64 = 1e-9;
 
-/// The exchange area of two polygons wholly in front of each other, counterclockwise seen from their fronts.
+/// The exchange area of two polygons wholly in front of each other, counterclockwise as seen from their fronts.
 ///
 /// The absolute error is a few units in the last place of the product of the perimeters, so lengths should be in units
 /// of the smaller polygon's size.
@@ -74,8 +75,8 @@ fn pair(e: Edge, f: Edge) -> f64 {
     cosine * integral
 }
 
-/// Where, for complex outer parameter, the distance to an end of `f` vanishes, or the distance to the line through `f`
-/// at a foot between its ends (elsewhere the two arc tangents' branches cancel).
+/// The values of the complex outer parameter at which the distance to an end of `f` vanishes, or the distance to the
+/// line through `f` at a foot between its ends. At other feet the branches of the two arc tangents cancel.
 fn singularities(e: Edge, f: Edge) -> ([Singularity; 3], usize) {
     let to_point = |p: DVec3| {
         let d = p - e.start;
@@ -90,7 +91,7 @@ fn singularities(e: Edge, f: Edge) -> ([Singularity; 3], usize) {
         let at = d.cross(f.direction).dot(across) / sine2;
         let foot = d.cross(e.direction).dot(across) / sine2;
         if (0.0..=f.length).contains(&foot) {
-            // h² is sine² (t - at)² + gap², with gap the distance of the two lines.
+            // h² is sine² (t - at)² + gap², where gap is the distance of the two lines.
             out[2] = Singularity { at, off: d.dot(across).abs() / sine2 };
             return (out, 3);
         }
@@ -98,7 +99,7 @@ fn singularities(e: Edge, f: Edge) -> ([Singularity; 3], usize) {
     (out, 2)
 }
 
-/// The integral over part of `e`, halved until Gauss-Legendre resolves it.
+/// The integral over part of `e`, which is halved until Gauss-Legendre quadrature resolves it.
 fn panel(e: Edge, f: Edge, from: f64, to: f64, singularities: &[Singularity]) -> f64 {
     let half = 0.5 * (to - from);
     if half <= 0.0 {
@@ -113,8 +114,8 @@ fn panel(e: Edge, f: Edge, from: f64, to: f64, singularities: &[Singularity]) ->
     (to - from) * gauss_legendre(POINTS).iter().map(|&(t, w)| w * at(t)).sum::<f64>()
 }
 
-/// The integral of ln r along an edge, r the distance from `p`: with s measured from the foot of `p` on the line and h
-/// the distance to it, the antiderivative is s ln sqrt(s² + h²) - s + h atan(s/h).
+/// The integral of ln r along an edge, where r is the distance from `p`. With s measured from the foot of `p` on the
+/// line and h the distance to the line, the antiderivative is s ln sqrt(s² + h²) - s + h atan(s/h).
 fn log_integral(p: DVec3, f: Edge) -> f64 {
     let d = p - f.start;
     let foot = d.dot(f.direction);
@@ -133,7 +134,8 @@ mod tests {
     use super::*;
     use crate::exact::cubature;
 
-    /// The two ways to integrate, which share nothing but the rule, where both are good: 3 to 8 radii apart.
+    /// Contour integrals and cubature share only the quadrature rule. They agree where both are accurate, 3 to 8 radii
+    /// apart.
     #[test]
     fn contours_agree_with_cubature() {
         let p = [dvec3(0.0, 0.0, 0.0), dvec3(1.0, 0.1, 0.0), dvec3(0.9, 1.2, 0.0), dvec3(0.1, 0.8, 0.0)];
@@ -143,13 +145,13 @@ mod tests {
             let by_points =
                 cubature::exchange_if_far((&p, DVec3::Z), (&q, m), 3.0, f64::EPSILON).expect("far enough");
             let by_contours = exchange(&p, &q);
-            // The contours' sum cancels by the fourth power of the distance in perimeters, about 1e3.
+            // The terms of the contour integral cancel by the fourth power of the distance in perimeters, about 1e3.
             assert!((by_contours / by_points - 1.0).abs() < 1e-12, "{by_contours} and {by_points}");
         }
     }
 
-    /// Coincident and collinear edges, whose integrals are elementary: L² (ln L - 3/2), and for neighbours on a line
-    /// the second difference of x² (ln x - 3/2) / 2.
+    /// Coincident and collinear edges have elementary integrals: L² (ln L - 3/2) for coincident edges, and for edges on
+    /// one line the second difference of x² (ln x - 3/2) / 2.
     #[test]
     fn edges_on_one_line() {
         let edge =

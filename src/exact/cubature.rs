@@ -1,5 +1,6 @@
-//! Form factors of well-separated polygons by Gauss-Legendre products. The kernel is positive, so unlike the closed
-//! forms this loses no digits however small the polygons are; and it is analytic, so few points do.
+//! Form factors of well-separated polygons by products of Gauss-Legendre rules. The kernel is positive, so unlike the
+//! closed forms this loses no digits, however small the polygons are. The kernel is also analytic, so few points
+//! suffice.
 
 use std::f64::consts::PI;
 use std::sync::OnceLock;
@@ -8,10 +9,10 @@ use glam::DVec3;
 
 use super::polygon::lambert;
 
-/// The most points a rule has.
+/// The largest number of points of a rule.
 pub(super) const MAX_POINTS: usize = 16;
 
-/// Nodes in (0, 1) and weights that sum to 1 of the Gauss-Legendre rule with `n` points.
+/// Nodes in (0, 1) and weights that sum to 1, of the Gauss-Legendre rule with `n` points.
 pub(super) fn gauss_legendre(n: usize) -> &'static [(f64, f64)] {
     static RULES: OnceLock<Vec<Vec<(f64, f64)>>> = OnceLock::new();
     &RULES.get_or_init(|| (0..=MAX_POINTS).map(newton_rule).collect())[n]
@@ -39,11 +40,11 @@ fn newton_rule(n: usize) -> Vec<(f64, f64)> {
     (0..n).map(node).collect()
 }
 
-/// The points a side that a function needs whose nearest singularity is `ratio` half-lengths from an interval's centre, to be
-/// integrated to this relative precision.
+/// The number of points per side that integrates a function to this relative precision. The nearest singularity of the
+/// function is `ratio` half-lengths from the centre of the interval.
 ///
-/// The error falls as rho^(-2n) with rho the sum of the half-axes of the Bernstein ellipse through the singularity
-/// (L. N. Trefethen, *Approximation Theory and Approximation Practice*, theorem 19.3); one point more pays for the
+/// The error falls as rho^(-2n), where rho is the sum of the half-axes of the Bernstein ellipse through the singularity
+/// (L. N. Trefethen, *Approximation Theory and Approximation Practice*, theorem 19.3). One more point makes up for the
 /// constant.
 fn points_for(ratio: f64, precision: f64) -> usize {
     let rho = ratio + (ratio * ratio - 1.0).sqrt();
@@ -95,14 +96,15 @@ fn distance(p: DVec3, polygon: &[DVec3], normal: DVec3) -> f64 {
     if inside { (p - polygon[0]).dot(normal).abs() } else { nearest }
 }
 
-/// cos cos / (pi r²) between two points with unit normals in front of each other.
+/// cos cos / (π r²) between two points that face each other, with unit normals.
 fn kernel(p: DVec3, n: DVec3, q: DVec3, m: DVec3) -> f64 {
     let d = q - p;
     let r2 = d.length_squared();
     (d.dot(n) / r2) * (-d.dot(m) / r2) / PI
 }
 
-/// The form factor from a point to a polygon wholly above its horizon, if the polygon is `far` of its radii away.
+/// The form factor from a point to a polygon wholly above its horizon, if the polygon is at least `far` of its radii
+/// away.
 pub(super) fn point_if_far(p: DVec3, n: DVec3, polygon: &[DVec3], normal: DVec3, far: f64) -> Option<f64> {
     let (centre, radius) = ball(polygon);
     let d = centre.distance(p);
@@ -115,9 +117,9 @@ pub(super) fn point_if_far(p: DVec3, n: DVec3, polygon: &[DVec3], normal: DVec3,
     })
 }
 
-/// The exchange area of two convex polygons wholly in front of each other, if the smaller is `far` of its radii from
-/// the larger: over the smaller by points, over the larger by points too if that is far away as well, by Lambert's
-/// formula otherwise.
+/// The exchange area of two convex polygons wholly in front of each other, if the smaller is at least `far` of its
+/// radii from the larger. Integrates over the smaller one by points. Integrates over the larger one by points too if it
+/// is far away as well, otherwise by Lambert's formula.
 pub(super) fn exchange_if_far(
     (p, np): (&[DVec3], DVec3),
     (q, nq): (&[DVec3], DVec3),

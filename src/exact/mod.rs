@@ -1,10 +1,10 @@
-//! Exact form factors of unoccluded surfaces: the oracle the rest of the library is tested against.
+//! Exact form factors of unoccluded surfaces, against which the rest of the library is tested.
 //!
 //! The form factor F12 is the share of the light leaving a Lambertian surface 1 that arrives at surface 2, between 0
-//! and 1. The *exchange area* A1 F12 = A2 F21 has the unit of an area and is the symmetric quantity; functions that
-//! take two general surfaces return it. All formulas depend on ratios of lengths only, so any unit of length will do.
+//! and 1. The *exchange area* A1 F12 = A2 F21 has the unit of an area and is symmetric; functions of two general
+//! surfaces return it. All formulas depend on ratios of lengths only, so any unit of length will do.
 //!
-//! "Howell C-11" and the like are numbers of J. R. Howell's *A Catalog of Radiation Heat Transfer Configuration
+//! "Howell C-11" and the like are numbers in J. R. Howell's *A Catalog of Radiation Heat Transfer Configuration
 //! Factors*.
 
 mod catalogue;

@@ -6,8 +6,8 @@ use glam::DVec3;
 
 use super::{contour, cubature};
 
-/// From how many radii on a polygon counts as small and is integrated by points: the closed forms have lost about one
-/// digit there, and the points needed are 12 a side.
+/// A polygon at least this many of its radii away counts as small and is integrated by points. At this distance the
+/// closed forms have lost about one digit, and 12 points per side are needed.
 const FAR: f64 = 3.0;
 
 fn assert_polygon(polygon: &[DVec3]) {
@@ -15,13 +15,13 @@ fn assert_polygon(polygon: &[DVec3]) {
     assert!(polygon.iter().all(|v| v.is_finite()), "vertices must be finite");
 }
 
-/// The power of two next below a length. Dividing by it changes no digit, so that a small polygon far from the origin
+/// The largest power of two not above a length. Dividing by it changes no digit, so a small polygon far from the origin
 /// keeps its shape.
 fn power_of_two_below(length: f64) -> f64 {
     length.log2().floor().exp2()
 }
 
-/// Half the sum of the cross products: as long as the area, and pointing to the front (M. E. Newell's formula).
+/// Half the sum of the cross products (M. E. Newell's formula). Its length is the area, and it points to the front.
 fn area_vector(polygon: &[DVec3]) -> DVec3 {
     let o = polygon[0];
     0.5 * polygon.windows(2).map(|e| (e[0] - o).cross(e[1] - o)).sum::<DVec3>()
@@ -37,8 +37,8 @@ pub fn polygon_area(polygon: &[DVec3]) -> f64 {
     area_vector(polygon).length()
 }
 
-/// The part of a convex polygon above a plane; none if it rises nowhere above it by more than `slack`. Vertices up to
-/// `slack` below count as on the plane, so that an edge in the plane is not cut by its rounding errors.
+/// The part of a convex polygon above a plane, or `None` if no vertex is above it by more than `slack`. Vertices up to
+/// `slack` below the plane count as on it, so that rounding does not cut an edge in the plane.
 pub(crate) fn clip(polygon: &[DVec3], origin: DVec3, normal: DVec3, slack: f64) -> Option<Vec<DVec3>> {
     let heights: Vec<f64> = polygon.iter().map(|&v| (v - origin).dot(normal)).collect();
     if heights.iter().all(|&h| h <= slack) {
@@ -58,14 +58,14 @@ pub(crate) fn clip(polygon: &[DVec3], origin: DVec3, normal: DVec3, slack: f64) 
     (out.len() >= 3).then_some(out)
 }
 
-/// Lambert's sum over the edges of a polygon above the horizon (*Photometria*, 1760): each adds the angle it subtends
-/// times the cosine between the normal and the normal of its plane through the point.
+/// Lambert's sum over the edges of a polygon above the horizon (*Photometria*, 1760). Each edge adds the angle that it
+/// subtends times the cosine between `normal` and the normal of the edge's plane through the point.
 pub(crate) fn lambert(point: DVec3, normal: DVec3, polygon: &[DVec3]) -> f64 {
     let edge = |k: usize| {
         let start = polygon[k];
         let end = polygon[(k + 1) % polygon.len()];
         let (a, b) = (start - point, end - point);
-        // Not a x b: that rounds at the size of the distance squared, this at distance times edge.
+        // Not a x b, which rounds at the square of the distance. This rounds at distance times edge.
         let across = a.cross(end - start);
         let size = across.length();
         if size > 0.0 { size.atan2(a.dot(b)) / size * across.dot(normal) } else { 0.0 }
@@ -75,9 +75,9 @@ pub(crate) fn lambert(point: DVec3, normal: DVec3, polygon: &[DVec3]) -> f64 {
 
 /// The form factor from a small surface at `point` with unit `normal` to a planar convex polygon (Lambert's formula).
 ///
-/// It is the polygon's share of the irradiance were the whole hemisphere as bright: 0 to 1. What lies below the
-/// point's horizon is cut off; from which side the polygon is seen does not matter, nor does the order of its
-/// vertices. On the polygon itself the value is the limit from the side `normal` points to: 1 inside, 1/2 on an edge.
+/// It is the polygon's share of the irradiance from a hemisphere that is equally bright everywhere: 0 to 1. The part
+/// below the horizon of the point is cut off. The side of the polygon and the order of its vertices do not matter. On
+/// the polygon itself the value is the limit from the side to which `normal` points: 1 inside, 1/2 on an edge.
 ///
 /// # Panics
 ///
@@ -107,13 +107,12 @@ pub fn point_to_polygon(point: DVec3, normal: DVec3, polygon: &[DVec3]) -> f64 {
 
 /// The exchange area A1 F12 of two planar convex polygons in any position, in the square of their unit of length.
 ///
-/// A polygon's front, from which its vertices run counterclockwise, is the side that exchanges light. Each polygon
-/// counts with the part in front of the other's plane; polygons in one plane exchange nothing. Polygons may share
+/// Light is exchanged by the front of a polygon, the side from which its vertices run counterclockwise. Each polygon
+/// counts with its part in front of the other's plane; polygons in one plane exchange nothing. Polygons may share
 /// vertices or edges.
 ///
-/// Far-apart polygons are integrated by points, near ones by their contours. The relative error is about 1e-14, and
-/// grows for near polygons that barely see each other: the absolute error is about 1e-15 of the product of the
-/// perimeters.
+/// Far polygons are integrated by points, near ones by their contours. The relative error is about 1e-14. It is larger
+/// for near polygons that barely see each other: the absolute error is about 1e-15 of the product of the perimeters.
 ///
 /// # Panics
 ///
@@ -122,7 +121,8 @@ pub fn polygon_exchange_area(p: &[DVec3], q: &[DVec3]) -> f64 {
     exchange_area_to(p, q, FAR, f64::EPSILON)
 }
 
-/// As [`polygon_exchange_area`], with polygons as far away as told integrated by points to this relative precision.
+/// Like [`polygon_exchange_area`], but polygons at least `far` radii away are integrated by points, to this relative
+/// precision.
 pub(crate) fn exchange_area_to(p: &[DVec3], q: &[DVec3], far: f64, precision: f64) -> f64 {
     assert_polygon(p);
     assert_polygon(q);
@@ -133,7 +133,7 @@ pub(crate) fn exchange_area_to(p: &[DVec3], q: &[DVec3], far: f64, precision: f6
         return 0.0;
     }
     let unit = power_of_two_below(unit);
-    // The coordinates are given no better than this, so neither is the side of a plane a vertex is on.
+    // The coordinates are no more precise than this, and so is the side of a plane on which a vertex lies.
     let slack = 16.0 * f64::EPSILON * (1.0 + all().map(|v| v.abs().max_element()).fold(0.0, f64::max) / unit);
     let local = |polygon: &[DVec3]| polygon.iter().map(|&v| (v - origin) / unit).collect::<Vec<_>>();
     let (p, q) = (local(p), local(q));
@@ -152,7 +152,7 @@ pub(crate) fn exchange_area_to(p: &[DVec3], q: &[DVec3], far: f64, precision: f6
 ///
 /// # Panics
 ///
-/// As [`polygon_exchange_area`], or if `p` has no area.
+/// Like [`polygon_exchange_area`], and if `p` has no area.
 pub fn polygon_form_factor(p: &[DVec3], q: &[DVec3]) -> f64 {
     let area = polygon_area(p);
     assert!(area > 0.0, "a polygon without area has no form factor");

@@ -21,9 +21,9 @@ pub enum Axis {
 /// A rectangle at a right angle to an axis, seen from one side only.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisRectangle {
-    /// The axis the rectangle's normal is parallel to.
+    /// The axis parallel to the normal of the rectangle.
     pub axis: Axis,
-    /// Whether the front, the side that exchanges light, looks towards growing coordinates.
+    /// Whether the front, the side that exchanges light, faces towards larger coordinates.
     pub positive: bool,
     /// The coordinate of its plane along `axis`.
     pub offset: f64,
@@ -36,9 +36,9 @@ pub struct AxisRectangle {
 /// An interval of one coordinate.
 type Span = [f64; 2];
 
-/// From where on the smaller rectangle counts as small: the distance to the other in radii of its bounding circle. The
-/// corner sums lose as many digits as the product of the areas is smaller than the fourth power of the distance
-/// (about 4 at this ratio); from here on the cubature is more accurate, and needs 8 points a side or fewer.
+/// The smaller rectangle counts as small if its distance to the other is at least this many radii of its bounding
+/// circle. The corner sums lose as many digits as the product of the areas is below the fourth power of the distance,
+/// about 4 at this ratio. From here on the cubature is more accurate and needs at most 8 points per side.
 const FAR: f64 = 8.0;
 
 impl AxisRectangle {
@@ -52,7 +52,7 @@ impl AxisRectangle {
         DVec3::AXES[self.axis as usize] * self.sign()
     }
 
-    /// The corners, counterclockwise seen from the front.
+    /// The corners, counterclockwise as seen from the front.
     pub fn corners(&self) -> [DVec3; 4] {
         let ([u0, v0], [u1, v1]) = (self.min, self.max);
         let at = |u: f64, v: f64| {
@@ -72,18 +72,18 @@ impl AxisRectangle {
     ///
     /// # Panics
     ///
-    /// As [`exchange_area`](Self::exchange_area), or if this rectangle has no area.
+    /// Like [`exchange_area`](Self::exchange_area), and if this rectangle has no area.
     pub fn form_factor(&self, other: &AxisRectangle) -> f64 {
         assert!(self.area() > 0.0, "a rectangle without area has no form factor");
         self.exchange_area(other) / self.area()
     }
 
-    /// The exchange area A1 F12 of two rectangles, 0 unless each has a part in front of the other.
+    /// The exchange area A1 F12 of two rectangles. It is 0 unless each has a part in front of the other.
     ///
-    /// A sum over the corners of the fourth antiderivative of the kernel (Howell C-13 and C-15; J. R. Ehlert and T. F.
-    /// Smith, "View factors for perpendicular and parallel rectangular plates", J. Thermophysics and Heat Transfer
-    /// 7(1), 1993). Perpendicular rectangles that reach across the line where their planes meet count with the part
-    /// in front of the other's plane.
+    /// It is a sum over the corners of the fourth antiderivative of the kernel (Howell C-13 and C-15; J. R. Ehlert and
+    /// T. F. Smith, "View factors for perpendicular and parallel rectangular plates", J. Thermophysics and Heat
+    /// Transfer 7(1), 1993). Perpendicular rectangles that reach across the line where their planes meet count with
+    /// their parts in front of the other's plane.
     ///
     /// # Panics
     ///
@@ -117,7 +117,7 @@ impl AxisRectangle {
         assert!(self.min[0] <= self.max[0] && self.min[1] <= self.max[1], "min exceeds max: {self:?}");
     }
 
-    /// Which of `min` and `max` belongs to an axis other than its own.
+    /// The index in `min` and `max` of an axis other than its own.
     fn slot(&self, axis: Axis) -> usize {
         (axis as usize + 2 - self.axis as usize) % 3
     }
@@ -145,7 +145,7 @@ impl AxisRectangle {
     }
 }
 
-/// The sum over both ends of four spans, alternating in sign, of the antiderivative.
+/// The sum of the antiderivative over both ends of four spans, with alternating signs.
 fn corner_sum(spans: [Span; 4], antiderivative: impl Fn(f64, f64, f64, f64) -> f64) -> f64 {
     let [x, xi, y, eta] = spans;
     let mut sum = 0.0;
@@ -157,7 +157,7 @@ fn corner_sum(spans: [Span; 4], antiderivative: impl Fn(f64, f64, f64, f64) -> f
     sum.abs() / (2.0 * PI)
 }
 
-/// `factor` ln(`argument`), with the limit 0 where both vanish.
+/// `factor` ln(`argument`), with the limit 0 if both vanish.
 fn times_ln(factor: f64, argument: f64) -> f64 {
     if argument > 0.0 { factor * argument.ln() } else { 0.0 }
 }
@@ -179,7 +179,7 @@ fn parallel(a: &AxisRectangle, b: &AxisRectangle) -> f64 {
 fn perpendicular(a: &AxisRectangle, b: &AxisRectangle) -> f64 {
     let (u, v) = next_axes(a.axis);
     let common = if b.axis == u { v } else { u };
-    // Distances from the line where the planes meet; both spans are on one side of it by now.
+    // Distances from the line where the planes meet. Both spans lie on one side of it by now.
     let x = a.span(b.axis).map(|c| c - b.offset);
     let xi = b.span(a.axis).map(|c| c - a.offset);
     let spans = [x, xi, a.span(common), b.span(common)];
@@ -204,10 +204,10 @@ fn reach(a: Span, b: Span) -> f64 {
     (a[1] - b[0]).abs().max((b[1] - a[0]).abs())
 }
 
-/// The six faces of a box room from the origin to `size`, each cut into `n` x `n` equal patches that look inwards.
+/// The six faces of a box room from the origin to `size`. Each is cut into `n` x `n` equal patches that face inward.
 ///
-/// The order is the face at x = 0, the one at x = `size.x`, then y and z likewise; on a face the coordinate of the
-/// axis that follows the face's in the cycle X, Y, Z, X varies fastest.
+/// The faces come in the order x = 0, x = `size.x`, then y and z likewise. On a face the coordinate of the axis that
+/// follows the face's own axis in the cycle X, Y, Z, X varies fastest.
 ///
 /// # Panics
 ///
@@ -230,9 +230,9 @@ pub fn box_room_patches(size: DVec3, n: usize) -> Vec<AxisRectangle> {
     patches
 }
 
-/// The dense matrix of form factors F_ij from patch i (row) to patch j (column), as if nothing stood between them.
+/// The dense matrix of form factors F_ij from patch i (row) to patch j (column), ignoring anything between them.
 ///
-/// In a room of [`box_room_patches`] nothing does, and every row sums to 1.
+/// In a room of [`box_room_patches`] nothing lies between them, and every row sums to 1.
 ///
 /// # Panics
 ///

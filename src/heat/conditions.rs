@@ -1,4 +1,4 @@
-//! What is known of surfaces, from a small TOML file.
+//! Temperatures, fluxes and emissivities of surfaces, from a small TOML file.
 
 use std::path::Path;
 
@@ -6,32 +6,33 @@ use serde::Deserialize;
 
 use crate::{Error, Result};
 
-/// What is known of a surface.
+/// The thermal boundary condition of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Condition {
-    /// Its temperature.
+    /// A given temperature.
     Temperature {
-        /// Kelvin.
+        /// The temperature in kelvin.
         temperature: f64,
-        /// 0 to 1.
+        /// The emissivity, above 0 and at most 1.
         emissivity: f64,
     },
-    /// The net flux that leaves it.
+    /// A given net flux that leaves the surface.
     Flux {
-        /// W/m².
+        /// The net flux in W/m².
         flux: f64,
-        /// 0 to 1.
+        /// The emissivity, above 0 and at most 1.
         emissivity: f64,
     },
-    /// That it gains and loses nothing in all: an adiabatic wall, or a radiation shield. It has one temperature.
+    /// No net heat in total: an adiabatic wall or a radiation shield. The surface has one temperature, which follows
+    /// from the others.
     Floating {
-        /// 0 to 1.
+        /// The emissivity, above 0 and at most 1.
         emissivity: f64,
     },
 }
 
 impl Condition {
-    /// The emissivity.
+    /// Returns the emissivity.
     pub fn emissivity(&self) -> f64 {
         match *self {
             Condition::Temperature { emissivity, .. }
@@ -51,25 +52,26 @@ struct Entry {
     adiabatic: Option<bool>,
 }
 
-/// What a file says of surfaces.
+/// The conditions in a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Conditions {
-    /// By the order of surfaces asked for.
+    /// One condition per surface, in the order of the names passed to [`Conditions::load`].
     pub surfaces: Vec<Condition>,
-    /// Kelvin of what is seen outside all surfaces, if told.
+    /// The temperature in kelvin of the surroundings outside all surfaces, if given.
     pub sky: Option<f64>,
 }
 
-/// The name of the sky in the file, unless a surface has it.
+/// The name of the sky in the file, unless a surface has this name.
 const SKY: &str = "sky";
 
 impl Conditions {
-    /// Reads the file: a line a surface, `wall = { temperature = 293, emissivity = 0.9 }`. In place of a temperature it may hold a
-    /// `flux` in W/m², or neither: then the surface floats. The emissivity of such a one is 1 where it is not told. `sky` may have a
-    /// temperature.
+    /// Reads the file. It has one line per surface, such as `wall = { temperature = 293, emissivity = 0.9 }`. Instead
+    /// of a temperature the line may give a `flux` in W/m², or neither: then the temperature of the surface floats, and
+    /// its emissivity is 1 by default. `sky` may have a temperature.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Input`] when it cannot be read, names what is no surface, or lacks one of `names`.
+    /// [`Error::Io`] if the file cannot be read. [`Error::Input`] if it is invalid, names an unknown surface, or lacks
+    /// one of `names`.
     pub fn load(path: &Path, names: &[String]) -> Result<Conditions> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
         let file = toml::de::DeTable::parse(&text).map_err(|error| {
@@ -102,7 +104,7 @@ impl Conditions {
         }
         let missing = |(k, condition): (usize, Option<Condition>)| {
             condition.ok_or_else(|| {
-                Error::input(path, None, format!("nothing is said of surface `{}`", names[k])).with_hint(
+                Error::input(path, None, format!("surface `{}` has no condition", names[k])).with_hint(
                     format!(
                         "add a line such as  {} = {{ temperature = 293, emissivity = 0.9 }}",
                         quoted(&names[k])
@@ -128,7 +130,7 @@ fn positive(name: &str, temperature: f64) -> std::result::Result<f64, String> {
     if temperature >= 0.0 && temperature.is_finite() {
         Ok(temperature)
     } else {
-        Err(format!("`{name}`: a temperature of {temperature} K"))
+        Err(format!("`{name}`: a temperature of {temperature} K is impossible"))
     }
 }
 
@@ -144,8 +146,8 @@ fn condition(name: &str, entry: &Entry) -> std::result::Result<Condition, String
             Ok(Condition::Temperature { temperature: positive(name, temperature)?, emissivity: needed? })
         }
         (None, Some(flux), false) if flux.is_finite() => Ok(Condition::Flux { flux, emissivity: needed? }),
-        (None, Some(flux), false) => Err(format!("`{name}`: a flux of {flux}")),
+        (None, Some(flux), false) => Err(format!("`{name}`: a flux of {flux} is not finite")),
         (None, None, _) => Ok(Condition::Floating { emissivity: emissivity.unwrap_or(1.0) }),
-        _ => Err(format!("`{name}` may have a temperature, a flux, or be adiabatic, but one of them")),
+        _ => Err(format!("`{name}` may have a temperature or a flux or be adiabatic, but only one of them")),
     }
 }

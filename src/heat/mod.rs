@@ -1,9 +1,11 @@
-//! Heat that surfaces exchange by radiation: grey, diffuse surfaces at temperatures or with fluxes that are given, or that float.
+//! Heat that grey, diffuse surfaces exchange by radiation. Their temperatures or fluxes are given, or their
+//! temperatures float.
 //!
-//! The equations are those of light, and so is the solver: a surface at temperature T emits ε σ T⁴ and reflects 1 - ε; of one whose
-//! net flux q is known B = q + E, as if it emitted q and reflected all. Radiosity is resolved by parts, temperature by surfaces. A
-//! surface that floats has the one temperature at which all its parts together gain nothing. The system is linear in σ T⁴, so
-//! that a solution for each surface's emission gives all of them (M. F. Modest, *Radiative Heat Transfer*, ch. 5).
+//! The equations are those of light, and so is the solver. A surface at temperature T emits ε σ T⁴ and reflects 1 - ε.
+//! A surface with a given net flux q has B = q + E, as if it emitted q and reflected everything. Radiosity is computed
+//! per part, temperature per surface. A floating surface has the one temperature at which all its parts together gain
+//! no heat. The system is linear in σ T⁴, so one solution per surface, for its emission alone, gives all others (M. F.
+//! Modest, *Radiative Heat Transfer*, ch. 5).
 
 mod conditions;
 
@@ -22,57 +24,58 @@ pub use conditions::{Condition, Conditions};
 /// The Stefan-Boltzmann constant, W/(m² K⁴) (CODATA 2018).
 pub const STEFAN_BOLTZMANN: f64 = 5.670374419e-8;
 
-/// Sums of residuals relative to those of emissions: heat is balanced to about as much.
+/// The tolerance of the solver: the sum of residuals over the sum of emissions. Heat balances to about the same.
 const TOLERANCE: f64 = 1e-13;
 
-/// Heat that is a smaller share than this of what surfaces emit counts as this much where its balance is judged.
+/// Least amount of heat, as a share of the emitted power, to which the imbalance is related.
 const LEAST: f64 = 1e-3;
 
-/// Solutions with view factors that are changed at random by their standard errors. Their spread tells a standard error to an
-/// eighth of it.
+/// The number of solutions with view factors that are changed at random by their standard errors. The standard error
+/// from their spread is itself known to an eighth.
 const REPLICATES: usize = 32;
 
-/// What a surface exchanges.
+/// The temperature and the net heat of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exchanged {
-    /// Kelvin; of a surface with a given flux, by the mean of T⁴.
+    /// The temperature in kelvin. On a surface with a given flux it follows from the mean of T⁴.
     pub temperature: f64,
-    /// The standard error of that.
+    /// The standard error of the temperature in kelvin.
     pub temperature_error: f64,
-    /// W that leave it beyond what arrives.
+    /// The net heat that leaves the surface, in W.
     pub heat: f64,
-    /// The standard error of that, by those of the view factors.
+    /// The standard error of the heat in W, due to the standard errors of the view factors.
     pub heat_error: f64,
 }
 
-/// The exchange of heat.
+/// The heat exchanged by all surfaces and the sky.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Exchange {
-    /// Of each surface.
+    /// One entry per surface.
     pub surfaces: Vec<Exchanged>,
-    /// W that the sky gives beyond what it gets: what parts see outside all surfaces.
+    /// The net heat that the sky gives to the parts that see outside all surfaces, in W.
     pub sky: f64,
-    /// The standard error of that.
+    /// The standard error of the sky's heat in W.
     pub sky_error: f64,
-    /// The sum of all heat relative to the sum of its amounts, or to 10⁻³ of what surfaces emit where that is more.
+    /// The sum of all heat over the sum of its absolute values, or over 10⁻³ of the emitted power if that is more.
     pub imbalance: f64,
-    /// A_i 𝓕_ij, m²: what a surface absorbs for each σ T⁴ of another one, by all reflections, while floating surfaces float and fluxes
-    /// stay. The last row and column are the sky's. Rows of surfaces without a given temperature are zero.
+    /// A_i 𝓕_ij in m²: the heat that surface i absorbs per σ T⁴ of surface j, including all reflections, while floating
+    /// surfaces float and fluxes stay. The last row and column belong to the sky. Rows of surfaces without a given
+    /// temperature are zero.
     pub exchange_areas: DMatrix<f64>,
 }
 
-/// Parts, what they are of, and what is known of them.
+/// The parts, their surfaces, and the conditions of the surfaces.
 struct System<'a> {
     form_factors: FormFactors,
-    /// Areas, and the shares that see no other part.
+    /// The areas of the parts, and the shares of light that reach no other part.
     areas: Vec<f64>,
     open: Vec<f64>,
     surface_of: &'a [usize],
     conditions: &'a [Condition],
 }
 
-/// For a unit of σ T⁴ of a surface, of the sky, or for all given fluxes: W that leave each surface and the sky, and the irradiances of
-/// parts.
+/// The solution for a unit of σ T⁴ of one surface or of the sky, or for all given fluxes: the heat in W that leaves
+/// each surface and the sky, and the irradiance of each part.
 struct Response {
     heat: Vec<f64>,
     irradiance: Vec<f64>,
@@ -87,14 +90,14 @@ impl System<'_> {
         matches!(self.conditions[self.surface_of[part]], Condition::Flux { .. })
     }
 
-    /// The irradiance of all parts by what they emit, may it be below zero, and by a sky of this emissive power.
+    /// The irradiance of all parts from their emission, which may be negative, and from a sky of this emissive power.
     fn irradiance(&self, emission: &[f64], sky: f64, progress: &Progress) -> Result<Vec<f64>> {
         let n = self.areas.len();
         let reflectance: Vec<f64> =
             (0..n).map(|i| if self.has_flux(i) { 1.0 } else { 1.0 - self.emissivity(i) }).collect();
         let source = |i: usize| emission[i] + reflectance[i] * self.open[i] * sky;
         let mut irradiance: Vec<f64> = self.open.iter().map(|open| open * sky).collect();
-        // The solver is for light, which has one sign.
+        // The solver is for light, which is never negative, so each sign is solved separately.
         for sign in [1.0, -1.0] {
             let emission: Vec<f64> = (0..n).map(|i| (sign * source(i)).max(0.0)).collect();
             if emission.iter().all(|&e| e == 0.0) {
@@ -108,7 +111,7 @@ impl System<'_> {
         Ok(irradiance)
     }
 
-    /// What follows from a unit of σ T⁴ of surface `of`, or of the sky where that is one more than there are surfaces.
+    /// The response to a unit of σ T⁴ of surface `of`, or of the sky if `of` is the number of surfaces.
     fn response(&self, of: usize, progress: &Progress) -> Result<Response> {
         let (n, m) = (self.areas.len(), self.conditions.len());
         let sky = f64::from(u8::from(of == m));
@@ -126,7 +129,7 @@ impl System<'_> {
         Ok(Response { heat, irradiance })
     }
 
-    /// What follows from the given fluxes.
+    /// The response to the given fluxes.
     fn fluxes(&self, progress: &Progress) -> Result<Response> {
         let (n, m) = (self.areas.len(), self.conditions.len());
         let flux = |i: usize| match self.conditions[self.surface_of[i]] {
@@ -144,7 +147,7 @@ impl System<'_> {
         Ok(Response { heat, irradiance })
     }
 
-    /// Adds what the sky gives beyond what it gets.
+    /// Adds the net heat that the sky gives.
     fn add_sky(&self, heat: &mut [f64], emission: &[f64], irradiance: &[f64], sky: f64) {
         let last = heat.len() - 1;
         for i in 0..self.areas.len() {
@@ -153,7 +156,7 @@ impl System<'_> {
         }
     }
 
-    /// Emissive powers σ T⁴ of all surfaces, heat of all and of the sky, and exchange areas.
+    /// The emissive powers σ T⁴ of all surfaces and the sky, their heat, and the exchange areas.
     fn solve(&self, sky: f64, progress: &Progress) -> Result<(Vec<f64>, Vec<f64>, DMatrix<f64>)> {
         let m = self.conditions.len();
         let responses: Vec<Response> =
@@ -171,7 +174,7 @@ impl System<'_> {
             .collect();
         let floating: Vec<usize> =
             (0..m).filter(|&k| matches!(self.conditions[k], Condition::Floating { .. })).collect();
-        // All heat of floating surfaces is zero: by their own powers and by what others send them.
+        // The heat of all floating surfaces is zero: by their own powers and those of the others.
         let count = floating.len();
         let own = DMatrix::from_fn(count, count, |a, b| responses[floating[b]].heat[floating[a]]).lu();
         let float = |sent: &dyn Fn(usize) -> f64| -> Result<DVector<f64>> {
@@ -199,7 +202,7 @@ impl System<'_> {
                 areas[(k, l)] = if k == l { 0.0 } else { -out };
             }
         }
-        // Of surfaces with a flux: σ T⁴ = E + q / ε, in the mean.
+        // A surface with a flux has σ T⁴ = E + q / ε on average.
         for k in 0..m {
             let Condition::Flux { flux, emissivity } = self.conditions[k] else { continue };
             let parts = || (0..self.areas.len()).filter(|&i| self.surface_of[i] == k);
@@ -214,14 +217,16 @@ impl System<'_> {
     }
 }
 
-/// Heat exchanged by surfaces that are each of some parts, `surface_of` which, with `conditions` of the surfaces. What parts see
-/// outside all others is a sky of this temperature, in kelvin. Areas are in m².
+/// The heat exchanged by surfaces under the given `conditions`, one per surface. The parts of `found` belong to the
+/// surfaces in `surface_of`, one index per part. Light that reaches no part meets a sky of this temperature, in kelvin.
+/// Areas are in m².
 ///
 /// # Errors
-/// [`Error::NoEquilibrium`] where nothing holds the temperature of something, [`Error::Stopped`] when `progress` says so.
+/// [`Error::NoEquilibrium`] if the temperature of some surface is not determined. [`Error::Stopped`] if `progress` is
+/// stopped.
 ///
 /// # Panics
-/// When the sizes disagree.
+/// If the sizes disagree.
 pub fn exchange(
     found: &ViewFactors,
     surface_of: &[usize],
@@ -251,7 +256,7 @@ pub fn exchange(
         }
     }
     let error = |squares: f64| (squares / REPLICATES as f64).sqrt();
-    // Where next to nothing flows, its rounding does not matter.
+    // If almost no heat flows, its rounding does not matter.
     let gross: f64 = (0..found.len()).map(|i| found.areas()[i] * powers[surface_of[i]].abs()).sum();
     let amount = heat.iter().map(|q| q.abs()).sum::<f64>().max(LEAST * gross);
     Ok(Exchange {
@@ -273,7 +278,7 @@ pub fn exchange(
     })
 }
 
-/// View factors as the solver takes them; with noise of their standard errors, and closed again.
+/// The view factors in the form that the solver needs; with noise, changed by their standard errors and closed again.
 fn form_factors(found: &ViewFactors, noise: Option<u64>) -> FormFactors {
     let n = found.len();
     let unit = found.areas().iter().sum::<f64>() / n as f64;
@@ -292,7 +297,7 @@ fn form_factors(found: &ViewFactors, noise: Option<u64>) -> FormFactors {
         starts.push(columns.len());
     }
     let matrix = Matrix::new((n, n), starts, columns, values);
-    // What is given to one is taken from what escapes, where something does.
+    // A row that gains takes it from its escaped share, if it has one.
     let sums = {
         let mut sums = vec![0.0; n];
         for (&x, (i, j)) in &matrix {

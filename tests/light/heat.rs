@@ -200,7 +200,7 @@ fn conditions_are_read_and_errors_name_their_line() {
         (format!("wall = {{ temperature = 293, emissivity = 1.5 }}\n{rest}"), "not between 0 and 1"),
         (format!("wall = {{ temperature = 293, colour = 1 }}\n{rest}"), "colour"),
         (format!("wall = {{ temperature = 293, flux = 1, emissivity = 1 }}\n{rest}"), "one of them"),
-        (wall.to_string(), "nothing is said of surface `big floor`"),
+        (wall.to_string(), "surface `big floor` has no condition"),
     ] {
         let error = load(&text).unwrap_err().to_string();
         assert!(error.contains(said), "{text}: {error}");
