@@ -62,6 +62,8 @@ fn corners(path: &Path) -> Vec<[[u64; 3]; 3]> {
     corners
 }
 
+/// `bake` writes the unchanged scene. Each surface is black and emits its radiosity, ρ E / π in units of white, to half
+/// a step of 8 bits and 1e-3.
 #[test]
 fn a_lit_scene_keeps_its_contents_and_shows_the_radiosity() {
     let mut file = boards();
@@ -180,6 +182,7 @@ fn surface_behind_other_faces_is_not_written() {
     assert!(scene.hidden.is_empty(), "{:?}", scene.hidden);
 }
 
+/// With a lightmap of irradiance, or with coordinates alone, the materials stay. The map has a precision of 8 bits.
 #[test]
 fn other_encodings_keep_the_materials() {
     let here = here(&boards());

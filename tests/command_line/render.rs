@@ -136,6 +136,7 @@ fn every_method_sees_one_over_pi_everywhere_in_a_furnace() {
     }
 }
 
+/// EXR and HDR files hold radiance, to their precision. PNG files hold the exposed radiance as sRGB.
 #[test]
 fn files_hold_radiance_or_its_exposure() {
     let here = here();

@@ -183,6 +183,7 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
     assert!(one != mesh("--seed 7"));
 }
 
+/// Every solver and quality absorbs the 6 W that the furnace emits, to the tolerance of the solver.
 #[test]
 fn every_solver_and_quality_gives_the_furnace_the_same_light() {
     let here = Here::new(FURNACE, GLOW);
@@ -240,6 +241,7 @@ fn standard_errors_are_in_the_mesh_and_fall_with_more_rays() {
     assert!(few < 0.5 && many < few / 3.0, "{few} {many}");
 }
 
+/// Exposure scales colours by powers of two and leaves radiosity unchanged.
 #[test]
 fn exposure_moves_colours_by_stops_and_nothing_else() {
     let here = Here::new(FURNACE, GLOW);

@@ -136,6 +136,7 @@ fn of_cube(i: usize, j: usize) -> f64 {
     }
 }
 
+/// View factors of two rectangles are the closed forms, up to single precision, and the rest of a row escapes.
 #[test]
 fn two_rectangles_are_closed_forms() {
     for (a, b, c) in [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 1.0, 0.1), (1.0, 1.0, 10.0), (1e-4, 1e-4, 1e-4)]
@@ -197,6 +198,8 @@ fn a_blocker_hides_as_much_as_the_closed_form_says() {
     assert_eq!(here.json("r.json")["enclosed"], false);
 }
 
+/// View factors of a cube's sides follow from those of their parts: whole sides, groups of nine squares, and sums over
+/// squares.
 #[test]
 fn a_cube_is_closed_and_its_parts_sum_up() {
     let whole = table(&obj(cube(1, |_| "")), "");
@@ -219,6 +222,7 @@ fn a_cube_is_closed_and_its_parts_sum_up() {
     }
 }
 
+/// An object of several walls sees itself. Its view factors are area-weighted sums of the two of a cube.
 #[test]
 fn surfaces_may_see_themselves() {
     // Floor and ceiling are one object. One of the walls has no name.
@@ -240,6 +244,8 @@ fn surfaces_may_see_themselves() {
     }
 }
 
+/// Floor and ceiling of a cube from faces of any shape: their view factors, weighted by area, sum to those of the cube.
+/// The tolerance is twice the wanted error.
 #[test]
 fn faces_of_any_shape_are_surfaces() {
     // The floor is a trapezoid, a triangle, and the remaining L. The ceiling is a hexagon with corners on its edges.
@@ -428,6 +434,7 @@ fn names_reach_the_table_as_they_are() {
     assert_eq!(Table::read(&here, "out.csv").names, ["warm", "cold"]);
 }
 
+/// The same seed gives the same table for any number of threads, and a summary goes to stdout.
 #[test]
 fn the_same_bytes_for_any_number_of_threads_and_a_summary_on_stdout() {
     let mut faces = cube(1, |_| "");

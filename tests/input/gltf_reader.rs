@@ -263,6 +263,7 @@ fn reflectance_is_factor_times_texture_times_colour_without_the_metallic_part() 
     assert_eq!(scene.reflectance_at(0, [1.0, 0.0, 0.0]), [0.0; 3]);
 }
 
+/// The mean of a texture times colours is the exact integral of their product over the triangle, to rounding.
 #[test]
 fn a_texture_and_colours_that_both_vary_have_the_mean_of_their_product() {
     let (mut file, _) = triangle();

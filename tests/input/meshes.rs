@@ -39,6 +39,7 @@ fn area_of(scene: &Scene, material: &str) -> f64 {
     (0..scene.triangles.len()).filter(|&t| scene.material(t).name == material).map(|t| scene.area(t)).sum()
 }
 
+/// Asserts equality up to the rounding of coordinates in the files.
 fn assert_near(got: f64, wanted: f64) {
     assert!((got - wanted).abs() <= 1e-5 * wanted.abs(), "{got}, wanted {wanted}");
 }

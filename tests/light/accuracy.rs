@@ -342,7 +342,7 @@ fn exposure_and_errors_count_what_can_be_seen() {
     let [with, without] = [true, false].map(solve);
     let exposed = |s: &Solved| exposure::of_radiosity(&s.patches, &s.solution.radiosity).scale;
     let seen = [&with, &without].map(|s| s.patches.seen_areas(&s.solution.irradiance));
-    // Visible are the 6 faces of the room and the 54 outer faces. No ray meets a back, so no back is a patch.
+    // Visible are the 6 faces of the room and the 54 outer faces. No ray hits a back, so no back is a patch.
     assert!(seen.iter().all(|areas| (areas.iter().sum::<f64>() - 60.0).abs() < 1e-9));
     let ratio = exposed(&with) / exposed(&without);
     assert!((ratio - 1.0).abs() < 0.03, "{ratio}");

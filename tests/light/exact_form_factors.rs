@@ -305,12 +305,14 @@ fn wedge_of_long_strips() {
     }
 }
 
+/// Two vertices are no polygon, which is a programming error.
 #[test]
 #[should_panic(expected = "3 vertices")]
 fn two_vertices_are_no_polygon() {
     polygon_exchange_area(&[DVec3::X, DVec3::Y], &[DVec3::X, DVec3::Y, DVec3::Z]);
 }
 
+/// A distance of zero is no configuration, which is a programming error.
 #[test]
 #[should_panic(expected = "positive")]
 fn no_distance_is_no_configuration() {

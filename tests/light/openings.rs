@@ -142,16 +142,19 @@ fn check(name: &str, shape: (Vec<Corners>, Vec<bool>), smallest: bool) {
     }
 }
 
+/// A sphere without 0.6 % of its surface: nearly all light is reflected many times before it escapes.
 #[test]
 fn a_sphere_with_a_small_port() {
     check("port of 0.6 %", sphere(2), true);
 }
 
+/// A sphere without 5 % of its surface.
 #[test]
 fn a_sphere_with_a_large_port() {
     check("port of 5 %", sphere(16), false);
 }
 
+/// A room with one cell missing in a wall.
 #[test]
 fn a_room_with_a_window() {
     check("window", room_with_window(), false);

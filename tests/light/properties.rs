@@ -155,9 +155,9 @@ proptest! {
     }
 }
 
-/// Means over 2¹⁶ points of the sequence. Their errors are smaller than those of independent points, of which five
-/// standard errors are allowed. Fails with uniform directions (mean cosine 1/2), or with the square folded without its
-/// density.
+/// Means over 2¹⁶ points of the sequence are those of the densities. Five standard errors of independent points are
+/// allowed; the sequence has smaller errors. Fails with uniform directions (mean cosine 1/2), or with the square folded
+/// without its density.
 #[test]
 fn samples_have_the_moments_of_their_densities() {
     const N: u32 = 1 << 16;

@@ -1,4 +1,4 @@
-//! Rays neither leak through edges and vertices nor meet the surface they leave.
+//! Rays neither leak through edges and vertices nor hit the surface they leave.
 
 use crate::common::*;
 use glam::{DQuat, DVec3, EulerRot, Vec3A, dvec3};
@@ -11,7 +11,7 @@ use radiosity::{
 };
 use rayon::prelude::*;
 
-/// The number of rays that left a closed scene, and of rays that met a back.
+/// The number of rays that left a closed scene, and of rays that hit a back.
 #[derive(Debug, PartialEq, Default)]
 struct Lost {
     escaped: u64,
@@ -163,13 +163,13 @@ fn leak_test(hemisphere_rays: u64, aimed_rays: u64) {
         assert_eq!(spread, Lost::default(), "{name}");
         assert_eq!(edges, Lost::default(), "{name}, from edges");
         assert_eq!(aimed.escaped, 0, "{name}");
-        // A ray that ends on an outline to the last bit meets front and back at one distance. The front should win.
+        // A ray that ends on an outline to the last bit hits front and back at one distance. The front should win.
         // Where the ray grazes both, rounding may hide the front, but hardly ever; random ties gave 4 in 100.
         assert!(aimed.backs * 50_000 <= aimed_rays / n, "{name}: {} backs met by aimed rays", aimed.backs);
     }
 }
 
-/// No ray escapes from a closed scene, or meets a back, among ten million.
+/// No ray escapes from a closed scene, or hits a back, among ten million.
 #[test]
 fn ten_million_rays_stay_in_closed_scenes() {
     leak_test(10_000_000, 2_000_000);

@@ -516,7 +516,7 @@ fn a_crater_sees_the_sky() {
     }
 }
 
-/// An obstacle between two squares blocks like a pair of surfaces there but has no row. The light that meets it
+/// An obstacle between two squares blocks like a pair of surfaces there but has no row. The light that reaches it
 /// escapes.
 #[test]
 fn obstacles_block_and_have_no_row() {
