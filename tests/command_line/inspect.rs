@@ -61,8 +61,8 @@ fn a_reversed_wall_is_hit_from_behind() {
 }
 
 /// The area of all visible backs is estimated although rays hit only some of many small triangles. The inside of the
-/// sphere is seen from a small lamp only. Its N rays spread evenly over n triangles, so they hit about n (1 - exp(-N /
-/// n)).
+/// sphere is seen from a small lamp only. Its N rays spread evenly over n triangles, so they hit about
+/// n (1 - exp(-N / n)).
 #[test]
 fn backs_that_no_ray_hit_are_estimated() {
     let shell = icosphere(1.0, 5);

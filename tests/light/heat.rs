@@ -95,9 +95,9 @@ fn a_convex_body_in_a_room() {
     close(heat.surfaces[0].heat, 0.24 * (power(400.0) - power(300.0)) / resistance, 1e-3);
 }
 
-/// Plates 1 m wide and 1 mm apart from an adiabatic shield between them: the heat is σ (T1⁴ - T2⁴) over (1/ε1 + 1/ε3 -
-/// 1) + (1/ε3 + 1/ε2 - 1). The rims exchange light with the sky in proportion to about four gaps, which bounds the
-/// difference.
+/// Plates 1 m wide and 1 mm apart from an adiabatic shield between them: the heat is σ (T1⁴ - T2⁴) over
+/// (1/ε1 + 1/ε3 - 1) + (1/ε3 + 1/ε2 - 1). The rims exchange light with the sky in proportion to about four gaps, which
+/// bounds the difference.
 #[test]
 fn a_shield_between_plates() {
     let gap = 1e-3;

@@ -62,8 +62,8 @@ fn pooled_matrices_are_closed_reciprocal_and_bounded() {
 }
 
 /// One-way form factors keep the bounds although nothing enforces them. With R rays, the hits on patch j have a mean m
-/// of at most R A_j / A_i. By Bernstein's inequality more than m + x hits have a probability below e^-l for x = l/3 +
-/// sqrt(l²/9 + 2 m l).
+/// of at most R A_j / A_i. By Bernstein's inequality more than m + x hits have a probability below e^-l for
+/// x = l/3 + sqrt(l²/9 + 2 m l).
 #[test]
 fn one_way_counts_keep_the_bounds() {
     for (name, lit) in scenes() {

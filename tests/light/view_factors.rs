@@ -460,8 +460,9 @@ fn intervals_hold() {
     assert!(all >= 100.0 && share > 0.95 - slack.max(0.03), "{share} of {all}");
 }
 
-/// A nearly endless street between walls as high as it is wide: the ground sees the sky by sqrt(2) - 1, the walls by (1
-/// + 1 - sqrt(2)) / 2 (crossed strings; H. C. Hottel). The tolerance is 4.5 standard errors and the loss at the ends.
+/// A nearly endless street between walls as high as it is wide: the ground sees the sky by sqrt(2) - 1, the walls by
+/// (1 + 1 - sqrt(2)) / 2 (crossed strings; H. C. Hottel). The tolerance is 4.5 standard errors and the loss at the
+/// ends.
 #[test]
 fn a_street_sees_the_sky() {
     let along = DVec3::Y * 2000.0;

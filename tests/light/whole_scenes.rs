@@ -201,9 +201,9 @@ fn a_tessellated_sphere_converges_to_the_true_one() {
 
 /// Two similar polyhedra have the form factors of spheres for any number of facets. So the means over both have only
 /// sampling errors, which error bars describe to first order. To second order there is a bias: a patch of the outer
-/// sphere that sees too much of the inner one by chance is brighter, and the inner one sees it more. With dE = (B1 -
-/// B2) dF21, which has the standard error of the patch, the irradiance of the inner sphere gains ρ2 mean(dE dF21) / F21
-/// on average. Twice that is allowed.
+/// sphere that sees too much of the inner one by chance is brighter, and the inner one sees it more. With
+/// dE = (B1 - B2) dF21, which has the standard error of the patch, the irradiance of the inner sphere gains ρ2 mean(dE
+/// dF21) / F21 on average. Twice that is allowed.
 #[test]
 fn concentric_spheres() {
     let (truth, rho) = ([1.08910891, 0.29702970], [0.3, 0.6]);
