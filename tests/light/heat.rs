@@ -75,9 +75,8 @@ fn two_plates_under_a_sky() {
     assert_eq!((heat.surfaces[0].temperature, heat.surfaces[0].temperature_error), (500.0, 0.0));
 }
 
-/// A convex body in a black room has q = A ε σ (T1⁴ - T2⁴), whatever the shapes. In a much larger grey room the
-/// denominator becomes 1/ε1 + A1/A2 (1/ε2 - 1), as for concentric spheres, because the light returns evenly: 1e-3 is
-/// allowed for that.
+/// A convex body in a black room has q = A ε σ (T1⁴ - T2⁴), whatever the shapes. In a much larger grey room 1/ε becomes
+/// 1/ε1 + A1/A2 (1/ε2 - 1), as for concentric spheres, because the light returns evenly: 1e-3 is allowed for that.
 #[test]
 fn a_convex_body_in_a_room() {
     let room = cuboid(DVec3::ZERO, dvec3(3.0, 4.0, 2.5), true);
