@@ -1,7 +1,7 @@
-//! Where each triangle lies in the map.
+//! The layout of a map: the place of each triangle in it.
 //!
-//! The texture coordinates of the file are used if they suit a lightmap: they lie inside the unit square, do not overlap, and
-//! leave room between charts. Otherwise new ones are made.
+//! The texture coordinates of the file are used if they suit a lightmap: they lie inside the unit square, do not
+//! overlap and leave room between charts. Otherwise new coordinates are made.
 
 use std::collections::HashMap;
 
@@ -10,49 +10,50 @@ use glam::DVec2;
 use super::{cut::Cut, overlap, raster, unwrap::unwrap};
 use crate::{Error, Result, Setting, patch::DisjointSets, scene::Scene, trace::Tracer};
 
-/// No chart.
+/// The chart number of facets without a place in the map.
 pub const NONE: u32 = u32::MAX;
 /// Charts end at edges where normals turn by more than this many degrees.
 pub(super) const CREASE: f64 = 30.0;
-/// No map is larger than this in either direction.
+/// Largest width and height of a page, in texels.
 pub const LARGEST: usize = 16_384;
-/// Default of the largest page, in texels a side, if the texel length is given.
+/// Default of the largest side of a page in texels, for [`Layout::Texel`].
 pub const PAGE: usize = 4096;
-/// Charts are wanted to be at least this many texels wide.
+/// Charts should be at least this many texels wide.
 const THIN: f64 = 2.0;
 
 /// How large a map is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Layout {
-    /// One square page of so many texels a side.
+    /// One square page. The value is its side in texels.
     Resolution(usize),
-    /// Texels of this length, in the file's unit, on as many pages as needed. No page has more texels a side than the number.
+    /// Texels of a given length in scene units, on as many pages as needed. The second value is the largest side of a
+    /// page in texels.
     Texel(f64, usize),
 }
 
 /// Whose texture coordinates to use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Coordinates {
-    /// Those of the file if they suit, otherwise new ones.
+    /// The file's coordinates if they suit a lightmap, otherwise new ones.
     #[default]
     Auto,
-    /// Those of the file. It is an error if they do not suit.
+    /// The file's coordinates. It is an error if they do not suit a lightmap.
     File,
-    /// New ones.
+    /// New coordinates.
     New,
 }
 
-/// How a map is laid out.
+/// Options of [`Atlas::with`].
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct AtlasOptions {
-    /// How large the map is.
+    /// The size of the map.
     pub layout: Layout,
-    /// Whose texture coordinates it has.
+    /// Whether the map uses the file's texture coordinates or new ones.
     pub coordinates: Coordinates,
-    /// Materials, by index, whose texels are shorter than those of others by a factor.
+    /// Pairs of a material index and the factor by which that material's texels are shorter than the others.
     pub density: Vec<(u32, f64)>,
-    /// Whether both sides of each triangle get texels. Empty if that is true of none.
+    /// For each triangle, whether both of its sides get texels. Empty if no triangle is two-sided.
     pub two_sided: Vec<bool>,
 }
 
@@ -62,7 +63,7 @@ setters!(AtlasOptions {
 });
 
 impl AtlasOptions {
-    /// Texels of one density, one side of each triangle.
+    /// Options with the same texel density for all materials, for one side of each triangle.
     pub fn new(layout: Layout, coordinates: Coordinates) -> AtlasOptions {
         AtlasOptions { layout, coordinates, density: Vec::new(), two_sided: Vec::new() }
     }
@@ -72,7 +73,7 @@ impl AtlasOptions {
         self.density.iter().rev().find(|(m, _)| *m == material).map_or(1.0, |(_, factor)| *factor)
     }
 
-    /// Why the options rule out the coordinates of the file, if they do.
+    /// The reason why these options rule out the file's coordinates; `None` if they do not.
     fn wants_new(&self) -> Option<&'static str> {
         match self {
             AtlasOptions { density, .. } if !density.is_empty() => Some("they have a density of their own"),
@@ -86,37 +87,37 @@ impl AtlasOptions {
 
 /// Texture coordinates that address a lightmap.
 ///
-/// They belong to *facets*: the triangles of the scene, parts of triangles if charts would be too large, and second copies of
-/// triangles if both sides have texels.
+/// They belong to *facets*. A facet is a triangle of the scene, a part of a triangle that was cut because its chart
+/// would be too large, or the second copy of a triangle whose two sides both have texels.
 #[derive(Debug, Clone)]
 pub struct Atlas {
     /// Texels in a row.
     pub width: usize,
     /// Rows of a page.
     pub height: usize,
-    /// Pages of this size.
+    /// Number of pages. All have the same size.
     pub pages: usize,
     /// Texture coordinates in \[0, 1\], v upwards.
     pub coordinates: Vec<DVec2>,
-    /// The coordinates of each facet's corners.
+    /// Indices into `coordinates` of each facet's corners.
     pub corners: Vec<[u32; 3]>,
-    /// Chart of each facet, [`NONE`] where it has no place in the map.
+    /// Chart of each facet; [`NONE`] for facets without a place in the map.
     pub chart: Vec<u32>,
     /// Page of each facet.
     pub page: Vec<u32>,
     /// Number of charts.
     pub charts: usize,
-    /// Why the coordinates of the file were not used; `None` if they were.
+    /// The reason why the file's coordinates were not used; `None` if they were used.
     pub refused: Option<String>,
-    /// The facets, unless they are the triangles of the scene.
+    /// The facets; `None` if they are the triangles of the scene.
     pub(super) cut: Option<Cut>,
 }
 
 impl Atlas {
-    /// Lays a scene out with texels of one density, for one side of each triangle.
+    /// Lays a scene out with the same texel density everywhere, for one side of each triangle.
     ///
     /// # Errors
-    /// Those of [`Atlas::with`].
+    /// See [`Atlas::with`].
     pub fn new(scene: &Scene, tracer: &Tracer, layout: Layout, coordinates: Coordinates) -> Result<Atlas> {
         Atlas::with(scene, tracer, &AtlasOptions::new(layout, coordinates))
     }
@@ -124,8 +125,8 @@ impl Atlas {
     /// Lays a scene out.
     ///
     /// # Errors
-    /// [`Error::Usage`] when the map would be too small for the charts or too large altogether, or when the file's
-    /// coordinates are demanded and do not suit.
+    /// [`Error::Setting`] when the map would be too small for the charts or too large altogether, or when the options
+    /// demand the file's coordinates and these do not suit a lightmap.
     pub fn with(scene: &Scene, tracer: &Tracer, options: &AtlasOptions) -> Result<Atlas> {
         let &AtlasOptions { layout, coordinates, .. } = options;
         let suitable = || match options.wants_new() {
@@ -162,12 +163,12 @@ impl Atlas {
         self.cut.as_ref().map_or(scene, |cut| &cut.scene)
     }
 
-    /// Triangles of the scene.
+    /// Number of triangles of the scene.
     pub fn triangles(&self) -> usize {
         self.cut.as_ref().map_or(self.corners.len(), Cut::triangles)
     }
 
-    /// The triangle of the scene that a facet is of.
+    /// The triangle of the scene that a facet belongs to.
     pub fn triangle(&self, facet: usize) -> usize {
         self.cut.as_ref().map_or(facet, |cut| cut.facets[facet].triangle as usize)
     }
@@ -182,7 +183,7 @@ impl Atlas {
         self.cut.as_ref().is_some_and(|cut| cut.facets[facet].turned)
     }
 
-    /// A point of a facet as one of its triangle, in barycentric coordinates.
+    /// Barycentric coordinates in the triangle of a point given by its barycentric coordinates in a facet.
     pub fn in_triangle(&self, facet: usize, barycentric: [f64; 3]) -> [f64; 3] {
         match &self.cut {
             None => barycentric,
@@ -193,8 +194,8 @@ impl Atlas {
         }
     }
 
-    /// The facet of a triangle's side at a point, and the point there, in barycentric coordinates. `second` asks for the
-    /// copy for the back.
+    /// The facet of a triangle that holds a point, and the barycentric coordinates of the point in that facet. `second`
+    /// asks for the second copy of the triangle, which shows its back.
     pub(super) fn facet_at(
         &self,
         t: usize,
@@ -203,23 +204,23 @@ impl Atlas {
     ) -> Option<(usize, [f64; 3])> {
         let Some(cut) = &self.cut else { return (!second).then_some((t, barycentric)) };
         let places = cut.facets_of(t, second).map(|f| (f, cut.facets[f].place(barycentric)));
-        // A point on a border is in both, and rounding may put it in none.
+        // A point on a border is in both facets, and rounding may put it in neither.
         let least = |place: &[f64; 3]| place.iter().copied().fold(f64::INFINITY, f64::min);
         places.max_by(|(_, a), (_, b)| least(a).total_cmp(&least(b)))
     }
 
-    /// The corners of a facet in texels of its page; `None` where it has no place in the map.
+    /// The corners of a facet in texels of its page; `None` if it has no place in the map.
     pub fn texel_corners(&self, t: usize) -> Option<[DVec2; 3]> {
         let size = DVec2::new(self.width as f64, self.height as f64);
         (self.chart[t] != NONE).then(|| self.corners[t].map(|i| self.coordinates[i as usize] * size))
     }
 
-    /// Texels of all pages.
+    /// Number of texels on all pages.
     pub fn texels(&self) -> usize {
         self.pages * self.width * self.height
     }
 
-    /// Number of texels that more than one chart covers a part of.
+    /// Number of texels that hold parts of more than one chart.
     pub fn shared_texels(&self) -> usize {
         let mut owner = vec![NONE; self.texels()];
         let mut shared = vec![false; self.texels()];
@@ -228,7 +229,7 @@ impl Atlas {
             let page = self.page[t] as usize * self.width * self.height;
             raster::for_each_texel(corners, |x, y, part| {
                 let at = page + y.min(self.height - 1) * self.width + x.min(self.width - 1);
-                // Coordinates are rounded to single precision; their charts may touch a texel by that.
+                // Coordinates are rounded to single precision, so a chart may touch a texel by rounding alone.
                 if part.area() > 1e-9 {
                     shared[at] |= owner[at] != NONE && owner[at] != self.chart[t];
                     owner[at] = self.chart[t];
@@ -238,7 +239,7 @@ impl Atlas {
         shared.iter().filter(|&&s| s).count()
     }
 
-    /// Widths of the charts in texels: the least distance between two parallel lines with the chart between them.
+    /// Width of each chart in texels: the least distance between two parallel lines that enclose the chart.
     pub fn chart_widths(&self) -> Vec<f64> {
         let mut points = vec![Vec::new(); self.charts];
         for t in 0..self.corners.len() {
@@ -249,7 +250,7 @@ impl Atlas {
         points.into_iter().map(width).collect()
     }
 
-    /// The longest side of a box round a chart, in texels.
+    /// The longest side of any chart's bounding box, in texels.
     pub(super) fn longest_chart(&self) -> f64 {
         let mut boxes = vec![[DVec2::INFINITY, DVec2::NEG_INFINITY]; self.charts];
         for f in 0..self.corners.len() {
@@ -261,7 +262,7 @@ impl Atlas {
         boxes.into_iter().map(|[low, high]| (high - low).max_element()).fold(0.0, f64::max)
     }
 
-    /// How many charts are thinner than two texels, and the share of the mapped surface that they hold.
+    /// Number of charts thinner than two texels, and their share of the mapped surface.
     pub fn thin_charts(&self, scene: &Scene) -> (usize, f64) {
         let scene = self.scene(scene);
         let thin: Vec<bool> = self.chart_widths().into_iter().map(|w| w < THIN).collect();
@@ -276,7 +277,7 @@ impl Atlas {
         (count, if total > 0.0 { area / total } else { 0.0 })
     }
 
-    /// Root of the mean surface area a texel, in the file's unit.
+    /// Square root of the mean surface area per texel, in scene units.
     pub fn texel_length(&self, scene: &Scene) -> f64 {
         let scene = self.scene(scene);
         let (mut surface, mut texels) = (0.0, 0.0);
@@ -289,8 +290,8 @@ impl Atlas {
         if texels > 0.0 { (surface / texels).sqrt() } else { 0.0 }
     }
 
-    /// Root mean square over the surface of ln(texels a surface area / its mean): 0 where texels are equally dense
-    /// everywhere, 0.1 where they vary by 10 %.
+    /// Root mean square over the surface of ln(density / mean density), where density is texels per surface area. It is
+    /// 0 if texels are equally dense everywhere, and 0.1 if their density varies by 10 %.
     pub fn density_spread(&self, scene: &Scene) -> f64 {
         let scene = self.scene(scene);
         let mean = self.texel_length(scene).powi(2);
@@ -308,21 +309,23 @@ impl Atlas {
     }
 }
 
-/// Coordinates outside 0 to 1 by less than this are rounded.
+/// Coordinates that lie outside 0 to 1 by less than this are clamped.
 const OUTSIDE: f64 = 1e-5;
-/// Triangles whose coordinates enclose no area may hold this share of the surface, unless the coordinates are demanded.
+/// Largest share of the surface in triangles whose coordinates enclose no area, if the options do not demand the file's
+/// coordinates.
 const WITHOUT_AREA: f64 = 1e-3;
 
-/// The file's own coordinates; the error says what is wrong with them. Where they are `demanded`, triangles whose
-/// coordinates enclose no area have no place in the map.
+/// The layout by the file's own coordinates, or the reason why they do not suit. Triangles whose coordinates enclose no
+/// area get no place in the map. If the coordinates are `demanded`, such triangles may hold half of the surface instead
+/// of [`WITHOUT_AREA`].
 fn own(scene: &Scene, layout: Layout, demanded: bool) -> std::result::Result<Atlas, String> {
     if scene.texcoords.is_empty() {
-        return Err("there are none".into());
+        return Err("the file has none".into());
     }
     let triangle = |t: usize| format!("triangle {}", scene.triangles[t].source + 1);
     let is_outside = |uv: &DVec2| uv.min_element() < -OUTSIDE || uv.max_element() > 1.0 + OUTSIDE;
     if let Some(t) = (0..scene.texcoords.len()).find(|&t| scene.texcoords[t].iter().any(is_outside)) {
-        return Err(format!("those of {} lie outside 0..1", triangle(t)));
+        return Err(format!("the coordinates of {} lie outside 0..1", triangle(t)));
     }
     let texcoords: Vec<[DVec2; 3]> =
         scene.texcoords.iter().map(|uv| uv.map(|uv| uv.clamp(DVec2::ZERO, DVec2::ONE) + 0.0)).collect();
@@ -334,14 +337,14 @@ fn own(scene: &Scene, layout: Layout, demanded: bool) -> std::result::Result<Atl
         };
         let (without, whole) = (area(&|t| flat[t]), area(&|_| true));
         if without > if demanded { 0.5 * whole } else { WITHOUT_AREA * whole } {
-            return Err(format!("those of {} enclose no area", triangle(t)));
+            return Err(format!("the coordinates of {} enclose no area", triangle(t)));
         }
     }
     let pairs = overlap::find(&texcoords, 3);
     if !pairs.is_empty() {
         let named: Vec<_> =
             pairs.iter().map(|&[t, u]| format!("{} and {}", triangle(t), triangle(u))).collect();
-        return Err(format!("those of {} overlap", named.join(", of ")));
+        return Err(format!("the coordinates of {} overlap", named.join(", of ")));
     }
     let area: f64 = texcoords.iter().map(|&uv| 0.5 * doubled(uv)).sum();
     let side = match layout {
@@ -352,7 +355,7 @@ fn own(scene: &Scene, layout: Layout, demanded: bool) -> std::result::Result<Atl
         }
     };
     if side > LARGEST {
-        return Err(format!("texels of this length would need {side} of them a side"));
+        return Err(format!("with texels of this length a page would have {side} of them a side"));
     }
     let (coordinates, corners) = share(scene, &texcoords);
     let (mut chart, charts) = components(&corners);
@@ -372,7 +375,7 @@ fn own(scene: &Scene, layout: Layout, demanded: bool) -> std::result::Result<Atl
     })
 }
 
-/// Corners of the same vertex with the same coordinates share them.
+/// Removes duplicates: corners at the same vertex with the same coordinates share one entry.
 fn share(scene: &Scene, texcoords: &[[DVec2; 3]]) -> (Vec<DVec2>, Vec<[u32; 3]>) {
     let (mut known, mut coordinates) = (HashMap::new(), Vec::new());
     let corners = (0..scene.triangles.len())
@@ -390,7 +393,7 @@ fn share(scene: &Scene, texcoords: &[[DVec2; 3]]) -> (Vec<DVec2>, Vec<[u32; 3]>)
     (coordinates, corners)
 }
 
-/// Numbers the charts: triangles that share an edge in the map.
+/// Numbers the charts. Triangles that share an edge in the map belong to the same chart.
 fn components(corners: &[[u32; 3]]) -> (Vec<u32>, usize) {
     let mut sets = DisjointSets::new(corners.len());
     let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
@@ -406,7 +409,7 @@ fn components(corners: &[[u32; 3]]) -> (Vec<u32>, usize) {
     sets.numbers()
 }
 
-/// Least width of the convex hull of points: it is attained across one of the hull's edges.
+/// Least width of the convex hull of points. The least width is attained perpendicular to one of the hull's edges.
 fn width(mut points: Vec<DVec2>) -> f64 {
     points.sort_unstable_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
     points.dedup();

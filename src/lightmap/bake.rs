@@ -1,4 +1,4 @@
-//! The way from a solution to a finished map.
+//! All steps from a solution to a finished map.
 
 use super::{
     Atlas, BakeOptions, Coverage, Flux, Lightmap, Texel, denoise,
@@ -12,11 +12,12 @@ use crate::{
     trace::Tracer,
 };
 
-/// Both sides of a triangle are shown if the darker one has at least this share of the light of the brighter one. Patches that
-/// reach under a wall cause smaller shares.
+/// Both sides of a triangle get texels if the darker side has more than this share of the flux on the brighter side.
+/// Patches that reach under a wall cause smaller shares.
 const BOTH: f64 = 1e-2;
 
-/// Triangles of which both sides are worth texels: for [`AtlasOptions::two_sided`](super::AtlasOptions::two_sided).
+/// For each triangle, whether both of its sides have enough light to deserve texels. This is the value for
+/// [`AtlasOptions::two_sided`](super::AtlasOptions::two_sided).
 pub fn lit_on_both_sides(patches: &Patches, solution: &Solution) -> Vec<bool> {
     texels::lit_on_both_sides(patches, solution, BOTH)
 }
@@ -27,7 +28,7 @@ pub fn lit_on_both_sides(patches: &Patches, solution: &Solution) -> Vec<bool> {
 /// [`Error::Stopped`](crate::Error::Stopped).
 ///
 /// # Panics
-/// When the solution is not one of these patches, or the atlas not one of this scene.
+/// If the solution belongs to other patches, or the atlas to another scene.
 pub fn bake(
     scene: &Scene,
     tracer: &Tracer,
@@ -36,7 +37,7 @@ pub fn bake(
     options: &BakeOptions,
     progress: &Progress,
 ) -> Result<Lightmap> {
-    assert_eq!(atlas.triangles(), scene.triangles.len(), "the atlas is of another scene");
+    assert_eq!(atlas.triangles(), scene.triangles.len(), "the atlas belongs to another scene");
     let lit = texels::lit_sides(patches, solution);
     let two_sided = |t: usize| atlas.facet_at(t, [1.0, 0.0, 0.0], true).is_some();
     let sides: Vec<bool> = (0..atlas.corners.len())
@@ -75,7 +76,7 @@ pub fn bake(
     map.flux.standard_error = map.flux_error();
     progress.check()?;
     if options.final_gather == 0 {
-        // Patches do not say which surface is inside a solid. The rays of a final gather do.
+        // Patches do not show which surface is inside a solid, so a few gather rays find it.
         let hidden = gather::hidden(&map.atlas, &map.coverage, tracer, &map.sides, &source, options.seed);
         cells.open.iter_mut().zip(hidden).filter(|(_, hidden)| *hidden).for_each(|(open, _)| *open = 0.0);
         map.step("hide", |map| {
@@ -109,7 +110,7 @@ pub fn bake(
     Ok(map)
 }
 
-/// Values of covered texels.
+/// Values of all covered texels, direct and reflected light separately.
 #[derive(Clone)]
 pub(super) struct Cells {
     direct: Vec<Noisy>,
@@ -129,7 +130,7 @@ impl Cells {
         }
     }
 
-    /// Exact means.
+    /// Cells with exact means, all of them open.
     fn exact(means: Vec<[f32; 3]>) -> Cells {
         let reflected: Vec<Noisy> =
             means.into_iter().map(|mean| Noisy { mean, variance: [0.0; 3] }).collect();
@@ -137,7 +138,7 @@ impl Cells {
         Cells { direct: vec![Noisy::default(); n], reflected, open: vec![1.0; n], sampled: false }
     }
 
-    /// The same values, with error bars that are averaged over neighbours.
+    /// The same values, with variances averaged over neighbours.
     fn pooled(&self, grid: &Grid, coverage: &Coverage) -> Cells {
         if !self.sampled {
             return self.clone();

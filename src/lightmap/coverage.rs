@@ -1,4 +1,4 @@
-//! Which texels are covered, by which parts of the surface.
+//! The covered texels of a map, and the pieces of the surface in each of them.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -9,21 +9,21 @@ use super::{
 };
 use crate::{patch::Patches, scene::Scene};
 
-/// The part of a facet in a texel.
+/// The part of a facet that lies in a texel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Piece {
-    /// Index of the facet ([`Atlas`]): of the triangle where none is cut.
+    /// Index of the facet; see [`Atlas`].
     pub triangle: u32,
-    /// Surface area in the file's unit squared.
+    /// Surface area in square scene units.
     pub area: f64,
 }
 
-/// The covered texels of a map, page by page, row by row from below.
+/// The covered texels of a map, page by page, rows from the bottom to the top.
 #[derive(Debug, Clone)]
 pub struct Coverage {
-    /// Covered texels: (page · height + row) · width + column, rows counted upwards.
+    /// Covered texels, ascending: (page · height + row) · width + column, with rows counted from the bottom.
     texels: Vec<u32>,
-    /// Where the pieces of each begin.
+    /// Index of the first piece of each covered texel, and the number of all pieces.
     starts: Vec<u32>,
     pieces: Vec<Piece>,
     width: usize,
@@ -41,7 +41,7 @@ impl Coverage {
             let density = scene.area(t) / whole;
             let page = atlas.page[t] as usize * atlas.height;
             raster::for_each_texel(corners, |x, y, part| {
-                // A coordinate of 1 that rounds up would lie one texel outside.
+                // A coordinate of 1 may round up to a position one texel outside.
                 let (x, y) = (x.min(atlas.width - 1), y.min(atlas.height - 1));
                 let piece = Piece { triangle: t as u32, area: part.area() * density };
                 found.push((((page + y) * atlas.width + x) as u32, piece));
@@ -73,7 +73,7 @@ impl Coverage {
         self.texels.is_empty()
     }
 
-    /// The covered texels, ascending: (page · height + row) · width + column, rows counted upwards.
+    /// The covered texels, ascending: (page · height + row) · width + column, with rows counted from the bottom.
     pub fn texels(&self) -> &[u32] {
         &self.texels
     }
@@ -83,18 +83,18 @@ impl Coverage {
         &self.pieces[self.starts[i] as usize..self.starts[i + 1] as usize]
     }
 
-    /// Surface area in covered texel `i`, in the file's unit squared.
+    /// Surface area in covered texel `i`, in square scene units.
     pub fn area(&self, i: usize) -> f64 {
         self.pieces(i).iter().map(|p| p.area).sum()
     }
 
-    /// The chart of covered texel `i`: that of most of its surface.
+    /// The chart of covered texel `i`: the chart of its largest piece.
     pub fn chart(&self, atlas: &Atlas, i: usize) -> u32 {
         let largest = self.pieces(i).iter().max_by(|p, q| p.area.total_cmp(&q.area));
         atlas.chart[largest.expect("a covered texel has a piece").triangle as usize]
     }
 
-    /// The part of triangle `t` in covered texel `i`, in barycentric coordinates: (weight of corner 0, of corner 1).
+    /// The part of facet `t` that lies in covered texel `i`, in barycentric coordinates of the facet.
     pub fn barycentric_part(&self, atlas: &Atlas, i: usize, t: usize) -> Barycentric {
         let texel = self.texels[i] as usize;
         let (x, y) = (texel % self.width, texel / self.width % self.height);
@@ -103,12 +103,13 @@ impl Coverage {
     }
 }
 
-/// A part of a triangle, its corners given by two barycentric coordinates.
+/// A convex part of a triangle. Each of its corners is given by the barycentric weights of the triangle's corners 0 and
+/// 1.
 #[derive(Debug, Clone, Copy)]
 pub struct Barycentric(Polygon);
 
 impl Barycentric {
-    /// The same part of a facet in coordinates of its triangle.
+    /// Converts a part of a facet to the barycentric coordinates of the facet's triangle.
     pub fn in_triangle(self, atlas: &Atlas, facet: usize) -> Barycentric {
         Barycentric(self.0.map(|p| {
             let [x, y, _] = atlas.in_triangle(facet, barycentric(p));
@@ -124,7 +125,7 @@ impl Barycentric {
         }))
     }
 
-    /// The triangles that it is made of, and the share of the whole triangle that each is.
+    /// The part as a fan of triangles: the corners of each, and its share of the whole triangle's area.
     pub fn fan(&self) -> impl Iterator<Item = ([[f64; 3]; 3], f64)> + '_ {
         self.0.fan().map(|corners| {
             let [a, b, c] = corners;
@@ -132,8 +133,9 @@ impl Barycentric {
         })
     }
 
-    /// Calls `visit` with parts of the patches that it meets on a side of triangle `t`, where these are unknowns, and the share
-    /// of the triangle that each part is.
+    /// Cuts the part into its intersections with the patches on one side of triangle `t`. Calls `visit` for each
+    /// intersection with the patch and the intersection's share of the triangle's area. The patch is `None` if it is
+    /// not an unknown of the system.
     pub fn for_each_patch(
         &self,
         patches: &Patches,
@@ -143,7 +145,7 @@ impl Barycentric {
     ) {
         let level = patches.level(t);
         let n = f64::from(1u32 << level);
-        // Lines of the quadtree come in three families; strips between two lines of each are its cells.
+        // The lines of the quadtree form three families of parallels. A cell is the intersection of one strip of each.
         let family = |polygon: &Polygon, value: fn(DVec2) -> f64| {
             let (low, high) = polygon.range(|p| n * value(p));
             raster::cells(low, high)
@@ -167,7 +169,7 @@ impl Barycentric {
     }
 }
 
-/// All three barycentric coordinates from two.
+/// All three barycentric coordinates from the first two.
 fn barycentric(p: DVec2) -> [f64; 3] {
     [p.x, p.y, (1.0 - p.x - p.y).max(0.0)]
 }

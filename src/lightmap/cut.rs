@@ -1,8 +1,10 @@
-//! Triangles of a scene cut smaller, and second copies of triangles for their backs.
+//! A copy of the scene for the map's layout: long triangles are cut, and some triangles get a second copy for their
+//! back.
 //!
-//! A chart that is longer than a page does not fit on it. A chart that is almost as long leaves the rest of the page empty. So
-//! the edges of long surfaces are halved until all are short enough, on both sides of an edge alike: the pieces still share
-//! their vertices. The light is computed on the uncut scene. Each piece knows which part of which triangle it is.
+//! A chart that is longer than a page does not fit on it. A chart that is almost as long leaves the rest of the page
+//! empty. So the edges of long surfaces are halved until all are short enough. An edge is halved on both of its sides,
+//! so the pieces still share their vertices. The light is computed on the uncut scene. Each piece records which part of
+//! which triangle it is.
 
 use std::collections::{HashMap, HashSet};
 
@@ -10,19 +12,19 @@ use glam::DVec2;
 
 use crate::scene::{NEW_CORNER, Scene, Triangle};
 
-/// What a triangle of the cut scene is.
+/// A triangle of the cut scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Facet {
-    /// The triangle of the scene.
+    /// The triangle of the uncut scene that it belongs to.
     pub triangle: u32,
-    /// Where its corners are in that triangle, in barycentric coordinates.
+    /// Barycentric coordinates of its corners in that triangle.
     pub corners: [[f64; 3]; 3],
     /// Whether it is a second copy, wound the other way round, for the back.
     pub turned: bool,
 }
 
 impl Facet {
-    /// Barycentric coordinates in the facet of a point of its triangle.
+    /// Converts barycentric coordinates in the triangle to barycentric coordinates in the facet.
     pub(super) fn place(&self, barycentric: [f64; 3]) -> [f64; 3] {
         let point = |b: [f64; 3]| DVec2::new(b[0], b[1]);
         let ([a, b, c], p) = (self.corners.map(point), point(barycentric));
@@ -31,25 +33,27 @@ impl Facet {
     }
 }
 
-/// A scene with more triangles at the same place.
+/// The cut scene and the origin of its triangles.
 #[derive(Debug, Clone)]
 pub(super) struct Cut {
-    /// Its triangles are the facets. Copies for backs come after the faces of the file, and the backs of lamps last.
+    /// The scene whose triangles are the facets. Second copies come after the faces of the file, and the backs of lamps
+    /// last.
     pub scene: Scene,
     pub facets: Vec<Facet>,
-    /// Where the facets of each triangle begin and end, and those of its second copy.
+    /// For each triangle of the uncut scene, the range of its facets and the range of its second copy's facets.
     ranges: Vec<[(u32, u32); 2]>,
 }
 
 impl Cut {
-    /// Halves edges longer than `longest` of the triangles that `long` marks, and copies those that `turned` marks, if any.
+    /// Halves all edges longer than `longest` of the triangles marked in `long`, and adds a second copy of the
+    /// triangles marked in `turned`. Both may be empty.
     pub(super) fn new(scene: &Scene, longest: f64, long: &[bool], turned: &[bool]) -> Cut {
         let of = |t: usize| scene.triangles[t].vertices;
         let edges = |t: usize| [0, 1, 2].map(|k| ends(of(t)[k], of(t)[(k + 1) % 3]));
         let shared = (0..long.len()).filter(|&t| long[t]).flat_map(edges).collect();
         let mut cutter =
             Cutter { scene, longest, long, shared, middles: HashMap::new(), cut: Cut::empty(scene) };
-        // The backs of lamps are no faces of the file and stay last.
+        // The backs of lamps are not faces of the file. They stay at the end.
         let faces = scene.triangles.len() - scene.backs_of_lamps;
         (0..faces).for_each(|t| cutter.facets_of(t));
         let mut copies: HashMap<u32, u32> = HashMap::new();
@@ -66,7 +70,7 @@ impl Cut {
         cut
     }
 
-    /// Triangles of the uncut scene.
+    /// Number of triangles of the uncut scene.
     pub(super) fn triangles(&self) -> usize {
         self.ranges.len()
     }
@@ -97,7 +101,7 @@ impl Cut {
         self.facets.push(Facet { triangle: piece.origin, corners: piece.corners, turned });
     }
 
-    /// Adds a copy of a facet for the back, with vertices of its own: the two sides share no light.
+    /// Adds a copy of a facet for its back. The copy has vertices of its own, because the two sides share no light.
     fn turn(&mut self, f: usize, copies: &mut HashMap<u32, u32>) {
         let swap = |[a, b, c]: [u32; 3]| [a, c, b];
         let triangle = self.scene.triangles[f];
@@ -120,20 +124,20 @@ impl Cut {
     }
 }
 
-/// An edge, whichever way it is run through.
+/// The key of an edge, independent of its direction.
 fn ends(a: u32, b: u32) -> (u32, u32) {
     (a.min(b), a.max(b))
 }
 
-/// A triangle on the way to be small enough.
+/// A triangle or a part of one that may still be cut.
 #[derive(Clone, Copy)]
 struct Piece {
     triangle: Triangle,
-    /// Whether it is of a surface that is too long.
+    /// Whether it belongs to a surface that is too long.
     is_long: bool,
     origin: u32,
     corners: [[f64; 3]; 3],
-    /// The corners of the face that its corners are.
+    /// For each of its corners, the index of the corner of the face, or a new corner; see [`NEW_CORNER`].
     names: [u32; 3],
     texcoords: Option<[DVec2; 3]>,
 }
@@ -150,7 +154,7 @@ impl Piece {
         }
     }
 
-    /// The same triangle that begins with corner `k`.
+    /// The same piece with its corners rotated so that corner `k` comes first.
     fn turned_to(&self, k: usize) -> Piece {
         let mut piece = *self;
         piece.triangle.vertices.rotate_left(k);
@@ -163,16 +167,16 @@ impl Piece {
     }
 }
 
-/// A corner of a piece: vertex, place in the triangle, corner of the face, texture coordinate.
+/// A corner of a piece: vertex, barycentric coordinates in the triangle, corner of the face, texture coordinate.
 type Corner = (u32, [f64; 3], u32, Option<DVec2>);
 
 struct Cutter<'a> {
     scene: &'a Scene,
     longest: f64,
     long: &'a [bool],
-    /// Edges of surfaces that are too long: they are halved on both sides.
+    /// Edges of surfaces that are too long. They are halved on both sides.
     shared: HashSet<(u32, u32)>,
-    /// The vertex in the middle of an edge, by the edge's ends in order.
+    /// The vertex in the middle of each halved edge.
     middles: HashMap<(u32, u32), u32>,
     cut: Cut,
 }
@@ -185,11 +189,13 @@ impl Cutter<'_> {
         self.cut.ranges.push([(start, self.cut.facets.len() as u32), (0, 0)]);
     }
 
-    /// Cuts a piece until all its edges are short enough. Whether an edge is cut depends on the edge alone.
+    /// Cuts a piece until all its edges are short enough, and adds the parts. Whether an edge is cut depends on the
+    /// edge alone.
     fn cut(&mut self, piece: &Piece) {
         let is_long = [0, 1, 2].map(|k| self.is_long(piece, k));
         let long = is_long.iter().filter(|&&long| long).count();
-        // Begin where the pattern begins: with the long edge, or after the short one.
+        // Rotate the piece to the position that the patterns below assume: one long edge comes first, two follow the
+        // short one.
         let first = match long {
             0 => return self.cut.push(piece, false, piece.triangle.vertices),
             1 => is_long.iter().position(|&long| long),
@@ -281,7 +287,7 @@ mod tests {
         }
         assert!((areas[0] - 4.5).abs() < 1e-12 && (areas[1] - 2.25).abs() < 1e-12, "{areas:?}");
         assert!(turned > 9 && turned < cut.facets.len() / 2 + 1);
-        // Every edge is whole on both sides: one of the other direction, or the rim of the rectangle.
+        // Every edge occurs once in each direction, unless it lies on the rim of the rectangle.
         let is_rim = |v: u32| {
             let p = cut.scene.vertices[v as usize];
             p.x == 0.0 || p.x == 9.0 || p.y == 0.0 || p.y == 0.5

@@ -1,19 +1,20 @@
-//! Noise taken out of gathered texels, as far as the error bars allow.
+//! Denoising of gathered texels, as far as the error bars allow.
 //!
-//! At every texel a plane is fitted to its neighbours on the same chart, in discs of growing radius. A disc is too large
-//! when its estimate contradicts that of a smaller disc beyond their error bars: their confidence intervals no longer
+//! At every texel a plane is fitted to its neighbours on the same chart, in discs of growing radius. A disc is too
+//! large when its estimate contradicts the estimate of a smaller disc, so that their confidence intervals no longer
 //! intersect (Goldenshluger and Nemirovski, Mathematical Methods of Statistics 6, 1997; Katkovnik, IEEE Transactions on
-//! Signal Processing 47, 1999). This keeps the steps that stand out of the noise, and the plane keeps slopes. All texels
-//! in a disc weigh the same: weights by their own estimated errors would favour the dark ones.
+//! Signal Processing 47, 1999). This keeps the steps that stand out of the noise, and the plane keeps slopes. All
+//! texels in a disc have the same weight: weights by their own estimated errors would favour the dark ones.
 //!
-//! The largest disc without a contradiction balances bias against noise, so that its bias is as large as its error bar.
+//! The largest disc without a contradiction balances bias against noise, so its bias is as large as its error bar.
 //! Error bars hold for a smaller disc, whose bias is small against its noise (undersmoothing: Giné and Nickl, Annals of
-//! Statistics 38, 2010). Texels take the next smaller disc. The difference between the two estimates, as far as it exceeds
-//! the noise, shows how bias grows with the disc. The error bar includes the bias that follows for the smaller disc.
+//! Statistics 38, 2010). So texels take the next smaller disc. The difference between the two estimates, as far as it
+//! exceeds the noise, shows how bias grows with the disc. From this growth follows the bias of the smaller disc, which
+//! its error bar includes.
 //!
 //! The residuals of the planes are fitted once more in the same discs and added ("twicing", Tukey, Exploratory Data
-//! Analysis, 1977, section 16). This restores what curvature loses, and the energy with it. It also doubles the variance of
-//! a mean over a disc, about; error bars include that ([`twiced`]).
+//! Analysis, 1977, section 16). This restores the energy that the planes lose where the light is curved. It also about
+//! doubles the variance of a mean over a disc; error bars include that ([`twiced`]).
 
 use rayon::prelude::*;
 
@@ -23,14 +24,15 @@ use super::{atlas::NONE, coverage::Coverage, gather::Noisy, grid::Grid};
 const RADII: [f64; 6] = [1.0, 1.5, 2.3, 3.5, 5.5, 8.5];
 /// Half widths of the confidence intervals in standard errors.
 const CONFIDENCE: f64 = 2.5;
-/// The same of a texel by itself. Samples are skewed: with narrower ones bright outliers would stay as they are, and
-/// take the light from their neighbours.
+/// Half width, in standard errors, of the confidence interval of a single texel's own value. Samples are skewed: with a
+/// narrower interval, bright outliers would stay as they are and take the light from their neighbours.
 const CONFIDENCE_ALONE: f64 = 4.0;
-/// Variances from four replicates are too uncertain by themselves; they are averaged over a square this far out, and so is bias.
+/// Variances and biases are averaged over a square that reaches this many texels out in each direction. The variance
+/// from four replicates of one texel is too uncertain by itself.
 const POOLING: isize = 2;
 
-/// The signal of covered texels without much of its noise. Texels for which `counts` is false stay as they are. Variances
-/// include the bias that is found; they assume that the noise of different texels is independent.
+/// Denoises the signal of covered texels. Texels for which `counts` is false stay as they are. The variances include
+/// the squared bias that was estimated. They assume that the noise of different texels is independent.
 pub fn filter(
     grid: &Grid,
     coverage: &Coverage,
@@ -66,8 +68,8 @@ pub fn filter(
     found.par_iter().enumerate().map(noisy).collect()
 }
 
-/// The signal as it is, with variances averaged over neighbours. Four replicates know their variance to a factor of two only:
-/// of intervals of 95 % from them, 86 % hold the truth.
+/// The same signal, with variances averaged over neighbours. Four replicates determine their variance to a factor of
+/// two only: 95 % confidence intervals computed from them contain the truth in 86 % of cases.
 pub fn pooled(
     grid: &Grid,
     coverage: &Coverage,
@@ -82,13 +84,13 @@ pub fn pooled(
     signal.iter().enumerate().map(pooled).collect()
 }
 
-/// Planes through texels. What it holds, and the values it is given, are by place in the map.
+/// Fits of planes to texels. All its arrays, and the values it is given, are indexed by place in the map.
 struct Fits<'a> {
     grid: &'a Grid,
-    /// Chart of the texels that count.
+    /// Chart of the texels that count; [`NONE`] for others.
     chart: Vec<u32>,
     discs: Vec<Disc>,
-    /// Variances that are averaged over neighbours.
+    /// Variances averaged over neighbours.
     pooled: Vec<[f32; 3]>,
 }
 
@@ -115,7 +117,8 @@ impl<'a> Fits<'a> {
         fits
     }
 
-    /// The estimates of the largest disc that contradicts no smaller one, and, first, of the disc before it.
+    /// Two estimates: first of the disc before the largest disc that contradicts no smaller one, then of that largest
+    /// disc.
     fn best(&self, values: &[[f32; 3]], place: usize) -> [Estimate; 2] {
         let alone = Estimate {
             mean: values[place].map(f64::from),
@@ -138,7 +141,7 @@ impl<'a> Fits<'a> {
         best
     }
 
-    /// Fits what the estimates `which` leave of the values, in the same discs, and adds it.
+    /// Fits the residuals of the estimates with index `which` in the same discs and adds the fits to the estimates.
     fn add_residuals(
         &self,
         places: &[u32],
@@ -160,10 +163,10 @@ impl<'a> Fits<'a> {
         });
     }
 
-    /// An estimate of the squared bias of the narrower of two estimates, without bias itself: it may be negative.
+    /// An unbiased estimate of the squared bias of the narrower of two estimates. It may be negative.
     ///
-    /// Bias grows like the square of the radius where the light is curved. So the bias of the smaller of two discs with radii
-    /// r < R is the part 1 / ((R / r)² - 1) of their difference. A texel alone has none.
+    /// Bias grows like the square of the radius where the light is curved. So the bias of the smaller of two discs with
+    /// radii r < R is their difference times 1 / ((R / r)² - 1). A single texel has no bias.
     fn squared_bias(&self, [narrow, wide]: &[Estimate; 2]) -> [f32; 3] {
         let (Some(k), Some(l)) = (narrow.reach.checked_sub(1), wide.reach.checked_sub(1)) else {
             return [0.0; 3];
@@ -178,7 +181,7 @@ impl<'a> Fits<'a> {
         })
     }
 
-    /// The plane in so many discs; nothing where there is none.
+    /// The value at `place` of the plane fitted to the first `reach` discs; 0 if no plane is determined.
     fn within(&self, values: &[[f32; 3]], place: usize, reach: usize) -> [f64; 3] {
         let mut moments = Moments::default();
         moments.add((0, 0), values[place], self.pooled[place]);
@@ -186,7 +189,7 @@ impl<'a> Fits<'a> {
         moments.at_centre().map_or([0.0; 3], |(mean, _)| mean)
     }
 
-    /// Adds the texels that disc `k` has beyond the next smaller one.
+    /// Adds the texels of disc `k` that are not in the next smaller disc.
     fn add(&self, moments: &mut Moments, values: &[[f32; 3]], place: usize, k: usize) {
         let chart = self.chart[place];
         let disc = &self.discs[k];
@@ -222,19 +225,20 @@ impl<'a> Fits<'a> {
     }
 }
 
-/// A ring: what a disc has beyond the next smaller one.
+/// A disc, stored as the ring of texels that are not in the next smaller disc.
 struct Disc {
-    /// Columns, rows, and places in the map.
+    /// Offsets of the ring's texels from the centre: columns, rows, and places in the map.
     offsets: Vec<(isize, isize, isize)>,
     reach: usize,
-    /// By how much twicing in the disc raises the variance.
+    /// The factor by which twicing in the disc raises the variance.
     twicing: f64,
-    /// Variance of the difference from the estimate of the disc before it, relative to the variance of that estimate.
+    /// Variance of the difference between this disc's estimate and the estimate of the disc before it, relative to the
+    /// variance of the latter.
     apart: f64,
 }
 
-/// The weights of the texels around a centre after twicing: with the weights w of a mean over a disc, 2 w - w * w. At the
-/// centre of a disc a fitted plane is the mean.
+/// The weights of the texels around a centre after twicing: 2 w - w * w, where w are the weights of a mean over a disc
+/// and `*` is convolution. At the centre of a disc, the value of a fitted plane is the mean.
 fn twiced(radius: f64) -> impl Fn((isize, isize)) -> f64 {
     let is_in = move |x: isize, y: isize| ((x * x + y * y) as f64) <= radius * radius;
     let disc: Vec<(isize, isize)> = square(radius.floor() as isize).filter(|&(x, y)| is_in(x, y)).collect();
@@ -249,7 +253,7 @@ fn square(reach: isize) -> impl Iterator<Item = (isize, isize)> {
     (-reach..=reach).flat_map(move |y| (-reach..=reach).map(move |x| (x, y)))
 }
 
-/// The discs of a map so wide.
+/// The discs for a map of a given width in texels.
 fn discs(width: usize) -> Vec<Disc> {
     let mut inner = 0.0;
     RADII
@@ -310,7 +314,7 @@ impl Moments {
         }
     }
 
-    /// The plane's value at the centre and its variance; `None` where the points lie on a line.
+    /// The plane's value at the centre and its variance; `None` if the points lie on a line.
     fn at_centre(&self) -> Option<([f64; 3], [f64; 3])> {
         let Moments { n, x, y, xx, xy, yy, .. } = *self;
         // The first row of the inverse of [n x y; x xx xy; y xy yy].
@@ -325,7 +329,7 @@ impl Moments {
     }
 }
 
-/// An estimate from the discs up to a number, 0 for the texel alone.
+/// An estimate from the first `reach` discs; with `reach` = 0, the value of the texel alone.
 #[derive(Debug, Clone, Copy, Default)]
 struct Estimate {
     mean: [f64; 3],
@@ -333,7 +337,7 @@ struct Estimate {
     reach: usize,
 }
 
-/// Where estimates agree that the truth is.
+/// A confidence interval per channel.
 struct Interval {
     low: [f64; 3],
     high: [f64; 3],
@@ -348,7 +352,7 @@ impl Interval {
         }
     }
 
-    /// What is in both, unless they contradict each other.
+    /// The intersection of two intervals; `None` if it is empty in some channel.
     fn intersection(&self, other: &Interval) -> Option<Interval> {
         let low = std::array::from_fn(|c| self.low[c].max(other.low[c]));
         let high = std::array::from_fn(|c| self.high[c].min(other.high[c]));

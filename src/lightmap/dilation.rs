@@ -1,12 +1,13 @@
-//! Values for texels where there is no surface.
+//! Dilation: values for texels without surface.
 //!
-//! A bilinear sample next to the border of a chart reads texels outside it. These get the mean of their neighbours nearer to
-//! the surface, ring by ring, until the page is full, because mipmaps read far out. Texels that have a value keep it.
+//! A bilinear sample next to the border of a chart reads texels outside it. These get the mean of their neighbours
+//! nearer to the surface, ring by ring. The rings fill the whole page, because mipmaps read far beyond the charts.
+//! Texels that have a value keep it.
 
 use super::{atlas::NONE, grid::Grid};
 
-/// Fills the places that have no `owner`, in place. An owner is the chart that a value belongs to; a place that several
-/// charts reach at once gets the lowest numbered one's.
+/// Fills the `values` of all places without an `owner`, and sets their owners. The owner of a value is the chart that
+/// it belongs to. If several charts reach a place in the same ring, the chart with the lowest number takes it.
 pub fn dilate(grid: &Grid, owner: &mut [u32], values: &mut [[f32; 3]]) {
     let mut ring: Vec<u32> = (0..owner.len() as u32).filter(|&at| owner[at as usize] != NONE).collect();
     while !ring.is_empty() {
@@ -26,7 +27,7 @@ pub fn dilate(grid: &Grid, owner: &mut [u32], values: &mut [[f32; 3]]) {
     }
 }
 
-/// The mean of the neighbours that have values, of the lowest numbered chart among them.
+/// The lowest-numbered chart among the neighbours, and the mean of the neighbours' values that belong to it.
 fn mean(grid: &Grid, owner: &[u32], values: &[[f32; 3]], at: usize) -> (u32, [f32; 3]) {
     let chart = around(grid, at).map(|n| owner[n]).min().expect("a neighbour has a value");
     let (mut sum, mut count) = ([0.0f32; 3], 0.0);

@@ -1,12 +1,14 @@
 //! Irradiance of texels by a final gather: rays from points spread over the covered part of each texel.
 //!
-//! A sample is a point, a ray to a point of a lamp, and a hemisphere ray that reads the solved radiosity where it hits.
-//! Points are uniform on the pieces of surface that the texel covers, so each starts on its own triangle and sees from
-//! there what it sees: nothing is interpolated across a wall. Points inside a solid are buried in it and do not count: the mean
-//! is over the part of the surface that light can reach. A point is inside a solid where rays meet nothing but backs of faces,
-//! and where no walk from there finds light or a way out: a house of single faces whose fronts face outward is no solid, for
-//! light comes in by its windows. Other rays decide that than those that are averaged: dropping these where they are dark made a
-//! floor under a shell with a narrow gap 56 times too bright.
+//! A sample is a point, a shadow ray to a point of a lamp, and a hemisphere ray that reads the solved radiosity where
+//! it hits. Points are uniform on the pieces of surface in the texel. Rays start on the point's own triangle, so
+//! nothing is interpolated across a wall.
+//!
+//! Points inside a solid are buried and do not count: the mean is over the part of the surface that light can reach. A
+//! point is buried if rays from it hit nothing but backs of faces, and no random walk from it finds light or a way out
+//! of the scene. The walks are needed because a house of single faces whose fronts face outward is not a solid: light
+//! comes in through its windows. Separate rays make this decision, not the rays that are averaged. Dropping averaged
+//! rays because they are dark made a floor under a shell with a narrow gap 56 times too bright.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -22,41 +24,43 @@ use crate::{
     },
 };
 
-/// Independent parts of the samples of a texel, for its standard error.
+/// Replicates of each texel: independent groups of its samples, for its standard error.
 const REPLICATES: u32 = 4;
-/// Rays that decide whether a point is inside a solid, where some ray of its texel suggests it.
+/// Rays that decide whether a point is inside a solid, if some ray of its texel suggests it.
 const PROBES: u32 = 16;
-/// Walks that look for light from a point that seems to be inside a solid where nothing is gathered; else one a sample. And
-/// the hits of each.
+/// Random walks that look for light from a point that seems to be inside a solid, in [`hidden`]. [`gather`] does one
+/// walk per sample.
 const WALKS: u32 = 4;
+/// Most hits of a walk.
 const STEPS: u32 = 16;
-/// Points of a texel that all must be inside a solid for it to be hidden, where nothing is gathered.
+/// Points per texel in [`hidden`]. All must be inside a solid for the texel to be hidden.
 const HIDDEN_POINTS: u32 = 4;
 const PROBE_SEED: u64 = 0x6275_7269_6564;
 
-/// Mean and variance of that mean, a texel.
+/// Mean of a texel and the variance of that mean, per channel.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Noisy {
-    /// W/m².
+    /// Mean irradiance, W/m².
     pub mean: [f32; 3],
     /// Squared standard error of the mean.
     pub variance: [f32; 3],
 }
 
-/// What was gathered for a texel.
+/// The gathered irradiance of a texel.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Texel {
-    /// Straight from emitters: sharp, hardly noisy.
+    /// Light straight from emitters: it has sharp edges and little noise.
     pub direct: Noisy,
-    /// Reflected: smooth, noisy.
+    /// Reflected light: smooth and noisy.
     pub reflected: Noisy,
-    /// Share of the covered part that is not buried in a solid.
+    /// Share of the samples that are not inside a solid.
     pub open: f32,
 }
 
-/// Gathers for every covered texel, `rays` hemisphere rays and as many to lamps each, rounded up to a multiple of 4.
+/// Gathers irradiance for every covered texel, with `rays` hemisphere rays and as many shadow rays per texel, rounded
+/// up to a multiple of [`REPLICATES`].
 ///
-/// Numbers depend on the seed and the texel's place alone.
+/// The random numbers depend only on the seed and the texel's place.
 ///
 /// # Errors
 /// [`Error::Stopped`](crate::Error::Stopped).
@@ -106,18 +110,18 @@ pub fn gather(
         .collect()
 }
 
-/// The tile of 8 x 8 texels that a texel lies in, and its number there, in Morton's order.
+/// The tile of 8 x 8 texels that a texel lies in, and the texel's index in the tile, in Morton order.
 ///
-/// The texels of a tile take turns with one sequence of samples. The samples of each are well spread by themselves, and
-/// so are those of any 2 x 2 or 4 x 4 of them together: averaged over neighbours, noise falls faster than with
-/// independent samples.
+/// The texels of a tile share one low-discrepancy sequence, and each takes a stretch of it. The samples of each texel
+/// are well spread, and so are the samples of 2 x 2 or 4 x 4 texels together. So averaging over neighbours reduces
+/// noise faster than with independent samples.
 fn tile(atlas: &Atlas, texel: u32) -> (u64, u32) {
     let (x, row) = (texel % atlas.width as u32, texel / atlas.width as u32);
     let bits = |a: u32| (a & 1) | (a & 2) << 1 | (a & 4) << 2;
     (u64::from(row >> 3) << 32 | u64::from(x >> 3), bits(x) | bits(row) << 1)
 }
 
-/// Which covered texels are inside solids altogether, as far as a few points of each tell.
+/// For each covered texel, whether its surface is all inside a solid, as tested by [`HIDDEN_POINTS`] points.
 pub fn hidden(
     atlas: &Atlas,
     coverage: &Coverage,
@@ -143,7 +147,7 @@ pub fn hidden(
         .collect()
 }
 
-/// Whether a ray met the back of a face.
+/// Whether the hemisphere ray hit the back of a face.
 fn met_back(found: &Gathered) -> bool {
     found.hit.is_some_and(|hit| !hit.front)
 }
@@ -152,13 +156,13 @@ fn met_back(found: &Gathered) -> bool {
 struct Sample {
     replicate: usize,
     at: Receiver,
-    /// For the rays that look whether it is inside a solid.
+    /// Seed of the rays that decide whether the point is inside a solid.
     seed: u64,
     found: Gathered,
 }
 
-/// Which samples of a texel are inside a solid. Those that seem to be are in one region, most likely: if light is found from
-/// one of them, none is inside a solid.
+/// For each sample of a texel, whether its point is inside a solid. The points that seem to be inside are most likely
+/// in one region, so if a walk from one of them finds light, none is inside a solid.
 fn buried(source: &FinalGather, tracer: &Tracer, samples: &[Sample]) -> Vec<bool> {
     if !samples.iter().any(|sample| met_back(&sample.found)) {
         return vec![false; samples.len()];
@@ -171,22 +175,22 @@ fn buried(source: &FinalGather, tracer: &Tracer, samples: &[Sample]) -> Vec<bool
     }
 }
 
-/// Whether a place seems to be inside a solid: rays meet backs, next to all of them, and no emitter shines on it. That the
-/// backs be dark is not asked for: patches that reach under a wall carry some light there.
+/// Whether a point seems to be inside a solid: all hemisphere rays but at most one hit backs of faces, and no emitter
+/// shines on the point. The backs need not be dark, because patches that reach under a wall carry some light there.
 fn seems_inside(source: &FinalGather, at: Receiver, seed: u64) -> bool {
     let is_inside = |found: &Gathered| found.direct == [0.0; 3] && met_back(found);
     let inside = (0..PROBES).filter(|&s| is_inside(&source.gather(at, &mut Samples::new(s, seed)))).count();
     inside + 1 >= PROBES as usize
 }
 
-/// Whether a place is inside a solid: it seems so, and walks from there, from hit to hit, find neither a point that an emitter
+/// Whether a point is inside a solid: it seems to be, and random walks from it find neither a point that an emitter
 /// shines on nor a way out of the scene.
 fn is_buried(source: &FinalGather, tracer: &Tracer, at: Receiver, seed: u64) -> bool {
     seems_inside(source, at, seed)
         && (0..WALKS).all(|walk| is_dark(source, tracer, at, (PROBES + walk, seed)))
 }
 
-/// Whether a walk from a place finds no light within its steps.
+/// Whether a random walk of [`STEPS`] hits finds neither direct light nor a way out of the scene.
 fn is_dark(source: &FinalGather, tracer: &Tracer, mut at: Receiver, (walk, seed): (u32, u64)) -> bool {
     let mut samples = Samples::new(walk, seed);
     for _ in 0..STEPS {
@@ -199,7 +203,8 @@ fn is_dark(source: &FinalGather, tracer: &Tracer, mut at: Receiver, (walk, seed)
     true
 }
 
-/// The surface in a texel as parts of triangles, each with the sum of the areas up to it, its facet and its triangle.
+/// The surface in a texel as triangular parts. Each has the cumulative area up to and including it, its facet and
+/// triangle, and the barycentric coordinates of its corners.
 struct Surface<'a>(&'a [Part]);
 
 type Part = (f64, [u32; 2], [[f64; 3]; 3]);
@@ -220,7 +225,7 @@ impl<'a> Surface<'a> {
         Surface(parts)
     }
 
-    /// A uniform point of the surface.
+    /// A uniformly distributed point of the surface.
     fn receiver(&self, tracer: &Tracer, sides: &[bool], samples: &mut Samples) -> Receiver {
         let [x, y] = samples.square();
         let total = self.0.last().map_or(0.0, |part| part.0);
@@ -228,7 +233,7 @@ impl<'a> Surface<'a> {
         let k = self.0.partition_point(|part| part.0 <= wanted).min(self.0.len() - 1);
         let below = if k == 0 { 0.0 } else { self.0[k - 1].0 };
         let (upto, [facet, triangle], corners) = self.0[k];
-        // What is left of the number that chose the part is uniform again.
+        // The remainder of the number that chose the part is uniform again.
         let rest = ((wanted - below) / (upto - below)).clamp(0.0, 1.0) as f32;
         let weights = square_to_triangle(rest, y).map(f64::from);
         let barycentric = std::array::from_fn(|c| (0..3).map(|k| weights[k] * corners[k][c]).sum());
@@ -236,7 +241,7 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// Sums of the samples that count.
+/// Sums over the samples of a replicate that are not inside a solid.
 #[derive(Clone, Copy, Default)]
 struct Replicate {
     direct: DVec3,
@@ -252,9 +257,9 @@ impl Replicate {
     }
 }
 
-/// Pools the replicates: the mean of all samples that count, and its variance by their spread.
+/// Pools the replicates: the mean of all samples that count, and its variance from the spread of the replicates.
 fn texel(replicates: &[Replicate], each: u32) -> Texel {
-    // One part alone does not tell its error.
+    // A single replicate gives no estimate of its error.
     if replicates.iter().filter(|r| r.count > 0).count() < 2 {
         return Texel::default();
     }
@@ -262,7 +267,7 @@ fn texel(replicates: &[Replicate], each: u32) -> Texel {
     let noisy = |part: fn(&Replicate) -> DVec3| {
         let n = f64::from(count);
         let mean = replicates.iter().map(part).sum::<DVec3>() / n;
-        // The variance of a ratio of sums, to first order.
+        // First-order variance of a ratio estimator: both the sum and the count vary from replicate to replicate.
         let k = replicates.len() as f64;
         let squares: DVec3 = replicates
             .iter()

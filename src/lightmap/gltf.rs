@@ -1,4 +1,4 @@
-//! A map inside of a glTF file: see [`crate::output::gltf::lit`].
+//! A map inside a glTF file; see [`crate::output::gltf::lit`].
 
 use std::f64::consts::PI;
 
@@ -19,26 +19,28 @@ use crate::{
 /// How a glTF file shows a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
-    /// Black materials that emit what leaves the surface.
+    /// Black materials that emit the radiosity of the surface.
     Emissive,
     /// The scene's materials with the extension MOZ_lightmap, which names a map of irradiance.
     Moz,
-    /// Texture coordinates alone, for an engine that takes the map from its own file.
+    /// Texture coordinates only, for an engine that reads the map from its own file.
     Coordinates,
 }
 
-/// The brightest that the emissive map holds, in whites. It has eight bits: with four whites below the brightest, white and all
-/// that is darker has 137 of 256 levels of sRGB, and a picture is off by a quarter of a level of the screen's on average.
+/// Largest value of the emissive map, as a multiple of white. The map has eight bits. With a largest value of four
+/// whites, the range from black to white has 137 of the 256 levels of sRGB, and a picture differs by a quarter of a
+/// screen level on average.
 const HEADROOM: f64 = 4.0;
 
 const WHOLE: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 impl Lightmap {
-    /// A binary glTF file of the scene with this map. `source` is of the facets ([`Atlas::scene`](super::Atlas::scene)), `exposure` says how bright emission is shown, `files` the names of the
-    /// files that hold the irradiance, a page each.
+    /// A binary glTF file of the scene with this map. `source` describes the facets
+    /// ([`Atlas::scene`](super::Atlas::scene)). `exposure` scales the emissive map. `files` are the names of the files
+    /// that hold the irradiance, one per page.
     ///
     /// # Errors
-    /// Those of reading `source`.
+    /// If `source` cannot be read.
     pub fn glb(
         &self,
         scene: &Scene,
@@ -56,7 +58,7 @@ impl Lightmap {
         let show = match encoding {
             Encoding::Emissive => {
                 extras["encoding"] = "emissive".into();
-                // As radiance, which `radiosity render --white` takes.
+                // Stored as radiance, the unit of `radiosity render --white`.
                 extras["white"] = (exposure.white() / PI).into();
                 self.emissive(scene, exposure)
             }
@@ -93,7 +95,8 @@ impl Lightmap {
         }
     }
 
-    /// What a material emits and reflects on average, in whites, where it emits alike all over and more than the map holds.
+    /// The mean radiosity of a material, as a multiple of white, if its emission is uniform and brighter than the map
+    /// can hold. `None` for all other materials.
     fn too_bright(&self, scene: &Scene, m: usize, exposure: Exposure) -> Option<[f64; 3]> {
         let material = &scene.materials[m];
         let emitted = material.emission.map(|e| PI * e * exposure.scale);
@@ -115,7 +118,7 @@ impl Lightmap {
         Some(std::array::from_fn(|c| emitted[c] + if area > 0.0 { sum[c] / area } else { 0.0 }))
     }
 
-    /// Images of all pages, rows from the top.
+    /// Images of all pages, rows from the top. `share` maps a value to the range 0 to 1.
     fn pages(&self, values: &[[f32; 3]], share: impl Fn(f64) -> f64) -> Vec<RgbImage> {
         let (width, height) = (self.atlas.width, self.atlas.height);
         let image = |page: &[[f32; 3]]| {

@@ -1,45 +1,45 @@
-//! Neighbours in a map.
+//! Neighbouring texels in a map.
 //!
-//! A place is the number (page · height + row) · width + column.
+//! A place is the index of a texel in the map: (page · height + row) · width + column.
 
 use super::{atlas::Atlas, coverage::Coverage};
 
-/// The shape of a map, and whose chart each covered texel is on.
+/// The shape of a map and the chart of each covered texel.
 #[derive(Debug, Clone)]
 pub struct Grid {
     pub width: usize,
     /// Rows of a page.
     pub height: usize,
-    /// Rows of all pages.
+    /// Number of rows on all pages together.
     rows: usize,
     /// Chart of each covered texel.
     chart: Vec<u32>,
 }
 
 impl Grid {
-    /// The covered texels of a map.
+    /// Collects the charts of a map's covered texels.
     pub fn new(atlas: &Atlas, coverage: &Coverage) -> Grid {
         let chart = (0..coverage.len()).map(|i| coverage.chart(atlas, i)).collect();
         Grid { width: atlas.width, height: atlas.height, rows: atlas.pages * atlas.height, chart }
     }
 
-    /// Chart of a covered texel.
+    /// Chart of covered texel `i`.
     pub fn chart(&self, i: usize) -> u32 {
         self.chart[i]
     }
 
-    /// Texels of all pages.
+    /// Number of places: texels on all pages.
     pub fn places(&self) -> usize {
         self.width * self.rows
     }
 
-    /// Whether all places so many columns and rows away are on the same page.
+    /// Whether all places up to `reach` columns and rows away are on the same page.
     pub fn is_inside(&self, texel: usize, reach: usize) -> bool {
         let (x, y) = (texel % self.width, texel / self.width % self.height);
         x >= reach && x + reach < self.width && y >= reach && y + reach < self.height
     }
 
-    /// The place so many columns and rows away, where that is on the same page.
+    /// The place `dx` columns and `dy` rows away; `None` if it is not on the same page.
     pub fn neighbour(&self, texel: usize, dx: isize, dy: isize) -> Option<usize> {
         let (x, row) = (texel % self.width, texel / self.width);
         let nx = x.checked_add_signed(dx).filter(|&nx| nx < self.width)?;

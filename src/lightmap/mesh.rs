@@ -1,14 +1,15 @@
-//! The scene's mesh as an OBJ file, with texture coordinates that address the map or with its own.
+//! The scene's mesh as an OBJ file, with the texture coordinates of the map or with the scene's own.
 //!
-//! An OBJ file has one set of texture coordinates, and engines want two: the file's own for the materials, and those of the
-//! map. Two files hold them. Their faces and corners are the same in the same order, so that corner k of face i has the
-//! first coordinates in one and the second in the other.
+//! An OBJ file has one set of texture coordinates, but engines want two: the file's own for the materials, and the
+//! coordinates of the map. So there are two files. Their faces and corners are the same in the same order: corner k of
+//! face i has the first coordinates in one file and the second in the other.
 //!
-//! A scene from an OBJ file of which nothing was cut away is written as a copy of that file. Objects, groups, smoothing groups,
-//! normals, comments and polygons stay. Only texture coordinates, the names of material libraries and, on further pages, of
-//! materials change. A polygon whose parts lie on different charts is cut into its triangles, in both files. So is a polygon
-//! that was cut to make charts smaller; its new vertices come first in the file. Second copies of faces, for their backs, come
-//! last. Scenes from other files keep polygons and normals too.
+//! If the scene comes from an OBJ file and nothing was cut away from it, the mesh is written as a copy of that file.
+//! Objects, groups, smoothing groups, normals, comments and polygons stay. Texture coordinates and the names of
+//! material libraries change, and on further pages also the names of materials. A polygon whose parts lie on different
+//! charts is cut into its triangles, in both files. So is a polygon that was cut to make charts smaller; its new
+//! vertices come first in the file. Second copies of faces, for their backs, come last. Scenes from other files keep
+//! polygons and normals too.
 
 use std::{
     borrow::Cow,
@@ -23,12 +24,12 @@ use glam::{DVec2, Vec3};
 use super::atlas::{Atlas, NONE};
 use crate::scene::{NEW_CORNER, Part, Scene, text};
 
-/// Whose texture coordinates a mesh has, and which material libraries it names.
+/// The choice of a mesh's texture coordinates, with the material libraries that the file names.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Set<'a> {
-    /// Those that address the map.
+    /// The coordinates of the map.
     Map(&'a str),
-    /// Those of the scene's file.
+    /// The coordinates of the scene's file.
     Own(&'a [String]),
 }
 
@@ -41,7 +42,7 @@ impl Set<'_> {
     }
 }
 
-/// Writes the mesh.
+/// Writes the mesh to `out`.
 pub(super) fn write(scene: &Scene, atlas: &Atlas, set: Set, out: &mut dyn Write) -> io::Result<()> {
     let what = match set {
         Set::Map(_) => "texture coordinates address the lightmap, v upwards",
@@ -61,7 +62,7 @@ pub(super) fn write(scene: &Scene, atlas: &Atlas, set: Set, out: &mut dyn Write)
     }
 }
 
-/// The name of the material in scene.mtl of a facet on its page; `facets` is their scene.
+/// The name in scene.mtl of a facet's material on the facet's page. `facets` is the scene of the facets.
 pub(super) fn material_name<'a>(facets: &'a Scene, atlas: &Atlas, t: usize) -> Cow<'a, str> {
     let name = facets.material(t).name.as_str();
     match atlas.page[t] {
@@ -77,15 +78,16 @@ struct Mesh<'a> {
     set: Set<'a>,
 }
 
-/// A polygon, or a triangle of one that is cut.
+/// A face to write: a whole polygon, or a triangle of a polygon that is cut.
 struct Outline {
-    /// A facet that is part of it; none where all of it is without area.
+    /// A facet that is part of it; `None` if all of it is without area.
     facet: Option<usize>,
-    /// Corners of the face, or new ones, and the texture coordinate of the map that each has.
+    /// For each corner, the index of the corner of the face, or a new corner ([`NEW_CORNER`]); and the index of its
+    /// texture coordinate in the map.
     corners: Vec<(u32, Option<u32>)>,
 }
 
-/// A corner of a face of the file: where it stands in the file that is written, counted from 1.
+/// A corner of a face: its indices in the file that is written, counted from 1.
 #[derive(Debug, Clone, Copy)]
 struct Word {
     vertex: i64,
@@ -93,13 +95,13 @@ struct Word {
     normal: Option<i64>,
 }
 
-/// What has been read of a file, to tell what its indices mean.
+/// Counts of the elements read so far, to convert the file's indices to those of the written file.
 #[derive(Debug, Default)]
 struct Words {
     vertices: i64,
     coordinates: i64,
     normals: i64,
-    /// Vertices and texture coordinates that come before the file's own.
+    /// Number of new vertices and of new texture coordinates, which come before the file's own.
     new: [usize; 2],
 }
 
@@ -113,7 +115,7 @@ impl Words {
         }
     }
 
-    /// The corners of a face.
+    /// Parses the corners of a face.
     fn of(&self, rest: &str) -> Vec<Word> {
         let index = |text: Option<&str>, so_far: i64, new: usize| -> Option<i64> {
             let index: i64 = text?.parse().ok()?;
@@ -129,14 +131,14 @@ impl Words {
     }
 }
 
-/// What the scene's file does not have, because its triangles are cut.
+/// Vertices and texture coordinates that cutting the triangles added to those of the scene's file.
 #[derive(Debug, Default)]
 struct New {
-    /// Vertices of the scene, in order.
+    /// New vertices of the scene, ascending.
     vertices: Vec<u32>,
-    /// Texture coordinates of the file's kind, each once.
+    /// New texture coordinates for the materials, without duplicates.
     coordinates: Vec<DVec2>,
-    /// Which of them a corner of a facet has.
+    /// The index in `coordinates` of each new corner, by facet and corner.
     of_corner: HashMap<(usize, usize), usize>,
 }
 
@@ -161,14 +163,14 @@ impl New {
         new
     }
 
-    /// Where a vertex stands in the file that is written, counted from 1: new ones come first.
+    /// The index of a new vertex in the written file, counted from 1. New vertices come first.
     fn vertex(&self, v: u32) -> i64 {
         self.vertices.partition_point(|&w| w < v) as i64 + 1
     }
 }
 
 impl Mesh<'_> {
-    /// A copy of the OBJ file that the scene comes from.
+    /// Writes a copy of the OBJ file that the scene comes from.
     fn copy(&self, source: &Path, out: &mut dyn Write) -> io::Result<()> {
         let of_source = |e: io::Error| io::Error::new(e.kind(), format!("{}: {e}", source.display()));
         let changed = || {
@@ -196,7 +198,7 @@ impl Mesh<'_> {
                 "f" | "fo" => {
                     let of_line =
                         |face: &(usize, Range<usize>)| self.scene.faces[face.0].line == Some(number);
-                    // Faces with fewer than three corners are none of the scene's.
+                    // The scene leaves out faces with fewer than three corners.
                     let Some((_, facets)) = faces.next_if(of_line) else { continue };
                     let corners = words.of(rest);
                     for outline in self.outlines(facets.clone(), corners.len()) {
@@ -212,7 +214,7 @@ impl Mesh<'_> {
                         }
                     }
                 }
-                // The texture coordinates of lines are gone.
+                // Lines and points lose their texture coordinates, whose indices no longer hold.
                 "l" | "p" if is_map || !new.vertices.is_empty() => {
                     let corners = words.of(rest);
                     let bare = corners.iter().map(|corner| corner.vertex.to_string());
@@ -236,7 +238,7 @@ impl Mesh<'_> {
         if faces.next().is_some() { Err(changed()) } else { Ok(()) }
     }
 
-    /// Writes a face of the file or a triangle of it; `None` where the file has changed.
+    /// Writes a face of the file or a triangle of it; `None` if the file has changed since it was read.
     fn face(
         &self,
         outline: &Outline,
@@ -254,7 +256,7 @@ impl Mesh<'_> {
         write!(out, "f")?;
         for (k, &(corner, coordinate)) in outline.corners.iter().enumerate() {
             let is_new = corner & NEW_CORNER != 0;
-            // A new corner has the normal of another one of its face.
+            // A new corner takes the normal of another corner of its face.
             let word = &corners[if is_new { k % corners.len() } else { corner as usize }];
             let vertex = if is_new { new.vertex(corner & !NEW_CORNER) } else { word.vertex };
             let own = match outline.facet.filter(|_| is_new) {
@@ -263,7 +265,7 @@ impl Mesh<'_> {
                 }
                 None => word.coordinate,
             };
-            // Without a place in the map: the last coordinate, which is there for it.
+            // Corners without a place in the map use the last coordinate, which exists for this purpose.
             let map = coordinate.map_or(self.atlas.coordinates.len(), |i| i as usize) as i64 + 1;
             let coordinate = if is_map { Some(map) } else { own };
             match (coordinate, word.normal) {
@@ -277,7 +279,7 @@ impl Mesh<'_> {
         Ok(Some(()))
     }
 
-    /// The scene's faces and the triangles of each that have an area.
+    /// The index of each of the scene's faces and the range of its facets. Triangles without area have no facet.
     fn faces(&self) -> impl Iterator<Item = (usize, Range<usize>)> {
         let Scene { faces, triangles, .. } = self.scene;
         let firsts = (0..triangles.len()).take_while(|&f| !self.atlas.is_second(f)).count();
@@ -290,7 +292,8 @@ impl Mesh<'_> {
         })
     }
 
-    /// A face of `arity` corners as one polygon where each corner has one texture coordinate, else as triangles.
+    /// A face of `arity` corners: one polygon if each of its corners has a single texture coordinate, otherwise
+    /// triangles.
     fn outlines(&self, facets: Range<usize>, arity: usize) -> Vec<Outline> {
         let mut coordinates = vec![None; arity];
         let mut agree = true;
@@ -301,7 +304,7 @@ impl Mesh<'_> {
                         agree &= known.replace(new).is_none_or(|old| old == new)
                     }
                     Some(_) => {}
-                    // A new corner.
+                    // It is a new corner.
                     None => agree = false,
                 }
             }
@@ -319,7 +322,7 @@ impl Mesh<'_> {
         self.atlas.chart[f] != NONE
     }
 
-    /// A facet by itself; without a place in the map its corners have `other` coordinates.
+    /// A facet as a face of its own. If it has no place in the map, its corners have the coordinate `other`.
     fn triangle(&self, f: usize, other: Option<u32>) -> Outline {
         let corners = self.scene.face_corners[f].into_iter().zip(self.atlas.corners[f]);
         let corners = corners.map(|(corner, new)| (corner, self.is_mapped(f).then_some(new).or(other)));
@@ -332,7 +335,7 @@ impl Mesh<'_> {
         used: &mut Option<String>,
         out: &mut dyn Write,
     ) -> io::Result<()> {
-        // The file's own statements are there where its own texture coordinates are.
+        // A copy with the file's own texture coordinates keeps the file's own `usemtl` statements.
         let is_there = |f: &usize| {
             matches!(self.set, Set::Own(_)) && !outline.corners.is_empty() && !self.atlas.is_second(*f)
         };
@@ -352,11 +355,11 @@ impl Mesh<'_> {
         for uv in coordinates {
             writeln!(out, "vt {} {}", uv.x, uv.y)?;
         }
-        // For faces without a place in the map.
+        // The coordinate of faces without a place in the map.
         writeln!(out, "vt 0 0")
     }
 
-    /// The faces, by object and group where the scene has such.
+    /// Writes the mesh of a scene that is not a copy of an OBJ file, with the scene's objects and groups.
     fn write(&self, whole: &Scene, out: &mut dyn Write) -> io::Result<()> {
         let Scene { vertices, triangles, faces, parts, .. } = self.scene;
         for v in vertices {
@@ -409,8 +412,9 @@ impl Mesh<'_> {
         Ok(())
     }
 
-    /// The face that facet `f` begins, as the number of its facets and its corners in their order: vertices, texture coordinates and
-    /// normals. `None` where the face has no corners of its own left, or where its facets differ at one of them.
+    /// The face that begins with facet `f`: the number of its facets, and the vertex, texture coordinate and normal of
+    /// each of its corners in order. `None` if the scene has no corners of the face, or if its facets disagree at a
+    /// corner.
     fn polygon(
         &self,
         f: usize,
@@ -438,7 +442,8 @@ impl Mesh<'_> {
         Some((facets.len(), corners?))
     }
 
-    /// The normals that the scene's file has, each once, and those of each facet's corners; nothing where it has none.
+    /// The normals of the scene's file without duplicates, and the indices of the normals of each facet's corners. Both
+    /// are empty if the file has no normals.
     fn normals(&self, whole: &Scene) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
         let (mut known, mut normals) = (HashMap::new(), Vec::new());
         if whole.normals.is_empty() {
@@ -465,7 +470,7 @@ impl Mesh<'_> {
     }
 }
 
-/// The scene's own texture coordinates, each once, and those of each triangle's corners.
+/// The scene's own texture coordinates without duplicates, and the indices of each triangle's corners.
 fn own_coordinates(scene: &Scene) -> (Vec<DVec2>, Vec<[u32; 3]>) {
     let (mut known, mut coordinates) = (HashMap::new(), Vec::new());
     let mut corner = |uv: DVec2| {

@@ -1,9 +1,9 @@
 //! Lightmaps: the irradiance of a scene's surface as an image.
 //!
-//! [`Atlas`] says where each triangle lies in the map. [`Coverage`] says which parts of which triangles each texel holds.
-//! [`bake`] computes the mean irradiance of that part for every texel: exactly from the patches, or more sharply by a final
-//! gather. Then it prepares the map for bilinear sampling: it takes out noise, fills texels without surface and closes
-//! seams. Each of these steps can be left out, and reports how it changed the energy.
+//! [`Atlas`] is the layout: the place of each triangle in the map. [`Coverage`] lists the pieces of triangles that lie
+//! in each texel. [`bake`] computes the mean irradiance of the surface in every texel, either exactly from the patches
+//! or more sharply by a final gather. Then it prepares the map for bilinear sampling: it removes noise, fills texels
+//! without surface and closes seams. Each of these steps can be left out, and each reports how it changed the energy.
 //!
 //! The map shows the side of a triangle that has more light, or both sides if the atlas has a place for each.
 
@@ -45,19 +45,20 @@ use crate::{
     trace::Hit,
 };
 
-/// How a map is made.
+/// Options of [`bake`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct BakeOptions {
-    /// Hemisphere rays of the final gather a texel, and as many to lamps; 0 takes the patches as they are.
+    /// Hemisphere rays per texel in the final gather, with as many shadow rays to lamps. 0 means no final gather:
+    /// texels get the means of the patches.
     pub final_gather: u32,
-    /// Whether to take out noise of the final gather, as far as its error bars allow.
+    /// Whether to remove noise of the final gather, as far as its error bars allow.
     pub denoise: bool,
     /// Whether to fill texels without surface, for bilinear sampling.
     pub dilate: bool,
     /// Whether to make both sides of seams agree.
     pub close_seams: bool,
-    /// Everything is a function of it.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
@@ -70,7 +71,7 @@ setters!(BakeOptions {
 });
 
 impl Default for BakeOptions {
-    /// 32 rays a texel and all steps, seed 0.
+    /// 32 rays per texel, all steps, seed 0.
     fn default() -> Self {
         BakeOptions { final_gather: 32, denoise: true, dilate: true, close_seams: true, seed: 0 }
     }
@@ -79,43 +80,43 @@ impl Default for BakeOptions {
 /// What a texel holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Texel {
-    /// No surface, and black.
+    /// No surface. The value is 0.
     Empty,
-    /// Irradiance of surface.
+    /// Surface that light can reach, with its irradiance.
     Valid,
-    /// Surface that no light can reach, inside a solid; the value, if any, comes from neighbours.
+    /// Surface inside a solid, where no light can reach it. A value other than 0 comes from neighbours.
     Hidden,
-    /// No surface; the value comes from neighbours.
+    /// No surface. The value comes from neighbours.
     Dilated,
 }
 
-/// What a step did to the map.
+/// The effect of one step of [`bake`] on the flux of the map.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Step {
-    /// `hide`, `denoise`, `dilate` or `seams`.
+    /// Name of the step: `hide`, `denoise`, `dilate` or `seams`.
     pub name: &'static str,
-    /// By how much it changed the flux on the surface, W.
+    /// Change of the flux on the surface, W, per channel.
     pub flux_change: [f64; 3],
-    /// The change relative to the flux before, of the channel where it is largest.
+    /// Change relative to the flux before the step, of the channel with the largest relative change.
     pub relative: f64,
 }
 
-/// Flux on the surface, Σ area · E, in W.
+/// Flux on the surface, Σ area · E, in W per channel.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Flux {
-    /// From the solution, on the sides of triangles that the map shows.
+    /// Flux of the solution on the sides of triangles that the map shows.
     pub solver: [f64; 3],
-    /// From the texels, before any step.
+    /// Flux of the texels before any step.
     pub map: [f64; 3],
-    /// Its standard error from the final gather. Errors of the solution are not included.
+    /// Standard error of `map` from the final gather. It does not include errors of the solution.
     pub standard_error: [f64; 3],
-    /// From the finished texels.
+    /// Flux of the finished texels.
     pub finished: [f64; 3],
-    /// From the solution, on triangles without a place in the map.
+    /// Flux of the solution on triangles without a place in the map.
     pub unmapped: [f64; 3],
-    /// From the solution, on the sides of triangles that the map does not show.
+    /// Flux of the solution on the sides of triangles that the map does not show.
     pub other_sides: [f64; 3],
 }
 
@@ -124,30 +125,30 @@ pub struct Flux {
 pub struct Lightmap {
     atlas: Atlas,
     coverage: Coverage,
-    /// Whether the map shows the front of each facet's triangle.
+    /// For each facet, whether the map shows the front of its triangle there.
     sides: Vec<bool>,
     irradiance: Vec<[f32; 3]>,
     texels: Vec<Texel>,
-    /// Standard error of each covered texel; empty without a final gather.
+    /// Standard error of each covered texel, W/m². Empty without a final gather.
     standard_error: Vec<[f32; 3]>,
-    /// Share of the covered part that is not hidden, of each covered texel.
+    /// For each covered texel, the share of its surface that is not inside a solid.
     open: Vec<f32>,
     flux: Flux,
     steps: Vec<Step>,
     seam_samples: usize,
-    /// Differences across seams before and after they were closed.
+    /// Root mean square of the differences across seams, before and after the seams were closed, W/m².
     seam_differences: [[f64; 3]; 2],
     other_sides_area: f64,
     unmapped_area: f64,
 }
 
 impl Lightmap {
-    /// Where each triangle lies.
+    /// The layout of the map.
     pub fn atlas(&self) -> &Atlas {
         &self.atlas
     }
 
-    /// Which texels hold which surface.
+    /// The covered texels and the pieces of surface in each.
     pub fn coverage(&self) -> &Coverage {
         &self.coverage
     }
@@ -162,7 +163,8 @@ impl Lightmap {
         self.facet(triangle, [1.0, 0.0, 0.0], front).is_some()
     }
 
-    /// The facet that shows a side of a triangle at a point, and the point there.
+    /// The facet that shows a point on a side of a triangle, and the barycentric coordinates of the point in that
+    /// facet.
     fn facet(&self, triangle: usize, barycentric: [f64; 3], front: bool) -> Option<(usize, [f64; 3])> {
         let second =
             self.atlas.facet_at(triangle, barycentric, true).filter(|&(f, _)| self.sides[f] == front);
@@ -171,7 +173,7 @@ impl Lightmap {
         })
     }
 
-    /// Area of the surface inside solids, where no light arrives, for each material of the scene.
+    /// Area of the surface inside solids, where no light arrives. One entry per material of the scene.
     pub fn hidden_areas(&self, scene: &Scene) -> Vec<f64> {
         let mut areas = vec![0.0; scene.materials.len()];
         for i in 0..self.coverage.len() {
@@ -183,18 +185,19 @@ impl Lightmap {
         areas
     }
 
-    /// Irradiance of all texels, W/m²: page by page, row by row from below.
+    /// Irradiance of all texels, W/m²: page by page, rows from the bottom to the top.
     pub fn irradiance(&self) -> &[[f32; 3]] {
         &self.irradiance
     }
 
-    /// What every texel holds, in the same order.
+    /// The kind of every texel, in the order of [`Lightmap::irradiance`].
     pub fn texels(&self) -> &[Texel] {
         &self.texels
     }
 
-    /// Standard error of every covered texel ([`Coverage::texels`]) from the final gather; empty without one. It includes the
-    /// bias that the denoiser finds. Errors of the solution are not included, nor what closing seams adds.
+    /// Standard error of every covered texel, W/m², in the order of [`Coverage::texels`]. Empty without a final gather.
+    /// It includes the noise of the final gather and the bias that the denoiser estimates, but no errors of the
+    /// solution and no changes from closing seams.
     pub fn standard_error(&self) -> &[[f32; 3]] {
         &self.standard_error
     }
@@ -204,18 +207,18 @@ impl Lightmap {
         &self.flux
     }
 
-    /// What each step after the computation did.
+    /// The effect of each step after the computation.
     pub fn steps(&self) -> &[Step] {
         &self.steps
     }
 
-    /// Number of points at which seams were compared, and the root mean square of the differences across them, a
-    /// channel, before and after they were closed.
+    /// Number of sample points on seams, and the root mean square of the differences across seams in W/m², per channel:
+    /// before and after the seams were closed.
     pub fn seams(&self) -> (usize, [[f64; 3]; 2]) {
         (self.seam_samples, self.seam_differences)
     }
 
-    /// Area of sides that are lit but have no texels, because the map shows the other side of their triangles.
+    /// Area of lit sides without texels: the map shows the other side of their triangles.
     pub fn other_sides_area(&self) -> f64 {
         self.other_sides_area
     }
@@ -225,18 +228,18 @@ impl Lightmap {
         self.unmapped_area
     }
 
-    /// Area, not hidden, of covered texel `i`.
+    /// Area of the surface in covered texel `i` that is not inside a solid.
     pub fn open_area(&self, i: usize) -> f64 {
         self.coverage.area(i) * f64::from(self.open[i])
     }
 
-    /// Irradiance at a point of a triangle, read from the map bilinearly, as a viewer does. It is that of the front if the map
-    /// shows both sides. `None` for triangles without a place in the map.
+    /// Irradiance at a point of a triangle, W/m², from a bilinear sample of the map as a viewer takes it. If the map
+    /// shows both sides, it is the irradiance of the front. `None` for triangles without a place in the map.
     pub fn at(&self, triangle: usize, barycentric: [f64; 3]) -> Option<[f64; 3]> {
         self.at_side(triangle, barycentric, self.is_of_front(triangle))
     }
 
-    /// Irradiance at a point of a side of a triangle; `None` where the map does not show it.
+    /// Irradiance at a point on one side of a triangle, W/m². `None` where the map does not show that side.
     pub fn at_side(&self, triangle: usize, barycentric: [f64; 3], front: bool) -> Option<[f64; 3]> {
         let (facet, barycentric) = self.facet(triangle, barycentric, front)?;
         let corners = self.atlas.texel_corners(facet)?;
@@ -248,15 +251,16 @@ impl Lightmap {
         Some(sum)
     }
 
-    /// Radiance that leaves the point that a ray hit, from the map alone. Sides that the map does not show reflect nothing.
+    /// Radiance that leaves a hit point towards the ray's origin, computed from the map alone. Sides that the map does
+    /// not show reflect nothing.
     pub fn radiance(&self, scene: &Scene, hit: &Hit) -> [f64; 3] {
         let t = hit.triangle as usize;
         let irradiance = self.at_side(t, hit.barycentric.map(f64::from), hit.front);
         outgoing(scene, hit, irradiance.unwrap_or_default().into())
     }
 
-    /// Root mean square of the standard errors over the lit surface relative to its mean irradiance, of the worst
-    /// channel; 0 without a final gather.
+    /// Root mean square of the standard errors over the surface, relative to its mean irradiance, for the worst
+    /// channel. 0 without a final gather.
     pub fn relative_error(&self) -> f64 {
         let (mut area, mut squares, mut sums) = (0.0, [0.0; 3], [0.0; 3]);
         for i in 0..self.standard_error.len() {
@@ -273,7 +277,8 @@ impl Lightmap {
             .fold(0.0, f64::max)
     }
 
-    /// Radiosity of every texel that has a value, W/m², with the mean reflectance and emission of what it holds.
+    /// Radiosity of every covered texel, W/m², from its irradiance and the mean reflectance and emission of its
+    /// surface. All other texels are 0.
     fn radiosity(&self, scene: &Scene) -> Vec<[f32; 3]> {
         use rayon::prelude::*;
         let mut out = vec![[0.0; 3]; self.irradiance.len()];
@@ -306,7 +311,7 @@ impl Lightmap {
         out
     }
 
-    /// Puts values into the texels that hold open surface.
+    /// Writes the values of covered texels into the map. Texels whose surface is all inside a solid become 0.
     fn show(&mut self, cells: &Cells) {
         for (i, &at) in self.coverage.texels().iter().enumerate() {
             let open = cells.open[i] > 0.0;
@@ -333,7 +338,7 @@ impl Lightmap {
         }
     }
 
-    /// Takes the values from texels without open surface.
+    /// Sets texels without open surface to 0.
     fn clear(&mut self) {
         for (texel, value) in self.texels.iter_mut().zip(&mut self.irradiance) {
             if *texel == Texel::Dilated {
@@ -346,7 +351,7 @@ impl Lightmap {
         self.steps.retain(|step| step.name != "dilate");
     }
 
-    /// Does a step and records how it changes the flux.
+    /// Runs a step and records how it changes the flux.
     fn step(&mut self, name: &'static str, work: impl FnOnce(&mut Lightmap)) {
         let before = self.surface_flux();
         work(self);
@@ -398,8 +403,8 @@ impl Lightmap {
     }
 }
 
-/// The four texels that a bilinear sample at a point reads, `p` in texels of its page, and their weights. Values are at
-/// the centres of texels; beyond the outermost centres they go on.
+/// The four texels that a bilinear sample at a point reads, with their weights. The point `p` is in texels of its page.
+/// Values belong to the centres of texels. Beyond the outermost centres they are constant.
 fn bilinear(atlas: &Atlas, page: usize, p: DVec2) -> [(u32, f64); 4] {
     let most = DVec2::new((atlas.width - 1) as f64, (atlas.height - 1) as f64);
     let q = (p - 0.5).clamp(DVec2::ZERO, most);

@@ -1,16 +1,16 @@
-//! Triangles of a map that cover each other.
+//! Search for triangles of a map that overlap.
 
 use glam::DVec2;
 
 use super::raster::{Polygon, for_each_texel};
 
-/// Share of the smaller triangle that two may have in common: the rounding of printed coordinates.
+/// Two triangles may share this part of the smaller one's area, because printed coordinates are rounded.
 const ROUNDING: f64 = 1e-4;
 
-/// Up to `most` pairs of triangles in the unit square that overlap, the lower first.
+/// Finds up to `most` pairs of overlapping triangles in the unit square. The lower index comes first in each pair.
 ///
-/// A grid about as fine as the triangles finds neighbours; whether they overlap is decided by clipping one with the
-/// other.
+/// A grid about as fine as the triangles finds neighbours. Clipping one triangle with the other decides whether they
+/// overlap.
 pub fn find(triangles: &[[DVec2; 3]], most: usize) -> Vec<[usize; 2]> {
     let side = (2.0 * (triangles.len() as f64).sqrt()).clamp(1.0, 2048.0);
     let cells = side as usize + 1;

@@ -1,11 +1,12 @@
-//! Which part of which triangle a texel covers: triangles clipped to squares, exactly.
+//! Exact rasterisation: triangles are clipped to the squares of texels.
 //!
-//! Texel (x, y) is the square from (x, y) to (x + 1, y + 1), rows counted upwards as texture coordinates are.
+//! Texel (x, y) is the square from (x, y) to (x + 1, y + 1). Rows are counted from the bottom, like texture
+//! coordinates.
 
 use glam::DVec2;
 
-/// A triangle has 3 corners; each of 4 sides of a texel and of 6 lines of a quadtree adds at most one. The rest is for
-/// corners that rounding doubles.
+/// Largest number of corners. A triangle has 3; each of the 4 sides of a texel and of the 6 lines of a quadtree cell
+/// adds at most one. The rest is for corners that rounding duplicates.
 const MOST_CORNERS: usize = 20;
 
 /// A convex polygon.
@@ -23,7 +24,7 @@ impl Polygon {
         Polygon { points, len: 3 }
     }
 
-    /// Its corners in order; fewer than three where nothing is left.
+    /// Its corners in order; fewer than three if the polygon is empty.
     pub fn corners(&self) -> &[DVec2] {
         &self.points[..self.len]
     }
@@ -34,9 +35,9 @@ impl Polygon {
         self
     }
 
-    /// The part where `inside`, an affine function, is not negative (Sutherland and Hodgman, CACM 17(1), 1974).
+    /// The part where the affine function `inside` is not negative (Sutherland and Hodgman, CACM 17(1), 1974).
     ///
-    /// The corners made are the same, bit by bit, when the function changes its sign: parts fit together.
+    /// Cutting with the negated function makes the same corners, bit by bit, so the two parts fit together.
     pub fn cut(&self, inside: impl Fn(DVec2) -> f64) -> Polygon {
         let mut part = Polygon { points: [DVec2::ZERO; MOST_CORNERS], len: 0 };
         let Some(&last) = self.corners().last() else { return part };
@@ -45,7 +46,7 @@ impl Polygon {
             let at_to = inside(to);
             if (at_from < 0.0) != (at_to < 0.0) {
                 let crossing = from + (to - from) * (at_from / (at_from - at_to));
-                // The corner that is inside counts by itself, and once.
+                // The corner that is inside is pushed below; do not push it twice.
                 if crossing != if at_to < 0.0 { from } else { to } {
                     part.push(crossing);
                 }
@@ -58,7 +59,7 @@ impl Polygon {
         part
     }
 
-    /// The part in the strip between two values of an affine function.
+    /// The part where an affine function is between `low` and `high`.
     pub fn strip(&self, low: f64, high: f64, value: impl Fn(DVec2) -> f64) -> Polygon {
         self.cut(|p| value(p) - low).cut(|p| high - value(p))
     }
@@ -70,31 +71,31 @@ impl Polygon {
         }
     }
 
-    /// Its area, whichever way it is wound.
+    /// Its area, independent of its orientation.
     pub fn area(&self) -> f64 {
         let fan = self.fan().map(|[a, b, c]| (b - a).perp_dot(c - a)).sum::<f64>();
         0.5 * fan.abs()
     }
 
-    /// The triangles that it is made of.
+    /// The polygon as a fan of triangles.
     pub fn fan(&self) -> impl Iterator<Item = [DVec2; 3]> + '_ {
         let corners = self.corners();
         (2..corners.len()).map(move |k| [corners[0], corners[k - 1], corners[k]])
     }
 
-    /// A point of it: the mean of its corners.
+    /// A point inside it: the mean of its corners.
     pub fn middle(&self) -> DVec2 {
         self.corners().iter().sum::<DVec2>() / self.len.max(1) as f64
     }
 
-    /// Least and largest value of an affine function on it.
+    /// Least and largest value of an affine function on the polygon.
     pub fn range(&self, value: impl Fn(DVec2) -> f64) -> (f64, f64) {
         let extend = |(low, high): (f64, f64), &p: &DVec2| (low.min(value(p)), high.max(value(p)));
         self.corners().iter().fold((f64::INFINITY, f64::NEG_INFINITY), extend)
     }
 }
 
-/// The part of a triangle that texel (x, y) covers.
+/// The part of a triangle that lies in texel (x, y).
 pub fn clip(corners: [DVec2; 3], x: usize, y: usize) -> Polygon {
     row(corners, y).strip(x as f64, (x + 1) as f64, |p| p.x)
 }
@@ -103,8 +104,9 @@ fn row(corners: [DVec2; 3], y: usize) -> Polygon {
     Polygon::triangle(corners).strip(y as f64, (y + 1) as f64, |p| p.y)
 }
 
-/// Calls `visit` with column, row and part of every texel that a triangle covers a part of; coordinates are not
-/// negative. The time goes with the number of these texels and rows, not with the box round the triangle.
+/// Calls `visit` with column, row and part of the triangle for every texel that the triangle overlaps. Coordinates must
+/// not be negative. The time is proportional to the number of these texels and rows, not to the area of the triangle's
+/// bounding box.
 pub fn for_each_texel(corners: [DVec2; 3], mut visit: impl FnMut(usize, usize, Polygon)) {
     let (bottom, top) = Polygon::triangle(corners).range(|p| p.y);
     for y in cells(bottom, top) {
@@ -119,9 +121,9 @@ pub fn for_each_texel(corners: [DVec2; 3], mut visit: impl FnMut(usize, usize, P
     }
 }
 
-/// The unit intervals that an interval touches.
+/// The unit intervals, by number, that an interval overlaps.
 pub fn cells(low: f64, high: f64) -> std::ops::Range<usize> {
-    // Casts saturate: nothing is left of an empty interval.
+    // The range of an empty polygon goes from +∞ to -∞ and has no cells.
     if low > high { 0..0 } else { low.floor() as usize..high.ceil() as usize }
 }
 
@@ -131,7 +133,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn point() -> impl Strategy<Value = DVec2> {
-        // Often on the lines of the grid.
+        // Many points lie on the lines of the grid.
         let number = || prop_oneof![0f64..9.0, (0u8..10).prop_map(f64::from)];
         (number(), number()).prop_map(|(x, y)| DVec2::new(x, y))
     }

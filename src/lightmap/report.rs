@@ -10,48 +10,49 @@ use crate::{
     scene::Scene,
 };
 
-/// Maps of which less than this share holds surface are worth a warning.
+/// A map gets a warning if less than this share of its texels holds surface.
 const WELL_USED: f64 = 0.5;
-/// A step that changes the flux by more than this share is worth a warning.
+/// A step gets a warning if it changes the flux by more than this share.
 const NOTABLE: f64 = 1e-3;
-/// The same of light on sides without texels. Some always gets in where patches reach under a wall.
+/// Light on sides without texels gets a warning if it exceeds this share of the flux. A little is normal: patches that
+/// reach under a wall catch some.
 const NOTABLE_OTHER_SIDES: f64 = 1e-2;
 
-/// What `radiosity bake` writes to `report.json`.
+/// The contents of `report.json` from `radiosity bake`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BakeReport {
     /// Version of the program.
     pub version: &'static str,
-    /// What was computed on.
+    /// The scene.
     pub scene: SceneReport,
-    /// Where the light went, by the solver.
+    /// Energy balance of the solution.
     pub energy: EnergyReport,
     /// Layout of the map.
     pub atlas: AtlasReport,
-    /// What the texels hold.
+    /// Numbers of texels by kind.
     pub texels: TexelsReport,
-    /// Energy of the map.
+    /// Flux of the map and of the solution.
     pub flux: FluxReport,
-    /// What was done to the map after it was computed.
+    /// Steps after the map was computed, with their effect on the flux.
     pub steps: Vec<Step>,
     /// Differences across seams.
     pub seams: SeamsReport,
-    /// Surface that the map is not of.
+    /// Surface that the map does not show.
     pub left_out: LeftOutReport,
-    /// Which sides are shown, and what is hidden, by material, in the scene's order.
+    /// Shown sides and hidden surface of each material, in the scene's order.
     pub materials: Vec<MapMaterialReport>,
-    /// Root mean square over the surface of the texels' standard errors, relative to the mean irradiance, of the worst
-    /// channel, as denoised; `null` without a final gather. What the solution is off by is not in it.
+    /// Root mean square over the surface of the finished texels' standard errors, relative to the mean irradiance, for
+    /// the worst channel; `null` without a final gather. It does not include errors of the solution.
     pub rms_relative: Option<f64>,
     /// Files written, in the output directory.
     pub files: Vec<String>,
-    /// Things to look at, a sentence each.
+    /// Warnings, one sentence each.
     pub warnings: Vec<String>,
     /// Time of each stage.
     pub seconds: BakeSeconds,
-    /// Most memory held at any time; `null` where the operating system does not tell.
+    /// Peak memory of the process in bytes; `null` if the operating system does not report it.
     pub peak_bytes: Option<u64>,
-    /// What was asked for.
+    /// Options of the run.
     pub options: BakeOptionsReport,
 }
 
@@ -64,97 +65,97 @@ pub struct AtlasReport {
     pub height: usize,
     /// Number of pages.
     pub pages: usize,
-    /// `file` or `made`.
+    /// Origin of the texture coordinates: `file` or `made`.
     pub coordinates: &'static str,
-    /// Why the file's own were not used; `null` where they were.
+    /// The reason why the file's coordinates were not used; `null` if they were used.
     pub refused: Option<String>,
     /// Number of charts.
     pub charts: usize,
-    /// Charts thinner than two texels.
+    /// Number of charts thinner than two texels.
     pub thin_charts: usize,
-    /// Share of the mapped surface that they hold.
+    /// Share of the mapped surface on thin charts.
     pub thin_share: f64,
-    /// Texels that two charts share.
+    /// Number of texels that hold parts of more than one chart.
     pub shared_texels: usize,
     /// Share of all texels that hold surface.
     pub used_share: f64,
-    /// Triangles that were cut into smaller ones, because charts would have been too large.
+    /// Number of triangles that were cut because their charts would have been too large.
     pub cut_triangles: usize,
-    /// Root of the mean surface area a texel, in the scene's unit.
+    /// Square root of the mean surface area per texel, in scene units.
     pub texel_length: f64,
-    /// Root mean square of ln(texels an area / its mean).
+    /// Root mean square of ln(density / mean density), where density is texels per surface area.
     pub density_spread: f64,
 }
 
-/// How many texels hold what.
+/// Numbers of texels by kind.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct TexelsReport {
-    /// Surface.
+    /// Surface that light can reach.
     pub valid: usize,
     /// Surface inside solids.
     pub hidden: usize,
     /// No surface, but a value from neighbours.
     pub dilated: usize,
-    /// Nothing.
+    /// Neither surface nor a value.
     pub empty: usize,
 }
 
-/// Flux on the surface, W.
+/// Flux on the surface, W per channel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FluxReport {
-    /// By the solver.
+    /// From the solution.
     pub solver: [f64; 3],
-    /// By the texels as computed.
+    /// From the texels as computed.
     pub map: [f64; 3],
-    /// (map - solver) / solver of the worst channel.
+    /// (map - solver) / solver, for the worst channel.
     pub relative_difference: f64,
     /// Standard error of the map's flux from the final gather.
     pub standard_error: [f64; 3],
-    /// By the texels as written.
+    /// From the texels as written.
     pub finished: [f64; 3],
 }
 
 /// Differences across seams, W/m².
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SeamsReport {
-    /// Points compared.
+    /// Number of points on seams where both sides were compared.
     pub samples: usize,
-    /// Root mean square before they were closed.
+    /// Root mean square before the seams were closed, per channel.
     pub before: [f64; 3],
-    /// And after.
+    /// Root mean square after the seams were closed, per channel.
     pub after: [f64; 3],
 }
 
 /// Surface without texels.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LeftOutReport {
-    /// Area of lit sides whose triangle is mapped by its other side, which is lit too.
+    /// Area of lit sides that have no texels because the map shows the other side of their triangles.
     pub other_sides_area: f64,
-    /// Flux on them, W.
+    /// Flux on these sides, W per channel.
     pub other_sides_flux: [f64; 3],
-    /// Triangles shown by their backs, because those have more light.
+    /// Number of triangles that the map shows from the back, because their back has more light.
     pub mapped_by_back: usize,
-    /// Triangles shown by both sides.
+    /// Number of triangles that the map shows from both sides.
     pub mapped_twice: usize,
-    /// Area of triangles that are too thin to have a place in the map.
+    /// Area of triangles without a place in the map, because they have no area there.
     pub unmapped_area: f64,
-    /// Flux on them, W.
+    /// Flux on these triangles, W per channel.
     pub unmapped_flux: [f64; 3],
 }
 
 /// A material's surface in the map.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MapMaterialReport {
-    /// Its name.
+    /// Name of the material.
     pub name: String,
     /// Area of its triangles.
     pub area: f64,
-    /// The part that is shown by its back alone.
+    /// Area of triangles that the map shows from the back only.
     pub by_back: f64,
-    /// The part that is shown by both sides.
+    /// Area of triangles that the map shows from both sides.
     pub by_both: f64,
-    /// Share of the area in the map that no light can reach, because it is inside a solid. Its texels have values of
-    /// neighbours.
+    /// Share of the material's area in the map that is inside a solid, where no light can reach it. Its texels have
+    /// values from neighbours.
     pub hidden_share: f64,
 }
 
@@ -194,7 +195,7 @@ impl MapMaterialReport {
 /// Wall-clock time of each stage in seconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct BakeSeconds {
-    /// The stages of a solution.
+    /// Stages of the solution.
     #[serde(flatten)]
     pub stages: Seconds,
     /// Laying out the charts.
@@ -203,10 +204,10 @@ pub struct BakeSeconds {
     pub texels: f64,
 }
 
-/// What was asked for.
+/// Options of the run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct BakeOptionsReport {
-    /// How the map was made.
+    /// Options of the map.
     #[serde(flatten)]
     pub map: BakeOptions,
     /// Irradiance shown as white in `lightmap.png`, W/m².
@@ -214,7 +215,7 @@ pub struct BakeOptionsReport {
 }
 
 impl BakeReport {
-    /// Collects the figures of a map. Files, times, peak memory and the scene's warnings are for the caller to add.
+    /// Collects the figures of a map. The caller adds files, times, peak memory and the warnings of the scene.
     pub fn new(
         map: &Lightmap,
         scene: &Scene,
@@ -264,7 +265,7 @@ impl BakeReport {
         report
     }
 
-    /// What a user should look at.
+    /// Warnings about the map.
     fn objections(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         let atlas = &self.atlas;
@@ -302,8 +303,8 @@ impl BakeReport {
         let other_sides = share(left_out.other_sides_flux, self.flux.solver);
         if other_sides > NOTABLE_OTHER_SIDES {
             warnings.push(format!(
-                "lit on both sides, shown by the brighter one: an area of {:.4e} with {:.2} % of the flux has no texels; \
-                 show both sides to give it some",
+                "some triangles are lit on both sides, but the map shows only their brighter side: an area of {:.4e} with \
+                 {:.2} % of the flux has no texels; show both sides to give it some",
                 left_out.other_sides_area,
                 100.0 * other_sides
             ));
@@ -317,16 +318,16 @@ impl BakeReport {
         warnings
     }
 
-    /// Writes it as indented JSON with a line end after it.
+    /// Writes the report as indented JSON, followed by a line end.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of `out`.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         crate::output::write_json(self, out)
     }
 }
 
-/// The largest share of a whole, over the channels.
+/// The largest ratio part / whole over the channels.
 fn share(part: [f64; 3], whole: [f64; 3]) -> f64 {
     (0..3).filter(|&c| whole[c] > 0.0).map(|c| part[c] / whole[c]).fold(0.0, f64::max)
 }

@@ -1,8 +1,9 @@
 //! Seams: edges of the surface that lie at two places of the map.
 //!
-//! Bilinear samples along such an edge differ from side to side, by noise and by the positions of the texels. Least squares
-//! make them agree while every texel stays close to its value: closely if it holds surface, less so outside (after Iwanicki,
-//! "Lighting Technology of The Last of Us", SIGGRAPH 2013 talks). Creases are no seams, since the light differs across them.
+//! Bilinear samples along such an edge differ between its two sides, because of noise and the positions of the texels.
+//! A least-squares fit makes them agree while every texel stays close to its value. Texels that hold surface are kept
+//! closer to their values than texels without (after Iwanicki, "Lighting Technology of The Last of Us", SIGGRAPH 2013
+//! talks). Creases are not seams, because the light differs across them.
 
 use std::collections::HashMap;
 
@@ -14,16 +15,17 @@ use super::{
 };
 use crate::{output::surfaces::smooth_edges, scene::Scene};
 
-/// Samples along a seam, a texel of its longer image.
+/// Samples along a seam per texel of its longer image.
 const SAMPLES: f64 = 2.0;
-/// Weight of the change of a texel that holds surface, relative to that of a difference across the seam.
+/// Weight of the squared change of a texel that holds surface. The weight of a squared difference across the seam is 1.
 const INSIDE: f64 = 0.05;
-/// The same for texels without surface.
+/// Weight of the squared change of a texel without surface.
 const OUTSIDE: f64 = 0.005;
 const MOST_ITERATIONS: usize = 200;
 const TOLERANCE: f64 = 1e-6;
 
-/// A point of a seam: the texels that its two images read, with their weights. Those of the second are negative.
+/// A point of a seam: the texels of the bilinear samples at its two images, with their weights. The weights of the
+/// second image are negative.
 type Sample = [(u32, f64); 8];
 
 /// The points where seams are sampled.
@@ -41,7 +43,7 @@ impl Seams {
             if atlas.chart[t] == NONE || atlas.chart[u] == NONE || sides[t] != sides[u] {
                 continue;
             }
-            // The edge runs from corner k to the next one, on the other triangle the other way round.
+            // The edge runs from corner k to the next one. On the other triangle it has the opposite direction.
             let ends = |slot: u32, reversed: bool| {
                 let (t, k) = (slot as usize / 3, slot as usize % 3);
                 let [from, to] = if reversed { [(k + 1) % 3, k] } else { [k, (k + 1) % 3] };
@@ -56,12 +58,12 @@ impl Seams {
         Seams { samples }
     }
 
-    /// Number of points.
+    /// Number of sample points.
     pub fn points(&self) -> usize {
         self.samples.len()
     }
 
-    /// Root mean square of the differences across seams, a channel.
+    /// Root mean square of the differences across seams, per channel.
     pub fn difference(&self, values: &[[f32; 3]]) -> [f64; 3] {
         let square = |c: usize| {
             self.samples.iter().map(|s| across(s, |at| f64::from(values[at][c])).powi(2)).sum::<f64>()
@@ -83,7 +85,7 @@ impl Seams {
         }
     }
 
-    /// The texels that take part, and the samples in terms of them.
+    /// The texels that the samples read, without duplicates, and the samples with indices into this list.
     fn numbered(&self) -> (Vec<u32>, Vec<Sample>) {
         let (mut places, mut number) = (Vec::new(), HashMap::new());
         let samples = self
@@ -103,7 +105,7 @@ impl Seams {
     }
 }
 
-/// An edge in the map, in texels.
+/// The image of an edge in the map, in texels.
 struct Image {
     page: usize,
     from: DVec2,

@@ -9,23 +9,22 @@ use crate::{
     tone::{luminance, rgb},
 };
 
-/// Texels that one task works on.
+/// Least number of texels per parallel task.
 pub(super) const STRETCH: usize = 64;
 
-/// Whether each triangle has more light on its front than on its back, by flux. Without light
-/// the front counts as the lit side.
+/// For each triangle, whether the flux on its front is at least the flux on its back.
 pub fn lit_sides(patches: &Patches, solution: &Solution) -> Vec<bool> {
     let flux = side_fluxes(patches, solution);
     flux.into_iter().map(|[front, back]| front >= back).collect()
 }
 
-/// Triangles with light on both sides, where the darker side has more than `least` of the brighter one's.
+/// For each triangle, whether the flux on its darker side is more than `least` times the flux on its brighter side.
 pub fn lit_on_both_sides(patches: &Patches, solution: &Solution, least: f64) -> Vec<bool> {
     let flux = side_fluxes(patches, solution);
     flux.into_iter().map(|[front, back]| front.min(back) > least * front.max(back)).collect()
 }
 
-/// Luminous part of the flux on the front and on the back of each triangle.
+/// Luminance of the flux on the front and on the back of each triangle.
 fn side_fluxes(patches: &Patches, solution: &Solution) -> Vec<[f64; 2]> {
     let channels = solution.channels;
     let mut flux = vec![[0.0; 2]; patches.triangle_areas().len()];
@@ -37,7 +36,7 @@ fn side_fluxes(patches: &Patches, solution: &Solution) -> Vec<[f64; 2]> {
     flux
 }
 
-/// Mean irradiance of each covered texel, W/m²: Σ area · E over the patches in it, over Σ area.
+/// Mean irradiance of each covered texel, W/m²: Σ area · E / Σ area over the patches in it.
 pub fn means(
     atlas: &Atlas,
     coverage: &Coverage,

@@ -1,9 +1,9 @@
-//! New texture coordinates, by [uvunwrap](https://docs.rs/uvunwrap): least squares conformal maps of charts that never run
-//! across a crease, where light is not continuous, packed with room for bilinear filtering.
+//! New texture coordinates, by [uvunwrap](https://docs.rs/uvunwrap): least-squares conformal maps of charts, packed
+//! with room for bilinear filtering. Charts never run across a crease, because light is not continuous there.
 //!
-//! A chart that is much longer than the rest sets the density of a page and leaves most of it empty, and one that is longer
-//! than a page has no place at all. So where too few texels would hold surface, or a chart has no place, large charts are
-//! split, in several ways, and the best is taken.
+//! A chart that is much longer than the rest determines the texel density of a page and leaves most of the page empty.
+//! A chart that is longer than a page does not fit at all. So if too few texels would hold surface, or a chart does not
+//! fit, large charts are split in several ways, and the best layout is used.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -22,21 +22,22 @@ use crate::{
     trace::Tracer,
 };
 
-/// Charts end where normals turn by more than this many degrees from the mean of the chart: flat enough to keep areas.
+/// Charts end where the normal deviates by more than this many degrees from the chart's mean normal. Such charts are
+/// flat enough for the map to keep areas.
 const CHART_ANGLE: f32 = 45.0;
-/// Empty texels round a chart: neighbours are twice as far apart, so that neither bilinear samples nor those of the first
-/// mipmap mix charts.
+/// Empty texels around a chart. Neighbouring charts are twice as far apart, so bilinear samples of the map and of its
+/// first mipmap do not mix charts.
 const PADDING: u32 = 2;
-/// A layout of which this share of the texels holds surface is good enough: packers rarely reach 80 %.
+/// A layout is good enough if this share of its texels holds surface. Packers rarely reach 80 %.
 const ENOUGH: f64 = 0.6;
-/// Charts are made at most this many times shorter than a page.
+/// Longest charts to try, as shares of the side of a page.
 const SHARES: [f64; 5] = [1.0, 0.5, 0.25, 0.125, 0.0625];
-/// Pages are made at most this many times smaller than allowed, so that the last of them is not left empty.
+/// Divisors of the largest page side to try. Smaller pages leave less of the last page empty.
 const PAGES: [usize; 3] = [1, 2, 4];
-/// Pages are not made smaller than this to use them better.
+/// Pages smaller than this are not tried.
 const SMALL_PAGE: usize = 128;
 
-/// Makes new coordinates.
+/// Makes new texture coordinates for a scene.
 ///
 /// # Errors
 /// [`Error::Setting`] when the map would be too small for the charts or too large altogether.
@@ -51,28 +52,29 @@ pub(super) fn unwrap(scene: &Scene, tracer: &Tracer, options: &AtlasOptions) -> 
     }
 }
 
-/// A scene as uvunwrap wants it.
+/// A scene prepared for uvunwrap.
 struct Unwrapper<'a> {
     scene: &'a Scene,
     tracer: &'a Tracer,
     options: &'a AtlasOptions,
-    /// The facets, where triangles are cut or have second copies.
+    /// The facets, if triangles are cut or have second copies.
     cut: Option<Cut>,
     positions: Vec<[f32; 3]>,
-    /// Facets by how dense their texels are, with the factor.
+    /// Facets grouped by their density factor.
     groups: Vec<(f64, Vec<u32>)>,
-    /// What may share a chart, of each facet.
+    /// The surface of each facet. Only facets of the same surface may share a chart.
     surfaces: Vec<u32>,
-    /// The polygon of each facet, whose triangles stay on one chart.
+    /// The polygon of each facet. Facets of the same polygon stay on one chart.
     polygons: Vec<u32>,
 }
 
 impl<'a> Unwrapper<'a> {
-    /// `longest` is how long charts may be, about, where they are to be split.
+    /// `longest` is the approximate largest length of a chart; `None` if charts are not to be split.
     fn new(scene: &'a Scene, tracer: &'a Tracer, options: &'a AtlasOptions, longest: Option<f64>) -> Self {
         let has_copies = options.two_sided.contains(&true);
         let long = longest.map(|longest| longer(scene, &surfaces(scene, options), longest));
-        // Pieces reach beyond the cell that their middle is in, by up to two thirds of an edge on each side.
+        // A piece belongs to the cell that contains its middle. It reaches beyond the cell by up to two thirds of an
+        // edge on each side.
         let edge = longest.map_or(f64::INFINITY, |longest| 0.42 * longest);
         let cut = (long.is_some() || has_copies)
             .then(|| Cut::new(scene, edge, long.as_deref().unwrap_or_default(), &options.two_sided));
@@ -104,8 +106,8 @@ impl<'a> Unwrapper<'a> {
         self.cut.as_ref().map_or(self.scene, |cut| &cut.scene)
     }
 
-    /// Lets no chart of the triangles that `long` marks run from one cell of a grid to another. A polygon is where its first
-    /// triangle is.
+    /// Splits the surfaces of the triangles marked in `long` at the cells of a grid, so that no chart spans several
+    /// cells. A polygon belongs to the cell of its first triangle.
     fn split(&mut self, cell: f64, long: &[bool]) {
         let facets = self.facets();
         let is_long = |f: usize| long[self.cut.as_ref().map_or(f, |cut| cut.facets[f].triangle as usize)];
@@ -129,7 +131,7 @@ impl<'a> Unwrapper<'a> {
 
     fn generate(&self, density: Density) -> std::result::Result<uvunwrap::Atlas, uvunwrap::Error> {
         let facets = &self.facets().triangles;
-        // A bent polygon may be on two surfaces; uvunwrap wants a polygon to be on one.
+        // A bent polygon may lie on two surfaces, but uvunwrap requires each polygon to lie on one.
         let polygon = |f: u32| {
             let (polygon, surface) = (self.polygons[f as usize], self.surfaces[f as usize]);
             (polygon, surface)
@@ -162,14 +164,14 @@ impl<'a> Unwrapper<'a> {
         uvunwrap::generate(&meshes, &options)
     }
 
-    /// Area of all facets in texels of unit length, with their densities.
+    /// Sum over all facets of area times squared density factor: the number of texels of unit length.
     fn weighted_area(&self) -> f64 {
         let facets = self.facets();
         let area = |f: usize| facets.area(f) * self.options.factor(facets.triangles[f].material).powi(2);
         (0..facets.triangles.len()).map(area).sum()
     }
 
-    /// One square page, with charts as short as it takes to use it well.
+    /// The best layout on one square page. Charts are split until the page is used well.
     fn best_page(&self, side: usize) -> Option<Atlas> {
         let mut best = self.page(side);
         let texel = (self.weighted_area() / ENOUGH).sqrt() / side as f64;
@@ -184,7 +186,8 @@ impl<'a> Unwrapper<'a> {
         best.map(|(_, atlas)| atlas)
     }
 
-    /// One square page, where most of the surface is in charts that are wide enough; and the share of it that is used.
+    /// A layout on one square page, and the share of the page that holds surface. `None` if the charts do not fit, or
+    /// if less than half of the surface is in charts that are wide enough.
     fn page(&self, side: usize) -> Option<(f64, Atlas)> {
         let made = self.generate(Density::Auto { page_size: side as u32 }).ok()?;
         let used = used(&made) / (side * side) as f64;
@@ -213,7 +216,7 @@ impl<'a> Unwrapper<'a> {
         )
     }
 
-    /// Texels of a length on one page if it is not too large, else on several, used well.
+    /// The best layout with texels of a given length, on one page if that is not too large, otherwise on several.
     fn best_pages(&self, length: f64, page: usize) -> Result<Atlas> {
         let texels = self.weighted_area() / (length * length);
         let most = (1u64 << 30) as f64;
@@ -228,7 +231,7 @@ impl<'a> Unwrapper<'a> {
         let fits_one = texels <= (page * page) as f64;
         let mut best = None;
         for side in PAGES.map(|n| page / n).into_iter().filter(|&side| side >= page.min(SMALL_PAGE)) {
-            // One page grows to what it takes; pages of one size may leave the last one empty.
+            // A single page grows as needed. Several pages have one size, so the last one may stay almost empty.
             let mut attempt = |layout: &Unwrapper| {
                 if fits_one && side == page {
                     better(&mut best, layout.pages(length, None, page).ok());
@@ -258,7 +261,8 @@ impl<'a> Unwrapper<'a> {
         }
     }
 
-    /// Texels of a length on pages of a size, or on one page of up to `most` texels a side; and the share of them that is used.
+    /// A layout with texels of a given length, and the share of its texels that holds surface. The pages have a side of
+    /// `page` texels. Without `page` there is a single page with a side of up to `most` texels.
     fn pages(&self, length: f64, page: Option<usize>, most: usize) -> Result<(f64, Atlas)> {
         let texels_per_unit = (self.tracer.scale() / length) as f32;
         let density = Density::Fixed { texels_per_unit, page_size: page.map(|page| page as u32) };
@@ -286,7 +290,7 @@ impl<'a> Unwrapper<'a> {
         }
     }
 
-    /// What uvunwrap made, on pages of `side` texels a side where that is given: it crops a single page.
+    /// Converts the result of uvunwrap. uvunwrap crops a single page; `side` restores the side of the page.
     fn atlas(&self, made: uvunwrap::Atlas, side: Option<usize>) -> Atlas {
         let (width, height) = (made.width as usize, made.height as usize);
         let (page_width, page_height) = side.map_or((width, height), |s| (s.max(width), s.max(height)));
@@ -321,13 +325,13 @@ impl<'a> Unwrapper<'a> {
     }
 }
 
-/// The surface of each triangle: what may be one chart.
+/// The surface of each triangle. Triangles belong to the same surface if one chart may hold both.
 fn surfaces(facets: &Scene, options: &AtlasOptions) -> Vec<u32> {
     let mut sets = DisjointSets::new(facets.triangles.len());
     for [e, f] in smooth_edges(facets, CREASE) {
         let (t, u) = (e as usize / 3, f as usize / 3);
-        // Where a lamp is flush with a wall, what leaves is not continuous though what arrives is: viewers that
-        // show the map would blur the lamp's edge. Where densities differ there is no common chart.
+        // If a lamp is flush with a wall, irradiance is continuous across its edge but radiosity is not: viewers that
+        // show the map would blur the lamp's edge. Triangles with different density factors cannot share a chart.
         let factor = |t: usize| options.factor(facets.triangles[t].material);
         if facets.emits(t) == facets.emits(u) && factor(t) == factor(u) {
             sets.unite(t, u);
@@ -336,7 +340,7 @@ fn surfaces(facets: &Scene, options: &AtlasOptions) -> Vec<u32> {
     sets.numbers().0
 }
 
-/// Which triangles are of a surface that is longer than this.
+/// For each triangle, whether its surface's bounding box has a side longer than `longest`.
 fn longer(scene: &Scene, surfaces: &[u32], longest: f64) -> Vec<bool> {
     let count = surfaces.iter().max().map_or(0, |most| *most as usize + 1);
     let mut boxes = vec![[DVec3::INFINITY, DVec3::NEG_INFINITY]; count];
@@ -353,7 +357,7 @@ fn longer(scene: &Scene, surfaces: &[u32], longest: f64) -> Vec<bool> {
     surfaces.iter().map(is_long).collect()
 }
 
-/// Texels that hold surface, about.
+/// Approximate number of texels that hold surface.
 fn used(made: &uvunwrap::Atlas) -> f64 {
     f64::from(made.utilization)
         * f64::from(made.width)
@@ -361,7 +365,7 @@ fn used(made: &uvunwrap::Atlas) -> f64 {
         * f64::from(made.page_count.max(1))
 }
 
-/// Whether a layout is used well, or has no chart longer than a side, in texels, so that shorter charts would not help.
+/// Whether a layout is used well, or has no chart longer than `side` texels, so that splitting charts would not help.
 fn is_good(used: f64, atlas: &Atlas, side: f64) -> bool {
     used >= ENOUGH || atlas.longest_chart() <= side
 }
@@ -374,7 +378,8 @@ fn better(best: &mut Option<(f64, Atlas)>, other: Option<(f64, Atlas)>) {
     }
 }
 
-/// The polygon of each facet: a face none of whose triangles is cut, or a facet alone.
+/// The polygon of each facet. A face is a polygon if none of its triangles is cut; otherwise each of its facets is a
+/// polygon of its own.
 fn polygons(scene: &Scene, cut: Option<&Cut>) -> Vec<u32> {
     let mut face = 0;
     let face_of: Vec<usize> = (0..scene.triangles.len())
@@ -387,7 +392,7 @@ fn polygons(scene: &Scene, cut: Option<&Cut>) -> Vec<u32> {
         })
         .collect();
     let triangles = scene.triangles.len();
-    // What is left of a face after holes and hidden parts were cut away may be in several pieces.
+    // After holes and hidden parts were cut away, the rest of a face may be in several pieces.
     let faces = if scene.face_corners.len() == triangles { scene.faces.len() } else { 0 };
     if faces == 0 {
         return (0..cut.map_or(triangles, |cut| cut.facets.len()) as u32).collect();
@@ -403,7 +408,7 @@ fn polygons(scene: &Scene, cut: Option<&Cut>) -> Vec<u32> {
     };
     let number = |(f, facet): (usize, &super::cut::Facet)| {
         let face = face_of[facet.triangle as usize];
-        // Those of second copies come after those of first ones, and facets alone after all.
+        // Polygons of first copies are numbered first, then those of second copies, then single facets.
         let polygon = if is_whole[face] { face + faces * usize::from(facet.turned) } else { 2 * faces + f };
         polygon as u32
     };

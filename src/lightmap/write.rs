@@ -1,4 +1,4 @@
-//! A map as files: images, and a mesh whose texture coordinates address them.
+//! Files of a map: images, and a mesh whose texture coordinates address them.
 
 use std::{
     borrow::Cow,
@@ -18,16 +18,17 @@ use crate::{
     tone::{Exposure, luminance},
 };
 
-/// What an image shows.
+/// The quantity that an image of the map shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Picture {
-    /// Irradiance.
+    /// Irradiance, W/m².
     Irradiance,
-    /// Radiosity: what a viewer without lights of its own should show.
+    /// Radiosity, W/m²: the light that a viewer without lights of its own should show.
     Radiosity,
-    /// Standard error of irradiance.
+    /// Standard error of irradiance, W/m².
     StandardError,
-    /// White: surface; grey: hidden surface; dark grey: a value from neighbours; black: nothing.
+    /// Kind of each texel. White is surface, grey is hidden surface, dark grey is a value from neighbours, black is
+    /// empty.
     Mask,
 }
 
@@ -39,10 +40,10 @@ pub struct Layer<'a> {
 }
 
 impl Layer<'_> {
-    /// One page as an image, rows from the top as image files have them.
+    /// One page as an image, rows from the top as in image files.
     ///
     /// # Panics
-    /// When there is no such page.
+    /// If there is no such page.
     pub fn page(&self, page: usize) -> Film {
         let (width, height) = (self.atlas.width, self.atlas.height);
         let rows = self.values[page * width * height..][..width * height].chunks(width).rev();
@@ -51,7 +52,7 @@ impl Layer<'_> {
 }
 
 impl Lightmap {
-    /// The values of all pages for one kind of image. Radiosity takes time to compute: call this once for all pages.
+    /// The values of all pages for one kind of image. Radiosity takes time to compute, so call this once for all pages.
     pub fn layer(&self, scene: &Scene, what: Picture) -> Layer<'_> {
         let values = match what {
             Picture::Irradiance => Cow::Borrowed(&*self.irradiance),
@@ -66,7 +67,7 @@ impl Lightmap {
             Picture::Mask => {
                 let shade = |texel: &Texel| match texel {
                     Texel::Valid => [1.0; 3],
-                    // What sRGB encodes as 128 and 64.
+                    // sRGB encodes these values as 128 and 64.
                     Texel::Hidden => [0.215_86; 3],
                     Texel::Dilated => [0.051_27; 3],
                     Texel::Empty => [0.0; 3],
@@ -77,7 +78,7 @@ impl Lightmap {
         Layer { atlas: &self.atlas, values }
     }
 
-    /// Exposure that suits the irradiance of surfaces, by area.
+    /// Automatic exposure for the irradiance of the texels, weighted by area.
     pub fn exposure(&self) -> Exposure {
         Exposure::automatic(
             self.coverage
@@ -101,29 +102,30 @@ impl Lightmap {
         values
     }
 
-    /// Writes the mesh with the texture coordinates of the map; `library` names its materials' file.
+    /// Writes the mesh with the texture coordinates of the map. `library` is the name of its material library.
     ///
     /// # Errors
-    /// What `out` says; those of reading the scene's file, where that is an OBJ file: the mesh is a copy of it.
+    /// Errors of `out`. If the scene comes from an OBJ file, the mesh is a copy of that file, and errors of reading it
+    /// are returned too.
     pub fn write_obj(&self, scene: &Scene, library: &str, out: &mut dyn Write) -> io::Result<()> {
         mesh::write(scene, &self.atlas, Set::Map(library), out)
     }
 
-    /// Writes the mesh with the texture coordinates that the scene's file has, face by face and corner by corner as
-    /// [`Lightmap::write_obj`] does, with the names of the scene's own material libraries.
+    /// Writes the mesh with the texture coordinates of the scene's file and the names of the scene's own material
+    /// libraries. Faces and corners have the same order as in [`Lightmap::write_obj`].
     ///
     /// # Errors
-    /// Those of [`Lightmap::write_obj`].
+    /// See [`Lightmap::write_obj`].
     pub fn write_original(&self, scene: &Scene, libraries: &[String], out: &mut dyn Write) -> io::Result<()> {
         mesh::write(scene, &self.atlas, Set::Own(libraries), out)
     }
 
-    /// Writes the material library of [`Lightmap::write_obj`]: every material shines with the radiosity of its page,
-    /// whose image has the name `image(page)`, and reflects nothing. Viewers show the same with and without lights of
+    /// Writes the material library of [`Lightmap::write_obj`]. Every material emits the radiosity of its page, whose
+    /// image has the name `image(page)`, and reflects nothing. So viewers show the same with and without lights of
     /// their own.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of `out`.
     pub fn write_mtl(
         &self,
         scene: &Scene,

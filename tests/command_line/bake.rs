@@ -159,7 +159,7 @@ fn bad_input_is_reported_and_leaves_nothing() {
     let errors = here.fails("bake scene.obj -o out --keep-uv", 2);
     assert!(errors.contains("triangle 1 and triangle 3") && errors.contains("hint: "), "{errors}");
     let errors = here.fails(&format!("bake {} -o a/b/c --keep-uv", cornell()), 2);
-    assert!(errors.contains("there are none"), "{errors}");
+    assert!(errors.contains("the file has none"), "{errors}");
     let errors = here.fails(&format!("bake {} -o out --resolution 8", cornell()), 2);
     assert!(errors.contains("8 x 8 texels is too small") && errors.contains("--resolution"), "{errors}");
     let errors = here.fails("bake scene.obj -o out --density floor=2", 2);

@@ -496,7 +496,10 @@ fn own_coordinates_are_kept_where_they_suit() {
     square(&mut scene, |uv| 0.1 + uv);
     assert!(make(&scene, Coordinates::Auto).unwrap().refused.unwrap().contains("outside 0..1"));
     assert!(
-        make(&scene, Coordinates::File).unwrap_err().to_string().contains("those of triangle 1 lie outside")
+        make(&scene, Coordinates::File)
+            .unwrap_err()
+            .to_string()
+            .contains("the coordinates of triangle 1 lie outside")
     );
     scene.texcoords[0] = [(0., 0.), (1., 0.), (1., 1.)].map(|(u, v)| glam::dvec2(u, v));
     scene.texcoords[1] = scene.texcoords[0];
