@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3A};
 use super::{PathTracer, Samples};
 use crate::{Error, Result, Setting, scene::direction, trace::Tracer};
 
-/// A pinhole camera in the file's coordinates.
+/// A pinhole camera in scene coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     eye: DVec3,
@@ -16,11 +16,11 @@ pub struct Camera {
     height: usize,
 }
 
-/// A [`Camera`] ready for rays, unit space. Pixels count from the top left, row by row.
+/// A [`Camera`] in unit space, ready for rays. Pixels are numbered from the top left, row by row.
 #[derive(Debug, Clone, Copy)]
 pub struct Lens {
     eye: Vec3A,
-    /// Orthonormal: to the right, upwards, and where the camera looks.
+    /// Orthonormal vectors: to the right, upwards, and forward along the optical axis.
     right: DVec3,
     up: DVec3,
     forward: DVec3,
@@ -30,10 +30,10 @@ pub struct Lens {
     height: usize,
 }
 
-/// Pixels of a picture.
+/// Largest number of pixels of a picture.
 const MOST_PIXELS: usize = 1 << 28;
 
-/// Settings of a place or direction.
+/// The settings that are positions or directions.
 const PLACES: &[Setting] = &[Setting::Eye, Setting::LookAt, Setting::Up];
 
 impl Camera {
@@ -80,22 +80,22 @@ impl Camera {
         let Some(forward) = direction(look_at - eye) else {
             return Err(Error::setting(
                 &[Setting::Eye, Setting::LookAt],
-                "the camera looks at its own place",
+                "the camera's eye and the point it looks at are the same",
                 "move the camera, or look at another point",
             ));
         };
-        // An angle below 10⁻⁶ leaves the picture's rotation to rounding.
+        // Below an angle of 10⁻⁶, rounding determines the rotation of the picture.
         if direction(up).is_none_or(|up| up.cross(forward).length() < 1e-6) {
             return Err(Error::setting(
                 &[Setting::Up],
                 "the camera's up direction is parallel to its view",
-                "choose another one, for instance 0,1,0 or 0,0,1",
+                "choose another direction, for instance 0,1,0 or 0,0,1",
             ));
         }
         Ok(Camera { eye, look_at, up, fov, width, height })
     }
 
-    /// Its position.
+    /// Position of the camera.
     pub fn eye(&self) -> DVec3 {
         self.eye
     }
@@ -206,13 +206,13 @@ impl Lens {
         self.height
     }
 
-    /// Where all rays start.
+    /// The origin of all rays.
     #[inline]
     pub fn eye(&self) -> Vec3A {
         self.eye
     }
 
-    /// Direction, not of unit length, to a place of the picture in pixels; (0, 0) is the upper left corner of the
+    /// Direction, not of unit length, to a position in the picture in pixels. (0, 0) is the upper left corner of the
     /// upper left pixel.
     #[inline]
     pub fn direction(&self, x: f64, y: f64) -> Vec3A {
@@ -262,7 +262,7 @@ mod tests {
         Scene::new(&[([a, b, c], 0), ([a, c, d], 0)], vec![Material::new("m", [0.5; 3], [0.0; 3])])
     }
 
-    /// 2 × 2 at z = 0, front to +z.
+    /// A wall of 2 × 2 at z = 0 that faces +z.
     fn wall() -> Scene {
         square([dvec3(-1., -1., 0.), dvec3(1., -1., 0.), dvec3(1., 1., 0.), dvec3(-1., 1., 0.)])
     }
@@ -304,7 +304,7 @@ mod tests {
         let good = (dvec3(0., 0., 2.), DVec3::ZERO, DVec3::Y, 45.0, 8, 8);
         let make = |c: (DVec3, DVec3, DVec3, f64, usize, usize)| Camera::new(c.0, c.1, c.2, c.3, c.4, c.5);
         assert!(make(good).is_ok());
-        // Up is a direction, of any length.
+        // The up vector may have any length.
         let tracer = Tracer::new(&wall());
         for length in [1e-300, 1e300] {
             let lens = make((good.0, good.1, DVec3::Y * length, 45.0, 8, 8)).unwrap().lens(&tracer);
@@ -314,7 +314,7 @@ mod tests {
             ((good.0, good.1, good.2, good.3, 0, 8), "empty"),
             ((good.0, good.1, good.2, good.3, 8, 0), "empty"),
             ((good.0, good.1, good.2, good.3, usize::MAX, 8), "too large"),
-            ((good.0, good.0, good.2, good.3, 8, 8), "own place"),
+            ((good.0, good.0, good.2, good.3, 8, 8), "are the same"),
             ((good.0, good.1, DVec3::Z, good.3, 8, 8), "parallel"),
             ((good.0, good.1, DVec3::ZERO, good.3, 8, 8), "parallel"),
             ((DVec3::NAN, good.1, good.2, good.3, 8, 8), "not finite"),

@@ -1,4 +1,4 @@
-//! Emitters, and the choice of points on them by power.
+//! Emitters, and importance sampling of points on them by power.
 
 use std::{cmp::Ordering, collections::BinaryHeap};
 
@@ -10,49 +10,52 @@ use crate::{
     trace::{Tracer, sampling::square_to_triangle},
 };
 
-/// One emitting triangle, or a part of one whose texture emits.
+/// An emitting triangle, or a part of a triangle with an emission texture.
 #[derive(Debug, Clone, Copy)]
 struct Emitter {
     triangle: u32,
-    /// The part: the first of its descendants at [`DEEPEST`], and how many quadtree steps lead to it.
+    /// The part, as a cell of the triangle's quadtree: the first of its descendants at level [`DEEPEST`], and its own
+    /// level.
     first: u32,
     level: u8,
     /// Upper end of its share of \[0, 1).
     cumulative: f64,
-    /// Probability per area, unit space.
+    /// Probability per area in unit space.
     density: f64,
 }
 
-/// Number of parts that triangles with emitting textures are cut into, in addition to one part each. A texture whose light
-/// comes from a few texels is then sampled there. A list of 2¹⁴ parts takes about a hundred milliseconds to make.
+/// Number of parts that all triangles with emission textures are cut into, in addition to one part per triangle. If the
+/// light of a texture comes from a few texels, points are then chosen there. A list of 2¹⁴ parts takes about a hundred
+/// milliseconds to make.
 const PARTS: f64 = 16384.0;
 
-/// No triangle is cut in more steps: its parts are numbered with 24 bits.
+/// Deepest level of a part. Its index has 24 bits.
 const DEEPEST: u8 = 12;
 
 /// A point chosen on an emitter.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct EmitterPoint {
-    /// The point, unit space.
+    /// The point in unit space.
     pub(super) position: Vec3A,
     /// Normal of the side that emits.
     pub(super) normal: Vec3A,
-    /// Radiance emitted.
+    /// Emitted radiance.
     pub(super) radiance: [f64; 3],
     /// Probability per area in unit space.
     pub(super) density: f64,
 }
 
-/// The emitters of a scene, each with a probability proportional to its power (R, G and B alike); uniform on each.
+/// The emitters of a scene. Each is chosen with a probability proportional to its power, summed over the channels.
+/// Points are uniform on each emitter.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Emitters {
     list: Vec<Emitter>,
-    /// For each triangle of the scene, where its parts begin in `list`. The last entry is the end of the list. Empty without
-    /// emitters.
+    /// For each triangle of the scene, the index of its first part in `list`. The last entry is the length of the list.
+    /// Empty without emitters.
     starts: Vec<u32>,
     /// The largest radiance that any material emits.
     brightest: [f64; 3],
-    /// The power of all, all channels together.
+    /// Power of all emitters, summed over the channels, W.
     power: f64,
 }
 
@@ -101,7 +104,7 @@ impl Emitters {
         emitters
     }
 
-    /// The power of all, all channels together.
+    /// Power of all emitters, summed over the channels, W.
     pub(super) fn power(&self) -> f64 {
         self.power
     }
@@ -116,7 +119,7 @@ impl Emitters {
         self.brightest
     }
 
-    /// Probability per area (unit space) with which [`Emitters::sample`] chooses a point of a triangle.
+    /// Probability per area in unit space with which [`Emitters::sample`] chooses a point of a triangle.
     #[inline]
     pub(super) fn density(&self, triangle: u32, barycentric: [f32; 3]) -> f64 {
         let t = triangle as usize;
@@ -133,11 +136,11 @@ impl Emitters {
         }
     }
 
-    /// Chooses a point. It needs one pair of numbers only: the remainder of the number that chose the emitter is uniform
-    /// again. This keeps strata.
+    /// Chooses a point on an emitter. It needs only one pair of numbers, because the remainder of the number that chose
+    /// the emitter is uniform again. This preserves the stratification of the samples.
     ///
     /// # Panics
-    /// When nothing emits.
+    /// If nothing emits.
     #[inline]
     pub(super) fn sample(&self, scene: &Scene, tracer: &Tracer, samples: &mut Samples) -> EmitterPoint {
         let (x, y) = samples.fine_square();
@@ -202,8 +205,8 @@ impl Ord for Part {
     }
 }
 
-/// Cuts a triangle into at most `most` parts, in the order of the quadtree. It repeatedly cuts the part with the most power,
-/// down to the size of a texel. Parts that emit nothing are left out.
+/// Cuts a triangle into at most `most` + 2 parts, in the order of the quadtree. It repeatedly cuts the part with the most
+/// power, down to the size of a texel. Parts that emit nothing are left out.
 fn parts(scene: &Scene, t: usize, most: usize) -> Vec<Part> {
     let texels = scene.emission_texels(t);
     let mut open = BinaryHeap::from([Part::new(scene, t, 0, 0)]);

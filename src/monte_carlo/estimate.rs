@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::{Samples, samples::take};
 use crate::{Progress, Result, trace::sampling::mix};
 
-/// A Monte Carlo estimate, R G B.
+/// A Monte Carlo estimate per channel (R, G, B).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Estimate {
@@ -20,7 +20,7 @@ impl Estimate {
     /// Mean and standard error of replicates of equal weight.
     ///
     /// # Panics
-    /// With fewer than two replicates, which have no spread.
+    /// With fewer than two replicates: their spread is not defined.
     pub fn of(replicates: &[[f64; 3]]) -> Estimate {
         let n = replicates.len() as f64;
         assert!(n >= 2.0, "a standard error needs two replicates");
@@ -41,7 +41,7 @@ impl Estimate {
     }
 }
 
-/// Mean and spread of replicates that arrive one by one (Welford, Technometrics 4(3), 1962).
+/// Running mean and variance of replicates (Welford, Technometrics 4(3), 1962).
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Running {
     mean: DVec3,
@@ -50,7 +50,7 @@ pub(super) struct Running {
 }
 
 impl Running {
-    /// Takes replicate number `n`, counted from 1.
+    /// Adds replicate number `n`, counted from 1.
     pub(super) fn add(&mut self, n: u32, value: DVec3) {
         let before = value - self.mean;
         self.mean += before / f64::from(n);
@@ -69,13 +69,13 @@ impl Running {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Effort {
-    /// Samples for each estimate, rounded up to a multiple of `replicates`. Default 4096. Powers of two suit the
-    /// sequences best.
+    /// Samples per estimate, rounded up to a multiple of `replicates`. Default 4096. Sobol sequences are most accurate
+    /// with powers of two.
     pub samples: u32,
     /// Number of replicates, which are independent scrambles of the sequence. Their spread gives the standard error, which has a
     /// relative uncertainty of about 1/√(2·replicates). Default 16.
     pub replicates: u32,
-    /// Seed. Everything is a function of it. Default 1.
+    /// Seed of all random numbers. Default 1.
     pub seed: u64,
 }
 
@@ -150,7 +150,8 @@ mod tests {
 
     #[test]
     fn standard_error_covers_a_known_mean() {
-        // The integral of x² y over the square is 1/6. 400 estimates, about 5 % outside two standard errors.
+        // The integral of x² y over the square is 1/6. About 5 % of 400 estimates should be more than two standard
+        // errors off.
         let effort = Effort { samples: 256, ..Effort::default() };
         let all = effort
             .estimate(400, &Progress::new(), |_, s| {

@@ -1,4 +1,4 @@
-//! A camera that frames any scene. Rays find out whether the scene is a room or an object.
+//! A camera that frames any scene. Rays determine whether the scene is a room or an object.
 
 use glam::Vec3A;
 
@@ -9,7 +9,7 @@ use crate::{
     trace::{Tracer, sampling::mix},
 };
 
-/// Number of directions from each place.
+/// Number of rays from each place.
 const DIRECTIONS: usize = 192;
 /// Number of places to try inside the bounding box of the scene.
 const PLACES: u64 = 48;
@@ -24,14 +24,14 @@ struct Surroundings {
     backs: f64,
     /// Shortest distance of a hit.
     clearance: f32,
-    /// Fraction of the rays that escaped, by the direction's largest component: +x −x +y −y +z −z.
+    /// Fraction of the rays that escaped, by the axis nearest to their direction: +x −x +y −y +z −z.
     escaped: [f64; 6],
 }
 
 enum Kind {
-    /// Light cannot leave, or only through windows.
+    /// A room that light cannot leave, or only through windows.
     Closed,
-    /// A room one of whose six sides is missing.
+    /// A room with one of its six sides missing, given by its index in [`AXES`].
     OpenTowards(usize),
     /// Objects in the open.
     Object,
@@ -41,10 +41,10 @@ impl Camera {
     /// A camera that shows the whole scene. It looks at a room with a missing side through the opening, at a closed room from one
     /// of its corners, and at anything else diagonally from outside.
     ///
-    /// Upwards is +y, except for a room that is open along y.
+    /// The up direction is +y, except for a room that is open along y.
     ///
     /// # Errors
-    /// [`crate::Error::Usage`] for an empty picture.
+    /// [`crate::Error::Setting`] for a picture that is empty or too large.
     pub fn frame(scene: &Scene, tracer: &Tracer, width: usize, height: usize) -> Result<Camera> {
         let (low, high) = bounds(scene, tracer);
         let centre = (low + high) * 0.5;
@@ -93,7 +93,7 @@ fn fit(half: f32, fov: f64) -> f32 {
     half / (fov.to_radians() / 2.0).tan() as f32
 }
 
-/// Place `i` of the unit cube.
+/// Pseudo-random point `i` of the unit cube.
 fn place(i: u64) -> Vec3A {
     let number = |axis: u64| (mix(&[i, axis]) >> 40) as f32 * 2f32.powi(-24);
     Vec3A::new(number(0), number(1), number(2))
@@ -140,8 +140,8 @@ fn kind(inside: &[Surroundings]) -> Kind {
     }
 }
 
-/// Eye and target inside a room. The eye is a place near a corner, a little above the middle, with the longest view. Places that are
-/// too close to surfaces are left out.
+/// Eye and target inside a room. The eye is the place with the longest view among places near the corners, a little
+/// above the middle. Places that are too close to surfaces are left out.
 fn from_corner(tracer: &Tracer, low: Vec3A, high: Vec3A, inside: &[Surroundings]) -> (Vec3A, Vec3A) {
     let (centre, half) = ((low + high) * 0.5, (high - low) * 0.5);
     let needed = 0.1 * half.min_element();
@@ -163,7 +163,7 @@ fn from_corner(tracer: &Tracer, low: Vec3A, high: Vec3A, inside: &[Surroundings]
         })
 }
 
-/// Mean distance seen within about 35 degrees of the way to the target.
+/// Mean length of the rays within about 37 degrees of the direction to the target, each at most 2.
 fn depth(tracer: &Tracer, eye: Vec3A, target: Vec3A) -> f32 {
     let way = (target - eye).normalize_or_zero();
     let seen: Vec<f32> = (0..DIRECTIONS)
@@ -174,7 +174,7 @@ fn depth(tracer: &Tracer, eye: Vec3A, target: Vec3A) -> f32 {
     seen.iter().sum::<f32>() / seen.len().max(1) as f32
 }
 
-/// A point in the direction, not far from level, in which most can be seen.
+/// A point in the roughly horizontal direction with the longest view.
 fn furthest(tracer: &Tracer, eye: Vec3A) -> Vec3A {
     (0..DIRECTIONS)
         .map(direction)
@@ -190,7 +190,7 @@ mod tests {
     use crate::monte_carlo::tests::{box_walls, grey};
     use glam::{DVec3, dvec3};
 
-    /// The share of the picture that shows fronts, and the camera.
+    /// The camera, and the share of the picture that shows fronts.
     fn framed(scene: &Scene) -> (Camera, f64) {
         let tracer = Tracer::new(scene);
         let camera = Camera::frame(scene, &tracer, 64, 48).unwrap();
@@ -250,7 +250,7 @@ mod tests {
         let lens = camera.lens(&tracer);
         assert!(scene.vertices.iter().all(|&v| lens.pixel_of(tracer.to_unit(v)).is_some()));
         assert!(camera.eye().y > 3.0);
-        // The same on a floor.
+        // The same object on a floor.
         let mut shapes = box_walls(DVec3::ONE, dvec3(2.0, 3.0, 2.5), false);
         let floor = [dvec3(-5., 1., -5.), dvec3(-5., 1., 5.), dvec3(5., 1., 5.), dvec3(5., 1., -5.)];
         shapes.push(([floor[0], floor[1], floor[2]], 0));

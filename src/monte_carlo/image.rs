@@ -13,7 +13,7 @@ use crate::{
     trace::sampling::mix,
 };
 
-/// Linear radiance, W/(m² sr), row by row from the top.
+/// A picture of linear radiance, W/(m² sr), row by row from the top.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Film {
     width: usize,
@@ -21,13 +21,14 @@ pub struct Film {
     pixels: Vec<[f32; 3]>,
 }
 
-/// How a picture is sampled.
+/// Options of [`Film::render`] and [`Film::sample`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RenderOptions {
-    /// Paths per pixel, spread over its square. Default 64. Powers of two suit the sequences best.
+    /// Paths per pixel, spread over the pixel's square. Default 64. Sobol sequences are most accurate with powers of
+    /// two.
     pub samples: u32,
-    /// Seed. Everything is a function of it. Default 1.
+    /// Seed of all random numbers. Default 1.
     pub seed: u64,
 }
 
@@ -42,10 +43,10 @@ impl Default for RenderOptions {
     }
 }
 
-/// How a picture is stored.
+/// File format of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PictureFormat {
-    /// Eight bits a channel, exposed and encoded as sRGB.
+    /// Eight bits per channel, exposed and encoded as sRGB.
     Png,
     /// Radiance in single precision, linear and not exposed.
     Exr,
@@ -60,7 +61,7 @@ impl PictureFormat {
         all.into_iter().find(|format| extension.eq_ignore_ascii_case(format.extension()))
     }
 
-    /// The extension of its file names.
+    /// The file name extension of this format.
     pub fn extension(self) -> &'static str {
         match self {
             PictureFormat::Png => "png",
@@ -74,7 +75,7 @@ impl Film {
     /// A picture from its pixels.
     ///
     /// # Panics
-    /// When the number of pixels is not `width` times `height`.
+    /// If the number of pixels is not `width` times `height`.
     pub fn from_pixels(width: usize, height: usize, pixels: Vec<[f32; 3]>) -> Film {
         assert_eq!(pixels.len(), width * height, "a picture has width times height pixels");
         Film { width, height, pixels }
@@ -91,7 +92,7 @@ impl Film {
         self.width
     }
 
-    /// Rows.
+    /// Number of rows.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -117,11 +118,11 @@ impl Film {
         })
     }
 
-    /// A picture whose pixels are means over their squares. `radiance` samples the radiance that arrives at the eye from a direction,
-    /// which need not have unit length.
+    /// Samples a picture: each pixel is the mean radiance over its square. `radiance` returns a sample of the radiance
+    /// that arrives at the eye from a direction, which need not have unit length.
     ///
-    /// The numbers of a sample depend on the seed, the pixel and the sample alone, so the bytes are the same for any
-    /// number of threads.
+    /// The random numbers of a sample depend only on the seed, the pixel and the index of the sample. So the bytes are
+    /// the same for any number of threads.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped).
@@ -135,7 +136,7 @@ impl Film {
         let samples = options.samples.max(1);
         let mut pixels = vec![[0.0; 3]; width * height];
         progress.begin("rendering", pixels.len() as u64 * samples as u64);
-        // Short stretches keep all threads busy to the end, whatever the picture's shape.
+        // Short stretches of pixels keep all threads busy to the end, for any shape of the picture.
         const STRETCH: usize = 32;
         pixels.par_chunks_mut(STRETCH).enumerate().try_for_each(|(chunk, stretch)| {
             for (k, pixel) in stretch.iter_mut().enumerate() {
@@ -163,8 +164,8 @@ impl Film {
         std::array::from_fn(|c| self.pixels.iter().map(|p| f64::from(p[c])).sum::<f64>() / n)
     }
 
-    /// The exposure that shows nine tenths of the lit pixels below white. Lamps in the picture may clip, and black surroundings do not
-    /// count.
+    /// The exposure at which nine tenths of the lit pixels are below white. Lamps in the picture may clip. Black pixels
+    /// do not count.
     pub fn automatic_exposure(&self) -> Exposure {
         Exposure::automatic(self.pixels.iter().map(|p| (luminance(p.map(f64::from)), 1.0)))
     }
@@ -174,10 +175,10 @@ impl Film {
         self.pixels.iter().map(|p| exposure.encode(p.map(f64::from))).collect()
     }
 
-    /// Writes the picture; only a PNG is exposed.
+    /// Writes the picture to `out`. The exposure applies to PNG only.
     ///
     /// # Errors
-    /// Errors of the writer, and a radiance that single precision cannot hold.
+    /// Errors of `out`, and an error if a radiance is not finite in single precision.
     pub fn encode(
         &self,
         out: &mut (impl Write + ?Sized),
@@ -185,7 +186,9 @@ impl Film {
         exposure: Exposure,
     ) -> io::Result<()> {
         if !self.pixels.iter().flatten().all(|x| x.is_finite()) {
-            return Err(io::Error::other("the picture holds a radiance that single precision cannot"));
+            return Err(io::Error::other(
+                "the picture has a radiance that is not finite in single precision",
+            ));
         }
         let (width, height) = (self.width as u32, self.height as u32);
         let linear = || {
@@ -203,7 +206,7 @@ impl Film {
             PictureFormat::Exr => (linear(), ImageFormat::OpenExr),
             PictureFormat::Hdr => (linear(), ImageFormat::Hdr),
         };
-        // The encoder of EXR seeks.
+        // The EXR encoder seeks.
         let mut bytes = io::Cursor::new(Vec::new());
         picture.write_to(&mut bytes, format).map_err(io::Error::other)?;
         out.write_all(bytes.get_ref())
@@ -249,9 +252,9 @@ mod tests {
         assert!((exposure.scale - 0.8 / 18.0).abs() < 1e-12);
         let back = encoded(&film, PictureFormat::Png, exposure).to_rgb8();
         let value = |i: u32| back.get_pixel(i % 12, i / 12).0;
-        // By the standard: 255 (1.055 x^(1/2.4) - 0.055) is 231.1 for 0.8 and 59.5 for 0.8/18.
+        // The sRGB standard: 255 (1.055 x^(1/2.4) - 0.055) is 231.1 for 0.8 and 59.5 for 0.8/18.
         assert_eq!([value(0), value(4), value(21), value(23)], [[0; 3], [59; 3], [231; 3], [255; 3]]);
-        // 0.4: 169.6.
+        // For 0.4 it is 169.6.
         let darker = encoded(&film, PictureFormat::Png, exposure.brighter(-1.0)).to_rgb8();
         assert_eq!(darker.get_pixel(9, 1).0, [170; 3]);
     }

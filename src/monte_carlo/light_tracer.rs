@@ -1,13 +1,13 @@
 //! Light tracing: particles are followed from emission to absorption.
 //!
-//! The energy of each particle balances to rounding. At the first reflections absorption is continuous: the particle keeps
-//! the share ρ and the rest is absorbed, which avoids the variance of early deaths. After that the particle survives with
-//! probability q = max ρ. A survivor keeps the share ρ/q, and 1 − ρ/q ≥ 0 is absorbed. If the particle dies, all of it is
-//! absorbed. Both absorb 1 − ρ in expectation, the absorbed parts sum to what was emitted, and weights never grow, as they
-//! would if roulette raised the weight of survivors.
+//! The energy of each particle balances to rounding. At the first reflections absorption is continuous: the particle
+//! keeps the share ρ and the rest is absorbed, which avoids the variance of early deaths. After that the particle
+//! survives with probability q = max ρ. A survivor keeps the share ρ/q, and 1 − ρ/q ≥ 0 is absorbed. If the particle
+//! dies, all of it is absorbed. In expectation both rules absorb 1 − ρ, and absorbed and escaped flux sum to the
+//! emitted flux. Weights never grow, as they would if roulette raised the weight of survivors.
 //!
-//! On glossy surfaces ρ is the weight of the sampled direction. Some weights exceed 1, and then the absorbed part is negative. The energy
-//! still balances, and the mean is right.
+//! On glossy surfaces ρ is the weight of the sampled direction. Some weights exceed 1, and then the absorbed part is
+//! negative. The energy still balances, and the mean is right.
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
@@ -30,23 +30,23 @@ use crate::{
     },
 };
 
-/// After this many hits a particle counts as endless: at a reflectance of 0.9999 only one in e¹⁰⁰ gets so far.
+/// After this many hits a particle counts as endless. At a reflectance of 0.9999 only one in e¹⁰⁰ has so many hits.
 const ENDLESS: u32 = 1_000_000;
 
-/// Camera rays of a pixel that show the sky.
+/// Camera rays per pixel for the sky behind the scene.
 const BACKGROUND: u32 = 16;
 
-/// How particles are followed.
+/// Options of [`LightTracer::new`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct LightOptions {
-    /// Particles, rounded up to a multiple of `batches`. Default 2²⁰.
+    /// Number of particles, rounded up to a multiple of `batches`. Default 2²⁰.
     pub particles: u64,
-    /// Independent batches, whose spread gives the standard errors. Default 32.
+    /// Number of independent batches. Their spread gives the standard errors. Default 32.
     pub batches: u32,
-    /// Reflections before a particle may die. Until then absorption is continuous. Default 3.
+    /// Number of reflections before a particle may die. Until then absorption is continuous. Default 3.
     pub continuous: u32,
-    /// Seed. Everything is a function of it. Default 1.
+    /// Seed of all random numbers. Default 1.
     pub seed: u64,
 }
 
@@ -63,11 +63,11 @@ impl Default for LightOptions {
     }
 }
 
-/// The energy account of one particle, W: `emitted` = `absorbed` + `escaped` to rounding.
+/// The energy balance of one particle, W: `emitted` = `absorbed` + `escaped` to rounding.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Particle {
-    /// Flux at emission, or where it first meets a surface if it comes from a light that is none.
+    /// Flux at emission. For a particle from the sky, a distant light or a point light that misses the scene, it is 0.
     pub emitted: [f64; 3],
     /// Flux absorbed by surfaces.
     pub absorbed: [f64; 3],
@@ -75,29 +75,29 @@ pub struct Particle {
     pub escaped: [f64; 3],
 }
 
-/// The result of light tracing, W.
+/// Totals of light tracing, W.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct LightTransport {
-    /// Flux that arrived in each bin. Divided by the area of the bin it is the irradiance.
+    /// Flux that arrived in each bin. Divided by the area of the bin, this is its irradiance.
     pub bins: Vec<Estimate>,
-    /// Flux emitted by surfaces, and entered from other lights.
+    /// Flux emitted by surfaces, plus flux from other lights that hits a surface.
     pub emitted: Estimate,
-    /// Flux absorbed.
+    /// Absorbed flux.
     pub absorbed: Estimate,
     /// Flux that left the scene.
     pub escaped: Estimate,
 }
 
-/// A picture made by light tracing, with the totals of the particles that made it.
+/// A picture from light tracing, with the totals of its particles.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct LightImage {
-    /// Radiance.
+    /// Radiance, W/(m² sr).
     pub film: Film,
-    /// Standard error of each pixel.
+    /// Standard error of each pixel, W/(m² sr).
     pub standard_error: Film,
-    /// Totals; no bins.
+    /// Totals of all particles, without bins.
     pub transport: LightTransport,
 }
 
@@ -108,32 +108,33 @@ pub struct LightTracer<'a> {
     tracer: &'a Tracer,
     emitters: Emitters,
     outside: Outside,
-    /// The share of the particles that come from outside.
+    /// The share of the particles that come from lights that are not surfaces.
     share: f64,
     surfaces: Surfaces,
-    /// Whether particles are followed as in a scene with gloss.
+    /// Whether particles are followed with the code for glossy surfaces.
     glossy: bool,
     options: LightOptions,
 }
 
 /// One event of a particle.
 enum Event<'h> {
-    /// Flux arrives.
+    /// Flux arrives at a hit.
     Arrives(&'h Hit, DVec3),
-    /// Flux leaves a point with this normal. The function gives it per solid angle and cosine towards a vector.
+    /// Flux leaves a point with a normal. The function returns this flux per solid angle and cosine in the direction of
+    /// a vector.
     Leaves(Vec3A, Vec3A, &'h dyn Fn(Vec3A) -> DVec3),
 }
 
-/// A particle at its start.
+/// A particle at its origin.
 struct Begun {
     origin: Vec3A,
     direction: Vec3A,
     flux: DVec3,
-    /// Whether it comes from a light that is no surface.
+    /// Whether it comes from a light that is not a surface.
     is_outside: bool,
 }
 
-/// Sums of one batch: bins of three channels, and the energy account.
+/// Sums of one batch: the counters, and the emitted, absorbed and escaped flux. Three channels each.
 struct Batch {
     counters: Vec<[f64; 3]>,
     books: [[f64; 3]; 3],
@@ -150,7 +151,8 @@ impl<'a> LightTracer<'a> {
         LightTracer { scene, tracer, emitters, outside, share, surfaces, glossy, options }
     }
 
-    /// The tracer with an equal number of random numbers per hit: see [`super::PathTracer::in_step`].
+    /// The same tracer, but all materials use the same number of random numbers per hit; see
+    /// [`super::PathTracer::in_step`].
     pub(crate) fn in_step(self) -> Self {
         LightTracer { glossy: true, ..self }
     }
@@ -158,7 +160,7 @@ impl<'a> LightTracer<'a> {
     /// Follows all particles. `bin` returns the index of the bin that a hit belongs to, if any.
     ///
     /// # Errors
-    /// [`Error::Stopped`]; [`Error::NoEquilibrium`] when particles do not end.
+    /// [`Error::Stopped`]; [`Error::NoEquilibrium`] if a particle does not end.
     pub fn trace(
         &self,
         bins: usize,
@@ -174,10 +176,10 @@ impl<'a> LightTracer<'a> {
         })
     }
 
-    /// Follows all particles and connects every point that they leave to the camera.
+    /// Follows all particles and connects each of their vertices to the camera.
     ///
     /// # Errors
-    /// [`Error::Stopped`]; [`Error::NoEquilibrium`] when particles do not end.
+    /// [`Error::Stopped`]; [`Error::NoEquilibrium`] if a particle does not end.
     pub fn image(&self, camera: &Camera, progress: &Progress) -> Result<LightImage> {
         let lens = camera.lens(self.tracer);
         let (width, height) = (camera.width(), camera.height());
@@ -191,7 +193,7 @@ impl<'a> LightTracer<'a> {
         };
         let mut picture = film(|e| e.mean);
         if !self.outside.is_empty() {
-            // No particle comes from the sky into a pinhole.
+            // No particle from the sky passes the pinhole directly, so camera rays add the visible sky.
             let options = RenderOptions::default().with_samples(BACKGROUND).with_seed(self.options.seed);
             let sky = Film::sample(&lens, &options, progress, |direction, _| {
                 match self.tracer.closest(lens.eye(), direction) {
@@ -208,10 +210,10 @@ impl<'a> LightTracer<'a> {
         })
     }
 
-    /// The energy account of each batch, W: emitted, absorbed and escaped, R G B.
+    /// The energy balance of each batch, W: emitted, absorbed and escaped flux, per channel.
     ///
     /// # Errors
-    /// [`Error::Stopped`]; [`Error::NoEquilibrium`] when particles do not end.
+    /// [`Error::Stopped`]; [`Error::NoEquilibrium`] if a particle does not end.
     pub(crate) fn books(&self, progress: &Progress) -> Result<Vec<[[f64; 3]; 3]>> {
         let LightOptions { batches, .. } = self.options;
         let each = self.particles_of_a_batch();
@@ -223,20 +225,21 @@ impl<'a> LightTracer<'a> {
         (0..batches).into_par_iter().map(books).collect()
     }
 
-    /// Whether there is no light.
+    /// Whether the scene has no light.
     fn is_dark(&self) -> bool {
         self.emitters.is_empty() && self.share == 0.0
     }
 
     fn particles_of_a_batch(&self) -> u32 {
         let LightOptions { particles, batches, .. } = self.options;
-        u32::try_from(particles.div_ceil(batches.into()).max(1)).expect("fewer particles a batch")
+        u32::try_from(particles.div_ceil(batches.into()).max(1))
+            .expect("the particles of a batch fit 32 bits")
     }
 
     /// Follows particle `index` of the stream `seed`. On average it carries `1/count` of the power of the scene.
     ///
     /// # Errors
-    /// [`Error::NoEquilibrium`] when it does not end.
+    /// [`Error::NoEquilibrium`] if it does not end.
     pub fn particle(&self, index: u32, seed: u64, count: u64) -> Result<Particle> {
         self.follow(&mut Samples::new(index, seed), 1.0 / count as f64, &mut |_| ())
     }
@@ -254,8 +257,8 @@ impl<'a> LightTracer<'a> {
         if self.is_dark() {
             return Ok(LightTransport { bins: vec![Estimate::default(); counters], ..Default::default() });
         }
-        // In waves there are no more arrays than threads. Folding in the order of the batches makes the sums independent of
-        // the number of threads.
+        // Batches run in waves, so there are no more arrays of counters than threads. They are added in order, so the
+        // sums do not depend on the number of threads.
         let wave = rayon::current_num_threads().max(1) as u32;
         let mut running = vec![Running::default(); counters + 3];
         for first in (0..batches).step_by(wave as usize) {
@@ -297,13 +300,13 @@ impl<'a> LightTracer<'a> {
         Ok(sums)
     }
 
-    /// Follows one particle that stands for `share` of all.
+    /// Follows one particle that carries `share` of the scene's power on average, and reports its events.
     #[inline]
-    fn follow(&self, samples: &mut Samples, share: f64, tell: &mut impl FnMut(Event)) -> Result<Particle> {
+    fn follow(&self, samples: &mut Samples, share: f64, report: &mut impl FnMut(Event)) -> Result<Particle> {
         if self.glossy {
-            self.follow_by::<Surface>(samples, share, tell)
+            self.follow_by::<Surface>(samples, share, report)
         } else {
-            self.follow_by::<Diffuse>(samples, share, tell)
+            self.follow_by::<Diffuse>(samples, share, report)
         }
     }
 
@@ -312,10 +315,10 @@ impl<'a> LightTracer<'a> {
         &'s self,
         samples: &mut Samples,
         share: f64,
-        tell: &mut impl FnMut(Event),
+        report: &mut impl FnMut(Event),
     ) -> Result<Particle> {
         let place = Place { scene: self.scene, tracer: self.tracer, surfaces: &self.surfaces };
-        let begun = self.begin(samples, share, tell);
+        let begun = self.begin(samples, share, report);
         let (mut origin, mut direction, mut flux) = (begun.origin, begun.direction, begun.flux);
         let emitted = flux;
         let mut absorbed = DVec3::ZERO;
@@ -324,13 +327,13 @@ impl<'a> LightTracer<'a> {
                 let passes = hits == 0 && begun.is_outside;
                 return Ok(if passes { Particle::default() } else { close(emitted, absorbed, flux) });
             };
-            tell(Event::Arrives(&hit, flux));
+            report(Event::Arrives(&hit, flux));
             let shape = &self.tracer.triangles()[hit.triangle as usize];
             let (point, normal) = (shape.point(hit.barycentric), shape.side_normal(hit.front));
             origin = Tracer::leave(point, normal);
             let (surface, reflectance) = S::met(place, &hit, direction);
             let arrived = flux * reflectance;
-            tell(Event::Leaves(point, normal, &|to| arrived * surface.brdf(to)));
+            report(Event::Leaves(point, normal, &|to| arrived * surface.brdf(to)));
             let bounce = surface.sample(normal, samples);
             let weight = bounce.map_or(DVec3::ZERO, |b| b.weight * reflectance);
             let q = if hits < self.options.continuous { 1.0 } else { survival(weight, flux) };
@@ -346,9 +349,9 @@ impl<'a> LightTracer<'a> {
         Err(Error::NoEquilibrium)
     }
 
-    /// Emits a particle that stands for `share` of all.
+    /// Emits a particle that carries `share` of the scene's power on average.
     #[inline]
-    fn begin(&self, samples: &mut Samples, share: f64, tell: &mut impl FnMut(Event)) -> Begun {
+    fn begin(&self, samples: &mut Samples, share: f64, report: &mut impl FnMut(Event)) -> Begun {
         let mut of_lamps = 1.0;
         if self.share > 0.0 {
             let u = f64::from(samples.number());
@@ -363,17 +366,17 @@ impl<'a> LightTracer<'a> {
         let (point, normal) = (lamp.position, lamp.normal);
         let file_density = lamp.density / self.tracer.scale().powi(2);
         let flux = DVec3::from(lamp.radiance) * (PI * share / (file_density * of_lamps));
-        tell(Event::Leaves(point, normal, &|_| flux * FRAC_1_PI));
+        report(Event::Leaves(point, normal, &|_| flux * FRAC_1_PI));
         let [x, y] = samples.square();
         let direction = around(normal, square_to_cosine_hemisphere(x, y));
         Begun { origin: Tracer::leave(point, normal), direction, flux, is_outside: false }
     }
 
-    /// Adds flux that leaves a point to the radiance of the pixel in which the camera sees it.
+    /// Adds flux that leaves a point to the radiance of the pixel in which the camera sees the point.
     ///
-    /// A pixel is the mean of L over its square of the image plane at distance 1. On that plane an area dA at distance r
-    /// covers dA cos θ / (r² cos³ θc), where θc is the angle to the optical axis. If flux Φ arrives on dA, then L dA = f Φ.
-    /// Light from mirrors never passes the pinhole.
+    /// A pixel is the mean of L over its square of the image plane at distance 1. On that plane an area dA at distance
+    /// r covers dA cos θ / (r² cos³ θc), where θc is the angle to the optical axis. If flux Φ arrives on dA, then L dA
+    /// = f Φ. Light from mirrors never passes the pinhole.
     #[inline]
     fn splat(
         &self,
@@ -390,14 +393,14 @@ impl<'a> LightTracer<'a> {
         if cos > 0.0 && self.tracer.visible(from, lens.eye()) {
             let squared = f64::from(to.length_squared());
             let cover = f64::from(cos) / (squared * squared.sqrt() * cos_axis.powi(3));
-            // Flux refers to areas of the file, distances to unit space.
+            // The density of flux is per area in scene units, but distances are in unit space.
             let unit = lens.pixel_area() * self.tracer.scale().powi(2);
             add(&mut counters[pixel], leaving(to) * (cover / unit));
         }
     }
 }
 
-/// The largest reflectance of the channels that still carry flux, at most 1.
+/// Probability of survival: the largest reflectance among the channels that still carry flux, at most 1.
 #[inline]
 fn survival(reflectance: DVec3, flux: DVec3) -> f64 {
     (0..3).filter(|&c| flux[c] > 0.0).map(|c| reflectance[c]).fold(0.0, f64::max).min(1.0)

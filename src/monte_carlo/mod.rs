@@ -1,10 +1,10 @@
-//! The referee: path tracing and light tracing. They share only the rays with the solver.
+//! Independent reference estimators: path tracing and light tracing. They share only the ray tracer with the solver.
 //!
-//! No form factor, no patch and no linear system is used here, so an agreement with the solver is evidence. Rays run in unit
-//! space ([`crate::trace::Tracer`]), and results are in the units of the file. Irradiance and radiance do not depend on the
-//! unit of length. Flux is in W if areas are in m².
+//! They use no form factors, no patches and no linear system, so their agreement with the solver is evidence that it is
+//! right. Rays run in unit space ([`crate::trace::Tracer`]), and results are in the units of the file. Irradiance and
+//! radiance do not depend on the unit of length. Flux is in W if areas are in m².
 //!
-//! Every estimate has a standard error, computed from independent replicates. Everything is a function of the seed alone, for any
+//! Every estimate has a standard error, computed from independent replicates. Results depend on the seed but not on the
 //! number of threads.
 
 mod camera;

@@ -1,4 +1,4 @@
-//! Lights that are no surfaces, as paths and particles meet them: sky, distant discs and points.
+//! Sampling of lights that are not surfaces, for paths and particles: sky, distant discs and points.
 
 use std::f64::consts::{PI, TAU};
 
@@ -13,13 +13,15 @@ use crate::{
     trace::Tracer,
 };
 
-/// How far a ray to a distant light goes, in unit space: out of the scene, from wherever in it.
+/// Length of a shadow ray to a distant light, in unit space. It leaves the scene from any point in it.
 const FAR_AWAY: f32 = 4.0;
-/// A ray to a point ends before it by this, in unit space: what it is mounted on does not hide it.
+/// A shadow ray to a point light ends this far before the light, in unit space, so that the surface on which the light
+/// is mounted does not hide it.
 const MOUNTED: f32 = 1e-5;
-/// Share of the looks that go to an image of the sky where there are other lights.
+/// Share of the shadow rays that sample the image of the sky if there are other lights too.
 const OF_IMAGE: f64 = 0.5;
-/// Directions in which the power of the sky is summed to share out particles, in each of two dimensions.
+/// The power of the sky, by which particles are distributed, is summed over a grid of this many directions per
+/// dimension.
 const DIRECTIONS: usize = 16;
 
 /// A light at a point in unit space.
@@ -32,7 +34,7 @@ struct Point {
 }
 
 impl Point {
-    /// A point of what it shines from.
+    /// A point on the area that emits, or the position of a light without area.
     fn at(&self, samples: &mut Samples) -> Vec3A {
         match &self.area {
             Some(area) => self.at + area.sample(samples.square().map(f64::from)).as_vec3a(),
@@ -41,40 +43,41 @@ impl Point {
     }
 }
 
-/// Sky, discs and points.
+/// The lights of a scene that are not surfaces: sky, distant discs and points.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Outside {
     sky: Option<Sky>,
     distant: Vec<Distant>,
     points: Vec<Point>,
-    /// Corners of the box of all triangles, in unit space.
+    /// Corners of the bounding box of all triangles, in unit space.
     bounds: [Vec3A; 2],
-    /// Lengths of the file per length in unit space.
+    /// Length in scene units of a unit of length in unit space.
     scale: f64,
-    /// Running sums of the power of the sky, of each disc and of each point that goes into the box.
+    /// Cumulative power that enters the bounding box: from the sky, from each disc and from each point.
     powers: Vec<f64>,
 }
 
-/// Light that is to be looked for along a path.
+/// A sampled shadow ray and its light.
 pub(super) struct Look {
-    /// Where the path to it ends.
+    /// End of the shadow ray.
     pub(super) target: Vec3A,
-    /// Its radiance over the density of its direction, or its irradiance on a surface that faces it, over the probability of its choice.
+    /// Radiance divided by the density of the direction. For a light without size: its irradiance on a surface that
+    /// faces it, divided by the probability of choosing the light.
     pub(super) light: DVec3,
-    /// The density of its direction; infinite for a light without a size.
+    /// Density of the direction; infinite for a light without size.
     pub(super) density: f64,
 }
 
-/// Light on its way into the scene.
+/// A ray of light that enters the scene.
 pub(super) struct Ray {
     pub(super) origin: Vec3A,
     pub(super) direction: Vec3A,
-    /// Flux, were all particles like it.
+    /// Flux of all particles together, estimated from this one.
     pub(super) flux: DVec3,
 }
 
 impl Outside {
-    /// The lights of a scene that are no surfaces.
+    /// Collects the lights of a scene that are not surfaces.
     pub(super) fn new(scene: &Scene, tracer: &Tracer) -> Outside {
         let mut outside =
             Outside { sky: scene.lights.sky.clone(), scale: tracer.scale(), ..Outside::default() };
@@ -110,12 +113,13 @@ impl Outside {
         outside
     }
 
-    /// Whether there is none.
+    /// Whether there are no such lights.
     pub(super) fn is_empty(&self) -> bool {
         self.sky.is_none() && self.distant.is_empty() && self.points.is_empty()
     }
 
-    /// The power of the sky, of each disc and of each point that goes into the box, all channels together.
+    /// The power that enters the bounding box, summed over the channels: from the sky, from each disc and from each
+    /// point.
     fn powers_of_all(&self) -> Vec<f64> {
         let cell = |k: usize| (k as f64 + 0.5) / DIRECTIONS as f64;
         let of_sky = self.sky.as_ref().map_or(0.0, |sky| {
@@ -131,24 +135,24 @@ impl Outside {
         std::iter::once(of_sky).chain(discs).chain(points).collect()
     }
 
-    /// The power of all that goes into the box.
+    /// Total power that enters the bounding box, summed over the channels.
     pub(super) fn power(&self) -> f64 {
         self.powers.last().copied().unwrap_or_default()
     }
 
-    /// The area of the shadow of the box in a direction, in the unit of the file.
+    /// Area of the bounding box projected along a direction, in square scene units.
     fn shadow(&self, direction: DVec3) -> f64 {
         self.faces(direction).iter().sum::<f64>() * self.scale * self.scale
     }
 
-    /// What each axis' faces add to the shadow of the box, in unit space.
+    /// For each axis, the projected area of the bounding box's face perpendicular to it, in unit space.
     fn faces(&self, direction: DVec3) -> [f64; 3] {
         let size = (self.bounds[1] - self.bounds[0]).as_dvec3();
         let d = direction.abs();
         [size.y * size.z * d.x, size.z * size.x * d.y, size.x * size.y * d.z]
     }
 
-    /// About the largest radiance that a path which saw no light may have missed.
+    /// Approximate largest radiance that a path without light may have missed.
     pub(super) fn brightest(&self) -> [f64; 3] {
         let mut most = self.sky.as_ref().map_or(DVec3::ZERO, |sky| sky.strongest().into());
         most += self.distant.iter().map(|d| DVec3::from(d.irradiance) / PI).sum::<DVec3>();
@@ -160,8 +164,9 @@ impl Outside {
         self.sky.as_ref().map_or(DVec3::ZERO, |sky| sky.radiance(direction).into())
     }
 
-    /// What a bounce from a place in a direction, a unit vector, brings: discs are weighted against [`Outside::look`], where that looks
-    /// for them too.
+    /// Radiance of the sky and the discs that a bounce meets when it leaves the scene. `direction` is a unit vector.
+    /// With next event estimation, light that [`Outside::look`] could also have sampled gets its weight for multiple
+    /// importance sampling.
     pub(super) fn met(
         &self,
         (origin, normal): (Vec3A, Vec3A),
@@ -189,7 +194,7 @@ impl Outside {
         light
     }
 
-    /// The sky, if it is an image: looked for by its bright parts.
+    /// The sky, if it is an image. Its directions are importance-sampled by brightness.
     fn image(&self) -> Option<&Sky> {
         self.sky.as_ref().filter(|sky| sky.as_image().is_some())
     }
@@ -202,8 +207,8 @@ impl Outside {
         self.image().and_then(|sky| sky.density_of_image(direction)).unwrap_or_default()
     }
 
-    /// How much each disc and each point may send to a place, all channels together. Without next event estimation those that no bounce
-    /// can meet are left.
+    /// Upper bound, summed over the channels, of the unblocked irradiance of a place from each disc, and the value for
+    /// each point. Without next event estimation, only lights that no bounce can hit are counted.
     fn shares(&self, origin: Vec3A, normal: Vec3A, next_event: bool) -> Vec<f64> {
         let normal = normal.as_dvec3();
         let disc = |d: &Distant| {
@@ -221,7 +226,8 @@ impl Outside {
         self.distant.iter().map(disc).chain(self.points.iter().map(point)).collect()
     }
 
-    /// A disc or a point that may send light to a place, chosen by how much; `None` where none can.
+    /// Samples a shadow ray from a place: to the image of the sky, or to a disc or point chosen in proportion to
+    /// [`Outside::shares`]. `None` if no light can reach the place.
     pub(super) fn look(
         &self,
         origin: Vec3A,
@@ -281,7 +287,7 @@ impl Outside {
         })
     }
 
-    /// A particle of light, chosen by power with the number `u`.
+    /// Emits a particle. The uniform number `u` chooses its light by power.
     pub(super) fn emit(&self, u: f64, samples: &mut Samples) -> Ray {
         let end = self.power();
         let k = self.powers.partition_point(|&p| p <= u * end).min(self.powers.len() - 1);
@@ -303,7 +309,7 @@ impl Outside {
             Some(k) => {
                 let disc = &self.distant[k];
                 let direction = in_disc(disc, at);
-                // Radiance over density: what it brings to a plane that faces this very direction.
+                // Radiance over density: the irradiance of a plane that faces this direction.
                 (direction, DVec3::from(disc.irradiance) / direction.dot(disc.direction))
             }
         };
@@ -312,7 +318,7 @@ impl Outside {
         Ray { origin, direction: -towards.as_vec3a(), flux }
     }
 
-    /// A point before the box, evenly over its shadow in a direction.
+    /// A point outside the bounding box, uniform over the box's projection along a direction.
     fn entry(&self, towards: DVec3, samples: &mut Samples) -> Vec3A {
         let faces = self.faces(towards);
         let [x, y] = samples.square();
@@ -334,13 +340,14 @@ impl Outside {
     }
 }
 
-/// The weight of what a bounce of this density met, where it could also have been chosen with the other.
+/// Weight by the power heuristic of light that a bounce hit with probability `density` and that next event estimation
+/// could have chosen with probability `chosen`, both per solid angle.
 fn weight_of_bounce(chosen: f64, density: f64) -> f64 {
-    // A mirror's density is infinite.
+    // The density of a mirror is infinite.
     if density > 0.0 { 1.0 / (1.0 + (chosen / density).powi(2)) } else { 0.0 }
 }
 
-/// A direction into a disc: evenly over its projection onto the plane that it faces.
+/// A direction to a disc, uniform over the disc's projection onto the plane that faces it.
 fn in_disc(disc: &Distant, [u, v]: [f64; 2]) -> DVec3 {
     let sin = disc.radius.sin() * u.sqrt();
     let (y, x) = (TAU * v).sin_cos();
@@ -353,7 +360,8 @@ fn density_of_disc(disc: &Distant, direction: DVec3) -> f64 {
     direction.dot(disc.direction).max(0.0) / (PI * disc.radius.sin().powi(2))
 }
 
-/// A direction into the sky, and its density: evenly over the half of the sphere above the horizon, or as an image shines.
+/// A direction to the sky and its density: by the brightness of an image, otherwise uniform over the hemisphere above
+/// the horizon.
 fn of_sky(sky: &Sky, [u, v]: [f64; 2]) -> (DVec3, f64) {
     if let Some(sample) = sky.sample_image([u, v]) {
         return sample;
@@ -361,7 +369,7 @@ fn of_sky(sky: &Sky, [u, v]: [f64; 2]) -> (DVec3, f64) {
     (sky.up().direction(TAU * u, v.asin()), 1.0 / TAU)
 }
 
-/// A direction from a point, and its density: evenly over its cone, or over the sphere.
+/// A direction from a point light and its density: uniform over the cone of a spot, otherwise over the sphere.
 fn of_point(distribution: &Distribution, [u, v]: [f64; 2]) -> (DVec3, f64) {
     let (axis, outer) = match distribution {
         Distribution::Spot { axis, outer, .. } => (*axis, *outer),
@@ -392,8 +400,8 @@ mod tests {
         (scene, tracer)
     }
 
-    /// The mean flux of particles is the power that goes into the box, and all of them go into it; discs and sky as the box's shadow is
-    /// large, points by their intensity.
+    /// The mean flux of the particles is the power that enters the bounding box. Discs and sky contribute in proportion
+    /// to the projected area of the box, points by their intensity.
     #[test]
     fn particles_carry_the_power_that_goes_into_the_box() {
         let sun = Distant::new(dvec3(0.3, 0.5, 1.0), [2.0; 3], 0.5);

@@ -1,7 +1,7 @@
 //! Path tracing: light is followed backwards, from the receiver to the emitters.
 //!
-//! At a Lambertian surface L = Le + ρ E/π. If directions have a cosine density, this density cancels everything but ρ. On
-//! glossy surfaces directions follow the lobes, and the weight of a bounce is f cos θ over the density.
+//! At a Lambertian surface L = Le + ρ E/π. If directions have a cosine density, the weight of a bounce is ρ. On glossy
+//! surfaces directions are sampled from the lobes, and the weight of a bounce is f cos θ over the density.
 
 use std::f64::consts::PI;
 
@@ -21,25 +21,27 @@ use crate::{
     },
 };
 
-/// Largest probability that a path survives roulette, so that paths end even if nothing absorbs. If reflectances exceed its square
-/// root, the variance of long paths is infinite: with 0.98, a furnace of reflectance 0.999 came out less than half as bright as it
-/// is, with error bars of a few percent.
+/// Largest probability that a path survives roulette, so that paths end even if nothing absorbs. If reflectances exceed
+/// its square root, the variance of long paths is infinite. With 0.98, the estimate for a furnace of reflectance 0.999
+/// was less than half of the true value, with error bars of a few percent.
 const MOST_LIKELY_SURVIVAL: f64 = 0.9999;
 
-/// The largest distance from its surface, in unit space, that a point gets when its coordinates are printed with six digits.
+/// Largest distance in unit space between a surface and a point on it whose coordinates were rounded to six digits.
 const NEAR: f32 = 4e-6;
 
-/// How paths are built. Only `max_bounces` changes the expectation.
+/// Options of [`PathTracer::new`]. Only `max_bounces` changes the expectation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PathOptions {
-    /// Next event estimation: whether each vertex also connects to a point on an emitter. Default true. Without it light counts only
-    /// if a path hits an emitter, which is slow with small lamps but simple enough to check the rest against.
+    /// Next event estimation: whether each vertex also connects to a point on an emitter. Default true. Without it,
+    /// light counts only if a path hits an emitter. This is slow with small lamps, but simple enough to serve as a
+    /// check.
     pub next_event: bool,
-    /// Reflections after which a path is cut, which loses light. 0 keeps direct light only. Default none.
+    /// Number of reflections after which a path ends, which loses light. 0 means direct light only. Default `None`: no
+    /// limit.
     pub max_bounces: Option<u32>,
-    /// Reflections before Russian roulette may end a path. Default 3. `u32::MAX` means no roulette, and then `max_bounces` is
-    /// required.
+    /// Number of reflections before Russian roulette may end a path. Default 3. `u32::MAX` means no roulette, and then
+    /// `max_bounces` is required.
     pub roulette_after: u32,
 }
 
@@ -55,7 +57,7 @@ impl Default for PathOptions {
     }
 }
 
-/// A place that receives light, with the side it receives from; unit space.
+/// A point that receives light on one side, in unit space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Receiver {
     /// The point.
@@ -65,31 +67,32 @@ pub struct Receiver {
 }
 
 impl Receiver {
-    /// A point of a triangle of the scene.
+    /// A point on the front or back of a triangle of the scene.
     pub fn on_triangle(tracer: &Tracer, triangle: usize, barycentric: [f64; 3], front: bool) -> Receiver {
         let shape = &tracer.triangles()[triangle];
         Receiver { position: shape.point(barycentric.map(|b| b as f32)), normal: shape.side_normal(front) }
     }
 
-    /// A point in the coordinates of the file. It need not lie on a surface. A point that lies on a surface up to the rounding of
-    /// printed coordinates is moved onto it, because just below the surface it would be dark.
+    /// A point in scene coordinates. It need not lie on a surface. A point that lies on a surface up to the rounding of
+    /// printed coordinates is moved onto it, because it would be dark just below the surface.
     ///
     /// # Panics
-    /// When the normal is zero or not finite.
+    /// If the normal is zero or not finite.
     pub fn free(tracer: &Tracer, point: DVec3, normal: DVec3) -> Receiver {
         let normal = direction(normal).expect("a normal has a direction").as_vec3a();
         let given = Receiver { position: tracer.to_unit(point), normal };
         match tracer.closest(given.position + normal * NEAR, -normal) {
             Some(hit) if hit.t < 2.0 * NEAR => {
                 let met = Receiver::of_hit(tracer, &hit);
-                // Steep surfaces are met by chance, near an edge.
+                // A surface at a steep angle to the normal is a chance hit near an edge.
                 if met.normal.dot(normal) > 0.7 { Receiver { position: met.position, normal } } else { given }
             }
             _ => given,
         }
     }
 
-    /// The share of directions in which the place sees the back of a face. It is large below a surface or inside a solid.
+    /// The share of directions, with cosine weight, in which the point sees the back of a face. It is large below a
+    /// surface or inside a solid.
     pub fn share_of_backs(&self, tracer: &Tracer) -> f64 {
         const RAYS: u32 = 64;
         let origin = Tracer::leave(self.position, self.normal);
@@ -101,7 +104,7 @@ impl Receiver {
         (0..RAYS).filter(sees_back).count() as f64 / f64::from(RAYS)
     }
 
-    /// The place of a hit, on the side that was hit.
+    /// The point of a hit, on the side that was hit.
     #[inline]
     pub fn of_hit(tracer: &Tracer, hit: &Hit) -> Receiver {
         let shape = &tracer.triangles()[hit.triangle as usize];
@@ -109,14 +112,14 @@ impl Receiver {
     }
 }
 
-/// A part of a triangle, one side of it.
+/// One side of a part of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Region {
     /// Index of the triangle in the scene.
     pub triangle: usize,
     /// Barycentric coordinates of the part's corners.
     pub part: [[f64; 3]; 3],
-    /// Which side receives.
+    /// Whether the front receives light; otherwise the back does.
     pub front: bool,
 }
 
@@ -128,7 +131,7 @@ pub struct PathTracer<'a> {
     emitters: Emitters,
     outside: Outside,
     surfaces: Surfaces,
-    /// Whether paths are followed as in a scene with gloss.
+    /// Whether paths are followed with the code for glossy surfaces.
     glossy: bool,
     options: PathOptions,
 }
@@ -137,7 +140,7 @@ impl<'a> PathTracer<'a> {
     /// Prepares the emitters of the scene.
     ///
     /// # Panics
-    /// If the options allow neither roulette nor a limit, because such a path never ends.
+    /// If the options have neither roulette nor a limit, because paths would never end.
     pub fn new(scene: &'a Scene, tracer: &'a Tracer, options: PathOptions) -> Self {
         assert!(
             options.max_bounces.is_some() || options.roulette_after != u32::MAX,
@@ -149,8 +152,9 @@ impl<'a> PathTracer<'a> {
         PathTracer { scene, tracer, emitters, outside, surfaces, glossy, options }
     }
 
-    /// The tracer with an equal number of random numbers per bounce. Runs with one seed on scenes that differ in materials
-    /// only are then correlated, so their difference has a smaller error than each result.
+    /// The same tracer, but all materials use the same number of random numbers per bounce. Then runs with the same
+    /// seed on scenes that differ only in materials are correlated, so their difference has a smaller error than each
+    /// result.
     pub(crate) fn in_step(self) -> Self {
         PathTracer { glossy: true, ..self }
     }
@@ -160,7 +164,7 @@ impl<'a> PathTracer<'a> {
         self.tracer
     }
 
-    /// One sample of the radiance that arrives at `origin` against `direction` (unit space).
+    /// One sample of the radiance that arrives at `origin` from `direction`, both in unit space. W/(m² sr).
     #[inline]
     pub fn radiance(&self, origin: Vec3A, direction: Vec3A, samples: &mut Samples) -> [f64; 3] {
         if self.glossy {
@@ -189,7 +193,7 @@ impl<'a> PathTracer<'a> {
         (DVec3::from(emitted) + gathered).to_array()
     }
 
-    /// One sample of the irradiance of a place, W/m².
+    /// One sample of the irradiance of a point, W/m².
     #[inline]
     pub fn irradiance(&self, at: Receiver, samples: &mut Samples) -> [f64; 3] {
         let factor = DVec3::splat(PI);
@@ -201,10 +205,10 @@ impl<'a> PathTracer<'a> {
         found.to_array()
     }
 
-    /// Irradiance of places.
+    /// Irradiance of points, W/m². One estimate per point.
     ///
-    /// If all samples miss the light, this does not prove darkness. If every sample is zero, the standard error is the change
-    /// of the mean that one more sample would cause if it hit the brightest emitter.
+    /// A mean of zero does not prove darkness: all samples may have missed the light. If every sample is zero, the
+    /// standard error is therefore the change of the mean if one of the samples had hit the brightest emitter.
     ///
     /// # Errors
     /// [`crate::Error::Stopped`].
@@ -226,7 +230,7 @@ impl<'a> PathTracer<'a> {
         Ok(estimates)
     }
 
-    /// Mean irradiance of parts of triangles, from points uniform on each part.
+    /// Mean irradiance of parts of triangles, W/m², from points uniform on each part. One estimate per part.
     ///
     /// # Errors
     /// [`crate::Error::Stopped`].
@@ -258,8 +262,8 @@ impl<'a> PathTracer<'a> {
         self.irradiance(Receiver::on_triangle(self.tracer, *triangle, barycentric, *front), samples)
     }
 
-    /// `throughput` times the radiance that a place reflects or receives. `bounces` counts the reflections between the place
-    /// and the eye, including its own.
+    /// One sample of `throughput` times the radiance that a point reflects. `bounces` is the number of reflections
+    /// between the light that arrives at the point and the eye, including the reflection at the point.
     fn gather<'s, S: Scattering<'s>>(
         &'s self,
         mut at: Receiver,
@@ -300,15 +304,15 @@ impl<'a> PathTracer<'a> {
         Place { scene: self.scene, tracer: self.tracer, surfaces: &self.surfaces }
     }
 
-    /// One sample of the direct irradiance of a place, W/m², and the hit of the hemisphere ray that took part in it.
+    /// One sample of the direct irradiance of a point, W/m², and the hit of the hemisphere ray that was used for it.
     #[inline]
     pub(crate) fn direct(&self, at: Receiver, samples: &mut Samples) -> ([f64; 3], Option<Hit>) {
         let (light, met) = self.look(at, &Diffuse, samples);
         ((light * PI).to_array(), met.map(|(hit, _)| hit))
     }
 
-    /// Radiance that a place reflects of the direct light. It is sampled by a point on an emitter and by a ray in a sampled
-    /// direction. Also returns the hit of that ray.
+    /// One sample of the radiance that a point reflects from direct light, by multiple importance sampling of a point
+    /// on an emitter and of a hemisphere ray. Also returns the hit of that ray.
     #[inline]
     fn look<'s, S: Scattering<'s>>(
         &'s self,
@@ -341,13 +345,14 @@ impl<'a> PathTracer<'a> {
         (light, hit.map(|hit| (hit, bounce)))
     }
 
-    /// Le f cos θ over the density of a point chosen on an emitter, with the weight against a bounce that hits the same point.
+    /// Le f cos θ over the density q of a point chosen on an emitter, times the weight by the power heuristic against a
+    /// bounce that hits the same point.
     ///
-    /// With the power heuristic (Veach and Guibas, "Optimally Combining Sampling Techniques", SIGGRAPH 95, section 3.3) and
-    /// p the density of a bounce, which for Lambertian surfaces is f cos θ/ρ, Le p/q · q²/(p² + q²) is bounded, even near a
-    /// lamp. With the balance heuristic the few bounces that hit a small lamp carry p/q of its light, and error bars miss
-    /// this light when they miss the bounces. With 32 rays per texel a floor under a lamp had 3.7 % of noise, and 83 % of its
-    /// texels were within 3.2 standard errors.
+    /// The power heuristic is by Veach and Guibas ("Optimally Combining Sampling Techniques", SIGGRAPH 95, section
+    /// 3.3). Let p be the density of a bounce, which is f cos θ/ρ for Lambertian surfaces. Then Le p/q · q²/(p² + q²)
+    /// is bounded, even near a lamp. With the balance heuristic, the few bounces that hit a small lamp carry p/q of its
+    /// light. Error bars miss this light if they miss these bounces: with 32 rays per texel, a floor under a lamp had
+    /// 3.7 % of noise, and only 83 % of its texels were within 3.2 standard errors.
     #[inline]
     fn look_at_emitter<'s, S: Scattering<'s>>(
         &self,
@@ -373,7 +378,8 @@ impl<'a> PathTracer<'a> {
         DVec3::from(lamp.radiance) * reflected * (chosen / (bounce * bounce + chosen * chosen))
     }
 
-    /// The same for lights that are no surfaces. One without a size no bounce can meet.
+    /// The same as [`PathTracer::look_at_emitter`] for lights that are not surfaces. No bounce can hit a light without
+    /// size, so its weight is 1.
     #[inline]
     fn look_outside<'s, S: Scattering<'s>>(
         &self,
@@ -393,7 +399,7 @@ impl<'a> PathTracer<'a> {
         look.light * reflected / (1.0 + (bounce / look.density).powi(2))
     }
 
-    /// Weight of emission that a bounce hits: 1, or p²/(p² + q²) if the emitter could also have been chosen.
+    /// Weight of emission that a bounce hits: 1 without next event estimation, otherwise p²/(p² + q²).
     #[inline]
     fn bounce_weight(&self, hit: &Hit, bounce: &Bounce) -> f64 {
         if !self.options.next_event {
@@ -403,7 +409,7 @@ impl<'a> PathTracer<'a> {
         let squared = f64::from(hit.t).powi(2) * f64::from(bounce.direction.length_squared());
         let cos_lamp = f64::from(bounce.direction.dot(normal).abs()).max(f64::MIN_POSITIVE);
         let chosen = self.emitters.density(hit.triangle, hit.barycentric) * squared / cos_lamp;
-        // A mirror's density is infinite.
+        // The density of a mirror is infinite.
         if bounce.density > 0.0 { 1.0 / (1.0 + (chosen / bounce.density).powi(2)) } else { 0.0 }
     }
 }

@@ -7,10 +7,10 @@ use crate::{
     trace::sampling::{mix, sobol_4d},
 };
 
-/// Number of samples between two checks of the progress.
+/// Number of samples between two checks whether the computation was stopped.
 const STRETCH: u32 = 1024;
 
-/// Takes a number of samples in order and counts them, unless the computation is stopped.
+/// Takes `count` samples in order and reports their progress. Ends early if the computation is stopped.
 #[inline]
 pub(super) fn take(count: u32, progress: &Progress, mut sample: impl FnMut(u32) -> Result<()>) -> Result<()> {
     for start in (0..count).step_by(STRETCH as usize) {
@@ -22,11 +22,11 @@ pub(super) fn take(count: u32, progress: &Progress, mut sample: impl FnMut(u32) 
     Ok(())
 }
 
-/// Groups of four dimensions that come from Sobol sequences. A path's first decisions (pixel or place, first
-/// direction, point on a lamp, second direction) carry most of the variance; later ones gain nothing measurable.
+/// Number of groups of four dimensions that come from Sobol sequences. A path's first decisions (pixel or place, first
+/// direction, point on a lamp, second direction) cause most of the variance. More groups give no measurable gain.
 const SOBOL_GROUPS: u32 = 2;
 
-/// Distinguishes the seed of branches from that of paths.
+/// Makes the seed of branches different from the seed of paths.
 const BRANCH: u64 = 0x6272_616e_6368;
 
 /// The random numbers of one path: scrambled Sobol points first, then a pseudo-random stream.
@@ -43,22 +43,22 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// Numbers of path `index` of the point set `seed`.
+    /// The numbers of path `index` in the point set with this seed.
     #[inline]
     pub fn new(index: u32, seed: u64) -> Self {
         let stream = Pcg32::new(mix(&[seed, index as u64]), seed);
         Samples { index, seed, group: 0, spare: None, stream }
     }
 
-    /// Numbers for the `k`-th of `of` branches of this path. The branches of all paths of the point set form one sequence, so that
-    /// they are stratified across paths too.
+    /// The numbers of branch `k` of `of` branches of this path. The branches of all paths of the point set form one
+    /// sequence, so they are stratified across paths too.
     #[inline]
     pub fn branch(&self, k: u32, of: u32) -> Samples {
-        // Indices may wrap: after the end of a sequence a new scramble begins in any case.
+        // Indices may wrap: after the end of a sequence, a new scramble begins in any case.
         Samples::new(self.index.wrapping_mul(of).wrapping_add(k), mix(&[self.seed, BRANCH]))
     }
 
-    /// A uniform number in \[0, 1), 24 bits.
+    /// A uniform number in \[0, 1) with 24 bits.
     #[inline]
     pub fn number(&mut self) -> f32 {
         (self.stream.next_u32() >> 8) as f32 * 2f32.powi(-24)
@@ -79,8 +79,8 @@ impl Samples {
         [x, y]
     }
 
-    /// A point of the unit square whose first coordinate has 53 bits. After a choice among millions of items the remainder
-    /// is still a uniform number.
+    /// A point of the unit square whose first coordinate has 53 bits. If it chooses among millions of items, its
+    /// remainder is still a uniform number.
     #[inline]
     pub fn fine_square(&mut self) -> (f64, f32) {
         let [x, y] = self.square();
@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn groups_are_padded_without_correlation() {
-        // Two scrambles of one sequence in step would leave most cells empty.
+        // If both groups had the same scramble, most cells would be empty.
         let across = largest_deviation(|s| {
             let [x, _] = s.square();
             s.square();
@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn branches_are_one_sequence_of_their_own() {
-        // 2¹⁰ paths of 4 branches; that each cell holds 16 points shows that they are one net.
+        // 2¹⁰ paths have 4 branches each. If each cell holds 16 points, all branches form one net.
         let across = largest_deviation(|s| {
             Samples::new(s.index / 4, 42).branch(s.index % 4, 4).square().map(f64::from)
         });

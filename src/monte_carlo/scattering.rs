@@ -1,5 +1,5 @@
-//! Scattering of paths at surfaces. The compiler makes separate code for scenes without gloss from the same source, so that
-//! these pay nothing for gloss.
+//! Scattering of paths at surfaces. The compiler makes separate code for scenes without gloss from the same source, so
+//! scenes without gloss pay nothing for it.
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
@@ -17,7 +17,7 @@ use crate::{
     },
 };
 
-/// The surfaces of a scene for paths and particles.
+/// The scene, its ray tracer and its materials, for paths and particles.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Place<'s> {
     pub(super) scene: &'s Scene,
@@ -25,23 +25,23 @@ pub(super) struct Place<'s> {
     pub(super) surfaces: &'s Surfaces,
 }
 
-/// Scattering at a place. Vectors are in unit space. `normal` belongs to the side that receives light.
+/// Scattering at a point. Vectors are in unit space. `normal` is the normal of the side that receives light.
 pub(super) trait Scattering<'s>: Sized {
-    /// The surface that a ray in this direction, a unit vector, has hit, and a factor of everything that it reflects.
+    /// The surface at a hit, and a factor of all light that it reflects. `direction` is the unit direction of the ray.
     fn met(place: Place<'s>, hit: &Hit, direction: Vec3A) -> (Self, DVec3);
 
     /// Samples the direction in which the path continues.
     fn sample(&self, normal: Vec3A, samples: &mut Samples) -> Option<Bounce>;
 
-    /// f cos θ towards a vector of the given length, and the density of [`Scattering::sample`] for that direction. Mirror
-    /// reflection is not included.
+    /// f cos θ in the direction of a vector of the given length, and the density of [`Scattering::sample`] for this
+    /// direction. Mirror reflection is not included.
     fn towards(&self, normal: Vec3A, to: Vec3A, length: f64) -> (DVec3, f64);
 
-    /// f towards a vector of any length above the surface. Mirror reflection is not included.
+    /// f in the direction of a vector of any length above the surface. Mirror reflection is not included.
     fn brdf(&self, to: Vec3A) -> DVec3;
 }
 
-/// Lambertian surfaces only: reflectance is a factor, and everything else is the same for all surfaces.
+/// Scattering in scenes with Lambertian surfaces only. The reflectance is the factor from [`Scattering::met`].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Diffuse;
 

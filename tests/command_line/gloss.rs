@@ -102,9 +102,7 @@ fn materials_that_would_make_light_are_scaled_with_a_warning() {
     let here = with_wall("Ks 0.5 0.5 0.5\nNs 10\nillum 2\n");
     fs::write(here.path("scene.mtl"), format!("{BLACK}Kd 0.8 0.8 0.8\nKs 0.5 0.5 0.5\nNs 10\n")).unwrap();
     let output = here.run("probe scene.obj --points points --spp 64");
-    assert!(
-        stderr(&output).contains("material `wall`: diffuse and specular reflectance together reach 1.300")
-    );
+    assert!(stderr(&output).contains("material `wall`: diffuse and specular reflectance sum to 1.300"));
     // A file with numbers out of range is not refused.
     fs::write(here.path("scene.mtl"), format!("{BLACK}Ks 3 0 0\nNs -4\n")).unwrap();
     let output = here.run("probe scene.obj --points points --spp 64");

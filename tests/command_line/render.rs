@@ -221,7 +221,7 @@ fn bad_usage_is_reported_and_leaves_no_file() {
         ("-o out.png --fov 180", "180"),
         ("-o out.png --eye 1,2", "three numbers"),
         ("-o out.png --eye 1,2,nan", "three numbers"),
-        ("-o out.png --eye 1,2,3 --look-at 1,2,3", "own place"),
+        ("-o out.png --eye 1,2,3 --look-at 1,2,3", "are the same"),
         ("-o out.png --up 0,0,1", "parallel"),
         ("-o out.png --eye 278,273,-800 --look-at 278,273,-900", "sees nothing"),
         // Inside the tall block; behind the back wall.

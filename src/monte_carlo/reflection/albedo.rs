@@ -11,8 +11,9 @@ use crate::trace::sampling::sobol_4d;
 /// square grid of the same size had errors of up to 8·10⁻³ where a part of the lobe is below the surface.
 const DIRECTIONS: u32 = 1 << 11;
 
-/// The directional albedo ∫ f cos θi dωi for light from ωo, with directions sampled from the lobe. It is also that for light
-/// to ωo, because the models are reciprocal.
+/// The directional albedo ∫ f cos θi dωi of a lobe, per channel, with directions ωi sampled from the lobe. It is the
+/// share of light from `wo` that the lobe reflects. The models are reciprocal, so it is also the weight of uniform
+/// light reflected to `wo`.
 pub fn directional_albedo(lobe: &Lobe, wo: DVec3) -> DVec3 {
     if lobe.is_mirror() {
         return lobe.weight(wo, DVec3::Z);
@@ -24,13 +25,14 @@ pub fn directional_albedo(lobe: &Lobe, wo: DVec3) -> DVec3 {
     (0..DIRECTIONS).map(weight).sum::<DVec3>() / f64::from(DIRECTIONS)
 }
 
-/// The cosines at which albedos are computed: the middles of strata of equal cos² θ, which get equal shares of diffuse light.
+/// Number of cosines at which albedos are computed. They are the middles of strata of equal cos² θ, which receive equal
+/// shares of diffuse light.
 const RINGS: u32 = 24;
 
 /// Number of azimuths for an anisotropic lobe. By symmetry a quarter turn is enough.
 const AZIMUTHS: u32 = 4;
 
-/// Share of diffuse light that the lobe reflects: the mean of the directional albedo, weighted by cos θ.
+/// The share of diffuse light that a lobe reflects, per channel: the mean directional albedo, weighted by cos θ.
 pub fn hemispherical_albedo(lobe: &Lobe) -> DVec3 {
     let azimuths = azimuths(lobe);
     let mut sum = DVec3::ZERO;

@@ -1,4 +1,4 @@
-//! The Blinn-Phong model: a lobe of the half vector round the normal.
+//! The Blinn-Phong model: a lobe of the half vector around the normal.
 
 use std::f64::consts::PI;
 
@@ -6,14 +6,15 @@ use glam::DVec3;
 
 use super::{Brdf, above, reflect, spherical};
 
-/// f = ks · c(n) · cosⁿ θh, θh between normal and half vector (Blinn, "Models of Light Reflection for Computer Synthesized
-/// Pictures", SIGGRAPH 77). The exact c(n) = (n + 2)(n + 4)/(8π (2^(-n/2) + n)) (Giesen, "Phong and Blinn-Phong Normalization
-/// Factors", 2009) makes it reflect ks from straight above and less from elsewhere. The common (n + 8)/8π is 7 % above it at n = 10.
+/// f = ks · c(n) · cosⁿ θh, where θh is the angle between normal and half vector (Blinn, "Models of Light Reflection
+/// for Computer Synthesized Pictures", SIGGRAPH 77). With the exact factor c(n) = (n + 2)(n + 4)/(8π (2^(-n/2) + n))
+/// (Giesen, "Phong and Blinn-Phong Normalization Factors", 2009), the surface reflects ks at normal incidence and less
+/// at other angles. The common factor (n + 8)/8π is 7 % larger at n = 10.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlinnPhong {
-    /// ks, R G B.
+    /// ks, per channel.
     pub reflectance: DVec3,
-    /// n.
+    /// The exponent n.
     pub exponent: f64,
 }
 
@@ -24,10 +25,10 @@ impl Brdf for BlinnPhong {
         self.reflectance * (factor * (wo + wi).normalize().z.powf(n))
     }
 
-    /// The half vector with density (n + 1)/2π · cosⁿ θh.
+    /// Samples the half vector with density (n + 1)/2π · cosⁿ θh.
     fn sample(&self, wo: DVec3, [x, y]: [f64; 2]) -> Option<DVec3> {
         let h = spherical((1.0 - x).powf(1.0 / (self.exponent + 1.0)), 2.0 * PI * y);
-        // A facet that turns its back on the viewer is the facet on the other side of the mirror image.
+        // A half vector on the far side of the viewer gives the same mirror image as its opposite.
         above(reflect(wo, h))
     }
 

@@ -5,7 +5,7 @@ use glam::DVec3;
 use crate::scene::Fresnel;
 
 impl Fresnel {
-    /// Reflectance, R G B, where light makes an angle of this cosine with the normal.
+    /// Reflectance per channel. `cos` is the cosine of the angle between the light and the normal.
     pub fn reflectance(&self, cos: f64) -> DVec3 {
         match *self {
             Fresnel::Constant(r) => r.into(),
@@ -30,7 +30,7 @@ impl Fresnel {
 /// Optics*, section 14.2).
 fn conductor(cos: f64, eta: f64, kappa: f64) -> f64 {
     let (cos2, sin2) = (cos * cos, (1.0 - cos * cos).max(0.0));
-    // a² - b² and a² + b² of the refracted wave's a + ib.
+    // a² - b² and a² + b², where a + ib describes the refracted wave.
     let difference = eta * eta - kappa * kappa - sin2;
     let sum = difference.hypot(2.0 * eta * kappa);
     let twice = 2.0 * (0.5 * (sum + difference)).max(0.0).sqrt() * cos;

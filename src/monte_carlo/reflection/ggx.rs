@@ -19,8 +19,8 @@ pub(super) fn lambda(tan2: f64) -> f64 {
     0.5 * tan2 / (1.0 + (1.0 + tan2).sqrt())
 }
 
-/// A facet among those visible from w: a uniform spherical cap, of half vectors (Dupuy and Benyoub, "Sampling Visible GGX Normals with
-/// Spherical Caps", HPG 2023).
+/// Samples the normal of a facet that is visible from w: a half vector that is uniform in a spherical cap (Dupuy and
+/// Benyoub, "Sampling Visible GGX Normals with Spherical Caps", HPG 2023).
 pub(super) fn visible([ax, ay]: [f64; 2], w: DVec3, [x, y]: [f64; 2]) -> DVec3 {
     let stretched = DVec3::new(ax * w.x, ay * w.y, w.z).normalize();
     let z = (1.0 - y).mul_add(1.0 + stretched.z, -stretched.z);

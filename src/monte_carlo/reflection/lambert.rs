@@ -9,7 +9,7 @@ use super::Brdf;
 /// f = ρ/π. Directions are chosen with density cos θ/π.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lambert {
-    /// Reflectance ρ, R G B.
+    /// Reflectance ρ, per channel.
     pub reflectance: DVec3,
 }
 

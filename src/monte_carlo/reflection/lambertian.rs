@@ -1,21 +1,22 @@
-//! Conversion of materials with specular parts to Lambertian ones.
+//! Conversion of materials with specular parts to Lambertian materials.
 
 use glam::DVec3;
 
 use super::{Lobe, albedo::hemispherical_albedo, surface::Gloss};
 use crate::scene::{Material, Scene, Specular};
 
-/// What to do with the specular part.
+/// Treatment of the specular part of a material in [`make_lambertian`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SpecularPart {
-    /// It is left out: the diffuse reflectance stays as the file gives it, and so does the base colour of a metal.
+    /// The specular part is dropped. The diffuse reflectance stays as in the file, and so does the base colour of a
+    /// metal.
     #[default]
     Drop,
-    /// The share of diffuse light that it reflects is added to the diffuse reflectance.
+    /// The share of diffuse light that the specular part reflects is added to the diffuse reflectance.
     Diffuse,
 }
 
-/// Leaves the scene with Lambertian materials only.
+/// Converts all materials of a scene to Lambertian ones.
 pub fn make_lambertian(scene: &mut Scene, part: SpecularPart) {
     for m in 0..scene.materials.len() {
         let mut material = scene.materials[m].clone();
@@ -28,7 +29,8 @@ pub fn make_lambertian(scene: &mut Scene, part: SpecularPart) {
     }
 }
 
-/// Makes the material a Lambertian one of the same hemispherical albedo, which is linear in what a texture multiplies.
+/// Converts a material to a Lambertian one with the same hemispherical albedo. The albedo is linear in the reflectance,
+/// so it also holds for each texel of a texture.
 fn flatten(material: &mut Material, scene: &Scene, specular: &Specular) {
     let (gloss, _) = Gloss::of(scene, material, specular, &mut Vec::new());
     let below = gloss.diffuse * gloss.coupling.as_ref().map_or(1.0, |c| c.mean());

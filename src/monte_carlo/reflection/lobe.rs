@@ -1,4 +1,4 @@
-//! The specular part of a material as one of the models.
+//! The specular part of a material, by one of the models.
 
 use glam::DVec3;
 
@@ -77,7 +77,8 @@ impl Lobe {
         }
     }
 
-    /// The weight of a direction that [`Brdf::sample`] chose: f cos θi over the density, or the reflectance of a mirror.
+    /// The weight of a direction chosen by [`Brdf::sample`], per channel: f cos θi over the density, or the reflectance
+    /// of a mirror.
     pub fn weight(&self, wo: DVec3, wi: DVec3) -> DVec3 {
         if let Lobe::Mirror(mirror) = self {
             return mirror.fresnel.reflectance(wo.z);
@@ -86,7 +87,7 @@ impl Lobe {
         if density > 0.0 { self.evaluate(wo, wi) * (wi.z / density) } else { DVec3::ZERO }
     }
 
-    /// Approximate share of light that it reflects to ωo, for the choice between the lobe and the diffuse part.
+    /// Approximate share of light that the lobe reflects to ωo, for the choice between the lobe and the diffuse part.
     pub(super) fn about(&self, wo: DVec3) -> f64 {
         let reflectance = match self {
             Lobe::Mirror(m) => m.fresnel.reflectance(wo.z),
@@ -98,7 +99,8 @@ impl Lobe {
         reflectance.element_sum() / 3.0
     }
 
-    /// The largest share of light, R G B, that it reflects at any angle. `None` for a Fresnel term, which reaches 1.
+    /// Largest share of light that the lobe reflects at any angle, per channel. `None` for a Fresnel term, which
+    /// reaches 1.
     pub(super) fn bound(&self) -> Option<DVec3> {
         match self {
             Lobe::Mirror(m) => m.fresnel.is_constant().then(|| m.fresnel.reflectance(1.0)),
@@ -109,7 +111,7 @@ impl Lobe {
         }
     }
 
-    /// The lobe with its constant reflectance multiplied.
+    /// The lobe with its constant reflectance multiplied by a factor. Other Fresnel terms stay as they are.
     pub(super) fn scaled(self, factor: f64) -> Lobe {
         let fresnel = |fresnel: &Fresnel| match *fresnel {
             Fresnel::Constant(r) => Fresnel::Constant(r.map(|r| factor * r)),

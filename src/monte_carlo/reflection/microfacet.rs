@@ -1,4 +1,4 @@
-//! Cook and Torrance's model: a surface of small mirrors.
+//! The microfacet model of Cook and Torrance: a surface of small mirrors.
 
 use glam::DVec3;
 
@@ -73,7 +73,7 @@ impl Brdf for Microfacet {
         self.fresnel.reflectance(wo.dot(h)) * facets
     }
 
-    /// From the facets that are visible from ωo.
+    /// Samples a facet that is visible from ωo.
     fn sample(&self, wo: DVec3, u: [f64; 2]) -> Option<DVec3> {
         let h = match self.distribution {
             Distribution::Beckmann => beckmann::visible(self.alpha, wo, u),

@@ -1,4 +1,4 @@
-//! The perfect mirror: all light of one direction goes to one other.
+//! The perfect mirror: all light from one direction goes to a single other direction.
 
 use glam::DVec3;
 

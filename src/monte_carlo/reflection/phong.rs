@@ -1,4 +1,4 @@
-//! The modified Phong model: a lobe round the mirror direction.
+//! The modified Phong model: a lobe around the mirror direction.
 
 use std::f64::consts::PI;
 
@@ -6,20 +6,20 @@ use glam::DVec3;
 
 use super::{Brdf, above, spherical};
 
-/// f = ks (n + 2)/2π · max(0, cos α)ⁿ with α the angle between ωi and the mirror image of ωo (Lafortune and Willems,
-/// "Using the Modified Phong Reflectance Model for Physically Based Rendering", report CW 197, 1994, equation 1). Not
-/// divided by cos θ, so that it is reciprocal. It reflects ks at normal incidence and less at other angles, because the part
-/// of the lobe below the surface is lost.
+/// f = ks (n + 2)/2π · max(0, cos α)ⁿ, where α is the angle between ωi and the mirror image of ωo (Lafortune and
+/// Willems, "Using the Modified Phong Reflectance Model for Physically Based Rendering", report CW 197, 1994, equation
+/// 1). It is reciprocal because it is not divided by cos θ. It reflects ks at normal incidence and less at other
+/// angles, because the part of the lobe below the surface is lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Phong {
-    /// ks, R G B.
+    /// ks, per channel.
     pub reflectance: DVec3,
-    /// n.
+    /// The exponent n.
     pub exponent: f64,
 }
 
 impl Phong {
-    /// max(0, cos α)ⁿ, which is 0 beyond 90 degrees also where n is.
+    /// max(0, cos α)ⁿ. Beyond 90 degrees it is 0, even for n = 0.
     fn lobe(&self, wo: DVec3, wi: DVec3) -> f64 {
         let cos = DVec3::new(-wo.x, -wo.y, wo.z).dot(wi);
         if cos > 0.0 { cos.min(1.0).powf(self.exponent) } else { 0.0 }

@@ -1,4 +1,4 @@
-//! Reflection at a place of a scene, with its diffuse and its specular part.
+//! Reflection at a point of a scene, with its diffuse and specular parts.
 
 use std::{f64::consts::PI, sync::Arc};
 
@@ -11,7 +11,7 @@ use crate::{
     trace::{Hit, UnitTriangle},
 };
 
-/// The specular parts of a scene's materials, ready for use.
+/// The specular parts of a scene's materials, prepared for sampling.
 #[derive(Debug, Clone, Default)]
 pub struct Surfaces {
     /// One entry per material. Empty if no material has a specular part.
@@ -19,11 +19,11 @@ pub struct Surfaces {
     warnings: Vec<String>,
 }
 
-/// The specular part of a material, and the share that it leaves for the diffuse part.
+/// The specular part of a material, and the share of light that it leaves for the diffuse part.
 #[derive(Debug, Clone)]
 pub(super) struct Gloss {
     pub(super) lobe: Lobe,
-    /// The share that the lobe leaves for the diffuse part. `None` if it does not depend on the angle.
+    /// The share of light that the lobe leaves for the diffuse part. `None` if it does not depend on the angle.
     pub(super) coupling: Option<Arc<Coupling>>,
     /// Factor of the diffuse part.
     pub(super) diffuse: f64,
@@ -44,7 +44,7 @@ impl Surfaces {
                 let (gloss, excess) = Gloss::of(scene, material, specular, &mut known);
                 if let Some(sum) = excess {
                     surfaces.warnings.push(format!(
-                        "material `{}`: diffuse and specular reflectance together reach {sum:.3}; both are divided by it",
+                        "material `{}`: diffuse and specular reflectance sum to {sum:.3}; both are divided by this sum",
                         material.name
                     ));
                 }
@@ -65,15 +65,15 @@ impl Surfaces {
         self.glosses.iter().flatten().any(|gloss| gloss.lobe.is_mirror())
     }
 
-    /// A sentence for each material that would reflect more light than it receives.
+    /// A warning for each material that would reflect more light than it receives.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 }
 
 impl Gloss {
-    /// The specular part of a material, and the sum of its reflectances if that is above 1. Materials with equal lobes share
-    /// one table.
+    /// The specular part of a material, and the sum of its reflectances if this sum is above 1. Materials with equal
+    /// lobes share one table through `known`.
     pub(super) fn of(
         scene: &Scene,
         material: &Material,
@@ -125,13 +125,13 @@ impl Gloss {
 pub(crate) struct Bounce {
     /// Unit vector.
     pub(crate) direction: Vec3A,
-    /// f cos θ over the density.
+    /// f cos θ over the density, per channel.
     pub(crate) weight: DVec3,
     /// Probability per solid angle with which it is chosen; infinite for a mirror.
     pub(crate) density: f64,
 }
 
-/// A place of a surface and one direction, to which or from which light goes.
+/// A point of a surface with one fixed direction, from or to which light goes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Surface<'s> {
     /// Tangent, bitangent, normal.
@@ -143,22 +143,22 @@ pub(crate) struct Surface<'s> {
     share: f64,
 }
 
-/// Smallest probability of each part if there are two. A part that reflects little on average may reflect more at some
-/// angles.
+/// Smallest probability of sampling the diffuse or the specular part if there are both. A part that reflects little on
+/// average may reflect more at some angles.
 const LEAST_SHARE: f64 = 0.05;
 
-/// Smaller cosines are rounding of directions and normals in single precision.
+/// Smaller cosines are rounding errors of directions and normals in single precision.
 const LEAST_COS: f64 = 1e-6;
 
 impl<'s> Surface<'s> {
-    /// A place that receives light with a cosine weight, like a Lambertian surface of reflectance 1.
+    /// A surface for estimating irradiance: it has the cosine weight of a Lambertian surface of reflectance 1.
     pub(crate) fn receiver(normal: Vec3A) -> Surface<'s> {
         let diffuse = Lambert { reflectance: DVec3::ONE };
         let frame = frame(normal, None);
         Surface { frame, wo: DVec3::Z, diffuse, specular: None, share: 0.0 }
     }
 
-    /// The surface that a ray in this direction met, with the normal of the side it met.
+    /// The surface at a hit, on the side that was hit. `direction` is the unit direction of the ray.
     pub(crate) fn met(
         surfaces: &'s Surfaces,
         scene: &Scene,
@@ -190,13 +190,14 @@ impl<'s> Surface<'s> {
         Surface { frame, wo, diffuse: Lambert { reflectance: diffuse }, specular, share }
     }
 
-    /// The BRDF towards a unit vector, without mirror reflection.
+    /// The BRDF in the direction of a unit vector, without mirror reflection.
     pub(crate) fn brdf(&self, direction: Vec3A) -> DVec3 {
         let wi = local(&self.frame, direction.as_dvec3());
         if wi.z > 0.0 { self.evaluate(wi) } else { DVec3::ZERO }
     }
 
-    /// f cos θ towards a unit vector, and the density of sampling this direction. Mirror reflection is not included.
+    /// f cos θ in the direction of a unit vector, and the density of sampling this direction. Mirror reflection is not
+    /// included.
     pub(crate) fn towards(&self, direction: Vec3A) -> (DVec3, f64) {
         let wi = local(&self.frame, direction.as_dvec3());
         if wi.z > 0.0 { (self.evaluate(wi) * wi.z, self.density(wi)) } else { (DVec3::ZERO, 0.0) }
@@ -244,7 +245,7 @@ impl<'s> Surface<'s> {
     }
 }
 
-/// A unit vector in the frame.
+/// Converts a unit vector to the frame.
 fn local(frame: &[DVec3; 3], w: DVec3) -> DVec3 {
     DVec3::new(w.dot(frame[0]), w.dot(frame[1]), w.dot(frame[2]))
 }
@@ -259,7 +260,7 @@ fn frame(normal: Vec3A, tangent: Option<DVec3>) -> [DVec3; 3] {
     [tangent, bitangent, normal]
 }
 
-/// The direction in which u of the texture coordinates grows, where the triangle has any.
+/// The direction in which the texture coordinate u grows; `None` if the triangle has no texture coordinates.
 fn along_u(scene: &Scene, t: usize) -> Option<DVec3> {
     let [a, b, c] = scene.corners(t);
     let [p, q, r] = *scene.texcoords.get(t)?;

@@ -1,4 +1,4 @@
-//! Reciprocity, energy, and samplers against their densities.
+//! Tests of reciprocity, energy conservation, and samplers against their densities.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -11,7 +11,7 @@ use crate::{
 const BLACK: [f64; 3] = [0.0; 3];
 const WHITE: [f64; 3] = [1.0; 3];
 
-/// The `k`-th of a row of numbers in \[0, 1).
+/// Pseudo-random number `k` in \[0, 1).
 fn random(k: u64) -> f64 {
     (mix(&[k, 5]) >> 11) as f64 * 2f64.powi(-53)
 }
@@ -49,7 +49,7 @@ fn facets_of(distribution: Distribution, alpha: f64) -> Specular {
     }
 }
 
-/// One of each kind, smooth and rough, with every Fresnel term.
+/// Lobes of each kind, smooth and rough, with every Fresnel term.
 fn lobes() -> Vec<(&'static str, Lobe)> {
     use Distribution::{Beckmann, Ggx};
     use Shadowing::{HeightCorrelated, Separable};
@@ -72,7 +72,7 @@ fn lobes() -> Vec<(&'static str, Lobe)> {
     ]
 }
 
-/// ∫ f cos θi dωi by the midpoint rule over the angles of the hemisphere: without any sampler.
+/// ∫ f cos θi dωi by the midpoint rule over the angles of the hemisphere. It uses no sampler.
 fn integrated(brdf: &impl Brdf, wo: DVec3, n: u32) -> DVec3 {
     let step = FRAC_PI_2 / f64::from(n);
     let mut sum = DVec3::ZERO;
@@ -86,8 +86,8 @@ fn integrated(brdf: &impl Brdf, wo: DVec3, n: u32) -> DVec3 {
     sum
 }
 
-/// By quadrature of the formulas in double precision elsewhere, at 0, 30, 60, 80 and 85 degrees; Mitsuba 3.9.1's
-/// `roughconductor` agrees where shadowing is separable (±0.0003 by a million samples).
+/// The expected values come from an independent quadrature of the formulas in double precision, at 0, 30, 60, 80 and 85
+/// degrees. For separable shadowing, Mitsuba 3.9.1's `roughconductor` agrees (±0.0003 by a million samples).
 #[test]
 fn directional_albedos_are_those_of_the_literature() {
     use Distribution::{Beckmann, Ggx};
@@ -113,7 +113,7 @@ fn directional_albedos_are_those_of_the_literature() {
             let wo = spherical(degrees.to_radians().cos(), 0.3);
             let found = integrated(&lobe, wo, 400);
             assert!((found.x - wanted).abs() < 1e-4, "{lobe:?} at {degrees}: {found}, not {wanted}");
-            // The quadrature that scenes use: by the lobe's own directions.
+            // The quadrature that scenes use, with directions sampled from the lobe.
             let by_lobe = directional_albedo(&lobe, wo);
             assert!((by_lobe.x - wanted).abs() < 2e-3, "{lobe:?} at {degrees}: {by_lobe}, not {wanted}");
         }
@@ -127,7 +127,7 @@ fn light_can_go_both_ways() {
             let (a, b) = (direction(2 * k), direction(2 * k + 1));
             let (there, back) = (lobe.evaluate(a, b), lobe.evaluate(b, a));
             let off = (there - back).abs().max_element();
-            // Half vectors of opposite grazing directions cancel to 10⁻³ of their terms.
+            // Opposite grazing directions almost cancel in the half vector, which is down to 10⁻³ of its terms.
             assert!(off <= 1e-11 * there.max_element(), "{name}: {there} and {back} at {a} {b}");
             assert!(there.min_element() >= 0.0 && there.is_finite());
         }
@@ -145,12 +145,13 @@ fn no_lobe_reflects_more_than_it_gets() {
     }
 }
 
-/// Compares counts of samples in cells of the hemisphere, and of those below it, with the integral of the density.
+/// Compares the number of samples in cells of the hemisphere, and below the surface, with the integral of the density.
+/// Returns χ² as a number of standard deviations above its expectation.
 fn chi_square(brdf: &impl Brdf, wo: DVec3) -> f64 {
     const ROWS: usize = 16;
     const COLUMNS: usize = 32;
     const SAMPLES: u64 = 1 << 17;
-    // Rows even in the angle from the normal.
+    // Rows are evenly spaced in the angle from the normal.
     let cell = |w: DVec3| {
         let row = (w.z.clamp(0.0, 1.0).acos() / FRAC_PI_2 * ROWS as f64) as usize;
         let azimuth = w.y.atan2(w.x).rem_euclid(2.0 * PI);
@@ -174,7 +175,7 @@ fn chi_square(brdf: &impl Brdf, wo: DVec3) -> f64 {
         }
     }
     expected[ROWS * COLUMNS] = SAMPLES as f64 - expected.iter().sum::<f64>();
-    // Cells where few are expected count as one.
+    // All cells with an expectation below 10 are merged into one.
     let (mut chi, mut degrees) = (0.0, -1.0);
     let mut rest = [0.0, 0.0];
     for (count, expected) in counts.iter().zip(&expected) {
@@ -226,7 +227,7 @@ fn a_density_of_another_roughness_is_found_out() {
 
 #[test]
 fn gold_is_yellow_and_metals_reflect_all_at_grazing_angles() {
-    // From above by (n - 1)² + k² over (n + 1)² + k².
+    // The reflectance at normal incidence is ((n - 1)² + k²)/((n + 1)² + k²).
     let wanted = [0.143f64, 0.375, 1.442].into_iter().zip([3.983f64, 2.386, 1.603]);
     let found = GOLD.reflectance(1.0);
     for (c, (n, k)) in wanted.enumerate() {
@@ -235,7 +236,7 @@ fn gold_is_yellow_and_metals_reflect_all_at_grazing_angles() {
     }
     assert!(found.x > found.y && found.y > found.z);
     assert!((GOLD.reflectance(0.0) - DVec3::ONE).abs().max_element() < 1e-12);
-    // Glass: no absorption, and Brewster's angle, where half of the light is reflected by one polarisation alone.
+    // Glass has no absorption. At Brewster's angle only one polarisation, half of the light, is reflected.
     let glass = Fresnel::Conductor { eta: [1.5; 3], kappa: [0.0; 3] };
     assert!((glass.reflectance(1.0).x - 0.04).abs() < 1e-12);
     let brewster = 1.5f64.atan().cos();
@@ -253,7 +254,7 @@ fn with(specular: Specular, reflectance: [f64; 3]) -> Material {
     Material { specular: Some(Box::new(specular)), ..Material::new("gloss", reflectance, [0.0; 3]) }
 }
 
-/// The surface of a plate, seen from straight above the frame's `wo`.
+/// A plate of one material.
 struct Plate {
     scene: Scene,
     surfaces: Surfaces,
@@ -265,7 +266,7 @@ impl Plate {
         Plate { surfaces: Surfaces::of(&scene), scene }
     }
 
-    /// What it does with light to or from the direction, in the scene's coordinates.
+    /// The surface of the plate for light to or from a direction in scene coordinates.
     fn seen_from(&self, wo: DVec3) -> Surface<'_> {
         let tracer = crate::trace::Tracer::new(&self.scene);
         let origin = tracer.to_unit(DVec3::new(0.25, 0.25, 0.0)) + 0.1 * wo.as_vec3a();
@@ -273,7 +274,7 @@ impl Plate {
         Surface::met(&self.surfaces, &self.scene, &tracer.triangles()[0], &hit, -wo.as_vec3a())
     }
 
-    /// ∫ f cos θ dω by midpoints.
+    /// ∫ f cos θ dω by the midpoint rule.
     fn albedo(&self, wo: DVec3) -> DVec3 {
         const N: u32 = 320;
         let (surface, step) = (self.seen_from(wo), FRAC_PI_2 / f64::from(N));
@@ -303,7 +304,7 @@ fn a_white_base_under_a_dielectric_reflects_all_and_no_more() {
             assert!(half > 0.5 && half < 1.0, "{half}");
         }
     }
-    // A brushed metal and a half-metal keep within it, too.
+    // A brushed metal and a half-metal do not exceed 1 either.
     for (metallic, anisotropy) in [(1.0, 0.8), (0.5, 0.5), (0.0, 1.0)] {
         let specular = Specular::MetallicRoughness { metallic, roughness: 0.5, anisotropy };
         let plate = Plate::new(with(specular, [1.0, 0.7, 0.2]));

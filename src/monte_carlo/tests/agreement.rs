@@ -1,4 +1,4 @@
-//! Estimators that share nothing but rays must agree, whatever the scene.
+//! Estimators that share only the ray tracer must agree in any scene.
 
 use super::*;
 use crate::{Progress, trace::Tracer};
@@ -16,8 +16,8 @@ fn next_event_estimation_pays_as_theory_says() {
     let scene = room(false);
     let tracer = Tracer::new(&scene);
     let at = Receiver::free(&tracer, dvec3(3.0, 0.0, 3.4), DVec3::Y);
-    // Plain direct light is L π with probability F, else nothing: its variance is (π L)² F (1 - F). The lamp of
-    // 0.3 m² at 2.9 m, nearly overhead, has F of about 0.3/(π 2.9²) = 0.011.
+    // A sample of direct light without next event estimation is π L with probability F, otherwise 0. Its variance is (π
+    // L)² F (1 - F). The lamp of 0.3 m² at 2.9 m, nearly overhead, has a form factor F of about 0.3/(π 2.9²) = 0.011.
     let direct = |next_event| PathOptions { next_event, max_bounces: Some(0), ..PLAIN };
     let (mean, variance) = spread(&PathTracer::new(&scene, &tracer, direct(false)), at, 1 << 16);
     let full = PI * 20.0;
@@ -26,7 +26,8 @@ fn next_event_estimation_pays_as_theory_says() {
     assert!((variance / (full * full * form_factor * (1.0 - form_factor)) - 1.0).abs() < 1e-3);
     let (mean_next, variance_next) = spread(&PathTracer::new(&scene, &tracer, direct(true)), at, 1 << 16);
     assert!((mean_next / mean - 1.0).abs() < 0.03);
-    // A point on so small a lamp varies by a few per cent: the relative variance falls from 1/F to below 0.01.
+    // With next event estimation, the samples from such a small lamp vary by a few per cent: the relative variance
+    // falls from 1/F to below 0.01.
     println!("direct light: variance ratio {:.0}", variance / variance_next);
     assert!(variance > 5000.0 * variance_next, "{variance} {variance_next}");
     let (_, variance) = spread(&PathTracer::new(&scene, &tracer, PLAIN), at, 1 << 16);
@@ -65,10 +66,13 @@ fn paths_and_particles_agree_on_every_side_of_every_triangle() {
                 compared += 1;
             }
         }
-        // The fronts; and the backs of the lamp, which the open or closed room lights from below the ceiling.
+        // All fronts are lit, and so are the backs of the lamp, which receives light from the ceiling.
         assert!(compared >= n, "{compared} of {n}");
         let chi = squares / compared as f64;
-        assert!((0.5..2.0).contains(&chi), "differences are {chi} of what their errors say");
+        assert!(
+            (0.5..2.0).contains(&chi),
+            "the squared differences are {chi} of the squared standard errors"
+        );
     }
 }
 
@@ -118,7 +122,7 @@ fn pictures_by_paths_and_by_particles_agree() {
 
 #[test]
 fn swapping_lamp_and_receiver_changes_nothing() {
-    // A triangle and a distant, tilted, larger one, with a screen that hides part of either from the other.
+    // A triangle and a distant, tilted, larger triangle, with a screen that hides part of each from the other.
     let a = [dvec3(0., 0., 0.), dvec3(1., 0., 0.), dvec3(0.2, 0.9, 0.)];
     let b = [dvec3(-0.5, -0.3, 1.5), dvec3(0.4, 2.1, 1.1), dvec3(1.9, 0.2, 1.7)];
     let screen = [dvec3(0.4, -2.0, 0.7), dvec3(0.5, 2.0, 0.6), dvec3(3.0, 0.0, 0.8)];
@@ -151,7 +155,7 @@ fn roulette_and_continuous_absorption_change_no_mean() {
         let options = PathOptions { roulette_after, max_bounces, ..NEXT_EVENT };
         PathTracer::new(&scene, &tracer, options).irradiances(&at, &effort, &Progress::new()).unwrap()
     };
-    // 0.75 to the power 60 is 3e-8.
+    // 60 bounces are enough without roulette: 0.75⁶⁰ is 3e-8.
     let (without, at_once, late) = (by(u32::MAX, Some(60)), by(0, None), by(5, None));
     for i in 0..2 {
         assert!(without[i].standard_error[0] < 5e-3 * without[i].mean[0]);
@@ -198,7 +202,7 @@ fn parts_of_a_triangle_average_to_the_whole() {
     let [a, b, c] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let [ab, bc, ca] = [[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]];
     let parts = [[a, b, c], [a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]];
-    // A half of the ceiling, lit by the floor and the walls, and a half of a wall near the lamp.
+    // One triangle of the ceiling, lit by the floor and the walls, and one triangle of a wall near the lamp.
     for triangle in [6, 3] {
         let regions = parts.map(|part| Region { triangle, part, front: true });
         let effort = Effort { samples: 1 << 15, replicates: 32, seed: 6 };
@@ -209,7 +213,7 @@ fn parts_of_a_triangle_average_to_the_whole() {
         });
         let mean = Estimate { mean: replicas, standard_error: errors };
         assert!(apart(&e[0], &mean) < 4.0, "{:?} {mean:?}", e[0]);
-        // The parts differ from one another, or the test could not tell them apart.
+        // The parts differ so much that the test would detect a wrong part.
         assert!(apart(&e[1], &e[2]) > 10.0 && apart(&e[2], &e[3]) > 10.0, "{e:?}");
     }
 }
@@ -242,7 +246,7 @@ fn the_unit_of_length_changes_nothing() {
 
 #[test]
 fn backs_reflect_as_fronts_do() {
-    // A floor that shows its front or its back to the lamp, and to a plate that looks down on it.
+    // The front or the back of a floor faces the lamp and a plate that receives the reflected light.
     let found = [false, true].map(|flipped| {
         let mut floor = [dvec3(-2., 0., -2.), dvec3(-2., 0., 2.), dvec3(2., 0., 2.), dvec3(2., 0., -2.)];
         if flipped {
@@ -277,7 +281,7 @@ fn a_point_rounded_to_below_a_surface_is_on_it() {
     let scene = room(true);
     let tracer = Tracer::new(&scene);
     let paths = PathTracer::new(&scene, &tracer, NEXT_EVENT);
-    // The scene is 5 long, so 5e-6 is 2e-6 in unit space; 1e-3 is no rounding.
+    // The scene is 5 long, so 5e-6 is 2e-6 in unit space. A distance of 1e-3 is not rounding.
     let places = [0.0, 5e-6, -5e-6, -1e-3].map(|h| Receiver::free(&tracer, dvec3(3.0, h, 3.4), DVec3::Y));
     let e = paths.irradiances(&places, &Effort::default(), &Progress::new()).unwrap();
     assert!(e[0].mean[0] > 0.1 && apart(&e[0], &e[1]) < 4.0 && apart(&e[0], &e[2]) < 4.0, "{e:?}");

@@ -1,4 +1,4 @@
-//! Energy, and reproducibility.
+//! Tests of energy balance and reproducibility.
 
 use super::*;
 use crate::{Error, Progress, trace::Tracer};
@@ -40,7 +40,7 @@ fn totals_are_the_power_of_the_lamps_and_what_a_bin_absorbs() {
         let (absorbed, escaped) = (found.absorbed.mean[c], found.escaped.mean[c]);
         assert!((absorbed + escaped - power).abs() < 1e-6 * power, "{found:?}");
         assert!(escaped > 0.05 * power && absorbed > 0.05 * power);
-        // What arrives is absorbed with 1 - ρ, in expectation.
+        // In expectation, the share 1 - ρ of the arriving flux is absorbed.
         let expected: f64 =
             (0..4).map(|m| found.bins[m].mean[c] * (1.0 - scene.materials[m].reflectance[c])).sum();
         assert!(
@@ -58,7 +58,7 @@ fn light_that_never_ends_is_an_error() {
     let options = LightOptions { particles: 64, batches: 2, ..Default::default() };
     let light = LightTracer::new(&scene, &tracer, options);
     assert!(matches!(light.trace(1, |_| None, &Progress::new()), Err(Error::NoEquilibrium)));
-    // Paths end, though what they find means nothing.
+    // Paths end, although their estimate has no meaning here.
     let paths = PathTracer::new(&scene, &tracer, PLAIN);
     paths.irradiance(Receiver::on_triangle(&tracer, 0, [0.2, 0.3, 0.5], true), &mut Samples::new(0, 0));
 }

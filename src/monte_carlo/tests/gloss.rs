@@ -1,4 +1,4 @@
-//! Scenes that are not Lambertian.
+//! Tests with scenes that are not Lambertian.
 
 use super::*;
 use crate::{
@@ -14,10 +14,10 @@ fn glossy(name: &str, reflectance: [f64; 3], specular: Specular) -> Material {
     Material { specular: Some(Box::new(specular)), ..Material::new(name, reflectance, [0.0; 3]) }
 }
 
-/// The coloured room with a block of a model, and a wall of another.
+/// The coloured room with a block and a wall of the given materials.
 fn glossy_room(block: Material, wall: Material) -> Scene {
     let mut scene = room(true);
-    // The block is the ten triangles of the open room's walls later, the left wall the first two.
+    // The left wall is the first two triangles. The block comes after the ten triangles of the open room's walls.
     for (t, triangle) in scene.triangles.iter_mut().enumerate() {
         match t {
             0 | 1 => triangle.material = 5,
@@ -56,8 +56,8 @@ fn rooms() -> Vec<Scene> {
 
 #[test]
 fn furnace_with_lossless_surfaces() {
-    // Walls of Le = 1 - ρ, and a box inside that reflects all and emits nothing: radiance is 1 everywhere. A white base under a
-    // dielectric is lossless to the accuracy of its table.
+    // The walls have Le = 1 - ρ. A box inside reflects all light and emits none. So radiance is 1 everywhere. A white
+    // base under a dielectric is lossless to the accuracy of its table.
     let lossless = [
         (LOSSLESS, [0.0; 3], 1e-6),
         (Specular::MetallicRoughness { metallic: 0.0, roughness: 0.5, anisotropy: 0.0 }, [1.0; 3], 2e-3),
@@ -96,7 +96,7 @@ fn furnace_with_lossless_surfaces() {
 
 #[test]
 fn a_mirror_doubles_a_room() {
-    // A room symmetric to x = 0, and its right half with a mirror there.
+    // A room that is symmetric about x = 0, and its right half with a mirror at x = 0.
     let whole = {
         let mut faces = box_walls(dvec3(-2.0, 0.0, 0.0), dvec3(2.0, 2.0, 3.0), true);
         for x in [-1.4, 0.8] {
@@ -168,7 +168,10 @@ fn paths_and_particles_agree_on_gloss() {
             }
         }
         let chi = squares / f64::from(compared);
-        assert!(compared >= 20 && (0.4..2.0).contains(&chi), "room {k}: {chi} of what the errors say");
+        assert!(
+            compared >= 20 && (0.4..2.0).contains(&chi),
+            "room {k}: {chi} of the squared standard errors"
+        );
         let power: f64 = light.emitted.mean[0];
         let rest = power - light.absorbed.mean[0] - light.escaped.mean[0];
         assert!(rest.abs() < 1e-9 * power, "{rest}");
@@ -177,7 +180,8 @@ fn paths_and_particles_agree_on_gloss() {
 
 #[test]
 fn pictures_of_gloss_by_paths_and_by_particles_agree() {
-    // No mirrors: particles are not seen in them. Bright glints are rare: of few renders the spread is no measure.
+    // Light tracing cannot show reflections in mirrors, so the room with the mirror is left out. Bright glints are
+    // rare, so the spread is measured from many renders.
     for scene in &rooms()[1..] {
         let tracer = Tracer::new(scene);
         let camera = Camera::new(dvec3(1.8, 1.6, 9.0), dvec3(2.1, 1.4, 2.0), DVec3::Y, 35.0, 24, 20).unwrap();

@@ -1,7 +1,7 @@
-//! Glossy scenes that another program has rendered, too: the Cornell box with blocks of other materials.
+//! Comparison with another renderer in glossy scenes: the Cornell box with blocks of other materials.
 //!
-//! The constants are means of the quarters of a picture and their standard errors, by the scalar path integrator of Mitsuba 3.9.1
-//! (`benches/mitsuba/glossy_boxes.py`, 262144 samples a quarter, 16 runs).
+//! The constants are the means of the quarters of a picture and their standard errors, from the scalar path integrator
+//! of Mitsuba 3.9.1 (`benches/mitsuba/glossy_boxes.py`, 262144 samples per quarter, 16 runs).
 
 use super::*;
 use crate::{
@@ -12,7 +12,7 @@ use crate::{
 
 type Quarters = [([f64; 3], [f64; 3]); 4];
 
-/// The box with specular parts alone on its blocks.
+/// The box with purely specular blocks.
 fn box_with(tall: Specular, short: Specular) -> Scene {
     let mut scene = Scene::load(concat!(env!("CARGO_MANIFEST_DIR"), "/meshes/cornell-glossy.obj")).unwrap();
     for (name, specular) in [("tall", tall), ("short", short)] {
@@ -27,7 +27,7 @@ fn facets(distribution: Distribution, alpha: f64, ks: f64) -> Specular {
         distribution,
         alpha: [alpha; 2],
         fresnel: Fresnel::Constant([ks; 3]),
-        // As Mitsuba has it.
+        // Mitsuba uses this term.
         shadowing: Shadowing::Separable,
     }
 }
@@ -61,7 +61,7 @@ fn assert_same(scene: &Scene, wanted: &Quarters) {
         let ours = Estimate::of(&of_quarter);
         let theirs = Estimate { mean: *mean, standard_error: *standard_error };
         assert!(apart(&ours, &theirs) < 4.5, "quarter {quarter}: {ours:?} {theirs:?}");
-        // Paths find what a mirror throws of the small lamp's light by chance.
+        // Light of the small lamp that the mirror reflects is found only by chance hits, which causes noise.
         assert!(ours.standard_error[0] < 0.025 * ours.mean[0], "{ours:?}");
     }
 }

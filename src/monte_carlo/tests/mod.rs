@@ -1,4 +1,4 @@
-//! Physics: closed forms, and estimators against one another.
+//! Tests of the physics: against closed forms, and of estimators against each other.
 
 mod agreement;
 mod books;
@@ -18,19 +18,19 @@ pub(crate) fn grey(reflectance: f64, emission: f64) -> Vec<Material> {
     vec![Material::new("grey", [reflectance; 3], [emission; 3])]
 }
 
-/// Two triangles; counter-clockwise corners.
+/// A quadrilateral of two triangles, with counter-clockwise corners.
 pub(crate) fn quad(corners: [DVec3; 4], material: u32) -> Faces {
     let [a, b, c, d] = corners;
     vec![([a, b, c], material), ([a, c, d], material)]
 }
 
-/// The twelve triangles of a box of material 0, fronts inwards or outwards.
+/// The twelve triangles of a box of material 0, with fronts that face inwards or outwards.
 pub(crate) fn box_walls(low: DVec3, high: DVec3, inwards: bool) -> Faces {
     let corner = |i: usize| {
         let pick = |axis: usize| if i >> axis & 1 == 0 { low[axis] } else { high[axis] };
         dvec3(pick(0), pick(1), pick(2))
     };
-    // Fronts outwards.
+    // These faces have their fronts outwards.
     let faces = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
     let mut walls = Faces::new();
     for mut face in faces {
@@ -42,8 +42,8 @@ pub(crate) fn box_walls(low: DVec3, high: DVec3, inwards: bool) -> Faces {
     walls
 }
 
-/// Unit sphere seen from inside, of flat faces between meridians and parallels; `material` from the polar angle of a
-/// face's middle.
+/// A unit sphere of flat faces between meridians and parallels, with fronts inwards. `material` returns the material of
+/// a face from the polar angle of its middle.
 fn sphere(rows: usize, columns: usize, material: impl Fn(f64) -> u32) -> Faces {
     let pi = std::f64::consts::PI;
     let point = |row: usize, column: usize| {
@@ -72,7 +72,8 @@ fn sphere(rows: usize, columns: usize, material: impl Fn(f64) -> u32) -> Faces {
     faces
 }
 
-/// A coloured room 4 × 3 × 5 with a lamp under its ceiling (the last two triangles) and a box, open at z = 5 if asked.
+/// A coloured room of 4 × 3 × 5 with a box and a lamp under its ceiling (the last two triangles). It can be open at z =
+/// 5.
 fn room(open: bool) -> Scene {
     let mut faces = box_walls(DVec3::ZERO, dvec3(4.0, 3.0, 5.0), true);
     for (i, (_, material)) in faces.iter_mut().enumerate() {
@@ -96,17 +97,22 @@ fn room(open: bool) -> Scene {
 const PLAIN: PathOptions = PathOptions { next_event: false, max_bounces: None, roulette_after: 3 };
 const NEXT_EVENT: PathOptions = PathOptions { next_event: true, ..PLAIN };
 
-/// Asserts that an estimate is `want` within `sigmas` standard errors, and sharp: those at most `sharp` of it.
+/// Asserts that an estimate is within `sigmas` standard errors of `want`, and that the standard errors are at most
+/// `sharp` times `want`.
 #[track_caller]
 fn assert_is(estimate: &Estimate, want: [f64; 3], sigmas: f64, sharp: f64) {
     for (c, want) in want.into_iter().enumerate() {
         let (mean, se) = (estimate.mean[c], estimate.standard_error[c]);
-        assert!(se <= sharp * want.abs(), "channel {c}: {mean} ± {se} is too blunt for {}", want);
+        assert!(
+            se <= sharp * want.abs(),
+            "channel {c}: the error of {mean} ± {se} is too large for {}",
+            want
+        );
         assert!((mean - want).abs() <= sigmas * se + 1e-6 * want.abs(), "{mean} ± {se}, not {}", want);
     }
 }
 
-/// How many standard errors two estimates lie apart; the channel where it is most.
+/// The difference of two estimates in standard errors, in the channel where it is largest.
 fn apart(a: &Estimate, b: &Estimate) -> f64 {
     (0..3)
         .map(|c| {
@@ -117,7 +123,7 @@ fn apart(a: &Estimate, b: &Estimate) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// One side of every triangle as regions, fronts first.
+/// Both sides of every triangle as regions: first all fronts, then all backs.
 fn all_sides(scene: &Scene) -> Vec<Region> {
     let part = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let side = |front| (0..scene.triangles.len()).map(move |triangle| Region { triangle, part, front });

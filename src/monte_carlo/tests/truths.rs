@@ -1,4 +1,4 @@
-//! Closed forms.
+//! Tests against closed forms.
 
 use super::*;
 use crate::{Progress, trace::Tracer};
@@ -9,7 +9,7 @@ fn effort(samples: u32) -> Effort {
     Effort { samples, replicates: 32, seed: 11 }
 }
 
-/// Irradiance and radiance in the middle of a furnace, where all radiance is 1, by every way of estimating it.
+/// Asserts that every estimator finds radiance 1 and irradiance π in a furnace, where all radiance is 1.
 fn assert_furnace(scene: &Scene, from: DVec3, sharp: f64) {
     let tracer = Tracer::new(scene);
     let progress = Progress::new();
@@ -41,7 +41,10 @@ fn assert_furnace(scene: &Scene, from: DVec3, sharp: f64) {
         worst = worst.max((e.mean[0] - PI).abs() / e.standard_error[0]);
         blunt = blunt.max(e.standard_error[0] / PI);
     }
-    assert!(worst < 5.0 && blunt < 0.06, "a bin is {worst} standard errors off, the bluntest {blunt}");
+    assert!(
+        worst < 5.0 && blunt < 0.06,
+        "a bin is {worst} standard errors off; the largest error is {blunt}"
+    );
     let picture = light.image(&camera, &progress).unwrap();
     let n = 256.0;
     let mean = picture.film.pixels().iter().map(|p| p[0] as f64).sum::<f64>() / n;
@@ -52,14 +55,14 @@ fn assert_furnace(scene: &Scene, from: DVec3, sharp: f64) {
 
 #[test]
 fn furnace_in_a_sphere() {
-    // How pbrt tests its integrators: Le = Kd = 1/2 on a unit sphere gives radiance 1.
+    // This is how pbrt tests its integrators: Le = Kd = 1/2 on a unit sphere gives radiance 1.
     let scene = Scene::new(&sphere(16, 24, |_| 0), grey(0.5, 0.5));
     assert_furnace(&scene, dvec3(0.1, 0.2, 0.3), 3e-3);
 }
 
 #[test]
 fn furnace_of_many_colours_with_a_floating_box() {
-    // Le = 1 - ρ for any pattern of ρ.
+    // With Le = 1 - ρ, radiance is 1 for any pattern of ρ.
     let mut faces = box_walls(DVec3::ZERO, dvec3(3.0, 2.0, 2.5), true);
     faces.extend(box_walls(dvec3(0.5, 0.4, 0.6), dvec3(1.4, 1.2, 1.3), false));
     faces.iter_mut().enumerate().for_each(|(i, f)| f.1 = (i * 5 % 3) as u32);
@@ -70,7 +73,8 @@ fn furnace_of_many_colours_with_a_floating_box() {
 
 #[test]
 fn nearly_white_furnace() {
-    // Of each bounce a thousandth is lost: the light of a point comes from a thousand bounces, most of which roulette must survive.
+    // Each bounce loses a thousandth, so the light of a point comes from about a thousand bounces, most of which must
+    // survive roulette.
     let scene = Scene::new(&box_walls(DVec3::ZERO, dvec3(3.0, 2.0, 2.5), true), grey(0.999, 0.001));
     let tracer = Tracer::new(&scene);
     let place = Receiver::on_triangle(&tracer, 0, [0.2, 0.3, 0.5], true);
@@ -121,7 +125,7 @@ fn direct_light_of_a_triangle() {
     let lamp = [dvec3(0.1, 0.2, 1.2), dvec3(0.3, 1.1, 0.7), dvec3(1.2, 0.4, 0.9)];
     let point = dvec3(0.3, 0.2, 0.0);
     assert!((lambert(point, DVec3::Z, &lamp) - 0.122926902965).abs() < 1e-11);
-    // The second one sees only a part of the lamp above its horizon.
+    // For the second normal, only a part of the lamp is above the horizon.
     let normals = [DVec3::Z, dvec3(-1.0, 0.1, 0.1), dvec3(1.0, 1.0, 0.3)].map(|n| n.normalize());
     let radiance = [3.0, 1.0, 0.25];
     let materials = vec![Material::new("lamp", [0.0; 3], radiance)];
@@ -164,7 +168,7 @@ fn few_samples_show_the_light_of_a_lamp() {
     let rms = (off.iter().map(|x| x * x).sum::<f64>() / off.len() as f64).sqrt();
     let mean = off.iter().sum::<f64>() / off.len() as f64;
     assert!(mean.abs() < 4.0 * rms / (off.len() as f64).sqrt(), "{mean} ± {rms}");
-    // A share of the bounces meets the lamp. With weights p/(p + q) these alone would bring so much noise: 4.5 %.
+    // Some of the bounces hit the lamp. With weights p/(p + q) these alone would cause noise of 4.5 %.
     let to = (lamp[0] + lamp[2]) / 2.0 - point;
     let cos = to.z / to.length();
     let (p, q) = (cos / PI, to.length_squared() / (cos * 0.15));
@@ -192,7 +196,8 @@ fn sphere_with_a_glowing_cap() {
     let places: Vec<Receiver> = (0..scene.triangles.len())
         .step_by(scene.triangles.len() / 5)
         .map(|t| {
-            // The middle of a face with the normal of the sphere: that of the face is off by the order of h.
+            // The receiver is the middle of a face, with the normal of the sphere. The face's own normal differs by the
+            // order of h.
             let middle = scene.corners(t).iter().sum::<DVec3>() / 3.0;
             Receiver::free(&tracer, middle, -middle)
         })
@@ -200,14 +205,14 @@ fn sphere_with_a_glowing_cap() {
     for options in [PLAIN, NEXT_EVENT] {
         let paths = PathTracer::new(&scene, &tracer, options);
         for e in paths.irradiances(&places, &effort(1 << 16), &Progress::new()).unwrap() {
-            // Flat faces of 3 by 4 degrees: h²/8 times a few.
+            // Flat faces of 3 by 4 degrees cause an error of a few times h²/8.
             let allowed = 4.0 * e.standard_error[0] + 0.004 * 0.1339745962;
             assert!((e.mean[0] - 0.1339745962).abs() < allowed && allowed < 0.004, "{e:?}");
         }
     }
 }
 
-/// Square of side `s` round the z axis; front to +z or -z.
+/// A square of side `s` centred on the z axis, with its front to +z or -z.
 fn centred(s: f64, z: f64, up: bool, material: u32) -> Faces {
     let h = s / 2.0;
     let mut corners = [dvec3(-h, -h, z), dvec3(h, -h, z), dvec3(h, h, z), dvec3(-h, h, z)];
@@ -230,7 +235,7 @@ fn a_blocker_between_squares() {
             let paths = PathTracer::new(&scene, &tracer, options);
             let found =
                 paths.mean_irradiances(&all_sides(&scene)[..2], &effort(1 << 16), &Progress::new()).unwrap();
-            // By symmetry both triangles of the floor get the same.
+            // By symmetry both triangles of the floor receive the same.
             for e in &found {
                 assert_is(e, [PI * form_factor; 3], 4.0, if options.next_event { 4e-3 } else { 1e-2 });
             }
