@@ -1,12 +1,13 @@
-//! Patches that are small where light varies.
+//! Adaptive subdivision: patches are small where light varies.
 //!
 //! Most of the discretisation error comes from few patches, which straddle the edge of a shadow or the contact of two
-//! surfaces. A solution from few rays shows which. The criterion of a patch is its area times the variance of radiosity over
-//! its parent in the quadtree. The patches with the largest criterion are cut in four and the scene is solved again. Each
-//! step follows the lines along which light changes to the next level.
+//! surfaces. A solution from few rays shows which. The criterion of a patch is its area times the variance of radiosity
+//! over its parent in the quadtree. The patches with the largest criterion are cut in four and the scene is solved
+//! again. Each step refines the lines along which light changes by one level.
 //!
-//! The criterion uses radiosity, because that is what the solution takes as constant. Textured lamps and walls therefore count
-//! too. By irradiance a lamp with a picture would stay coarse, and the error of the room that it lights would stay large.
+//! The criterion uses radiosity, because the solution treats radiosity as constant on a patch. Textured lamps and walls
+//! therefore count too. If the criterion used irradiance, a lamp with a picture would stay coarse, and the error of the
+//! room that it lights would stay large.
 
 use crate::{
     patch::{Cell, Patches},
@@ -14,15 +15,15 @@ use crate::{
     solve::Solution,
 };
 
-/// Largest share of the patches that a step cuts. It doubles their number, and the restriction of the quadtrees adds a few more.
-/// Larger steps would cut patches before the solution shows whether they matter.
+/// Largest share of the patches that a step cuts. This share doubles their number, and the restriction of the quadtrees
+/// adds a few more. Larger steps would cut patches before the solution shows whether they matter.
 const MOST_CUT: f64 = 1.0 / 3.0;
 
-/// Cuts the front patches over which light varies most in four. There will be about `growth` times as many patches, but no more
-/// than about twice as many. The result does not contain backs yet.
+/// Cuts the front patches over which light varies most in four. The result has about `growth` times as many patches,
+/// but at most about twice as many. It does not contain backs yet.
 ///
 /// # Panics
-/// When the solution is not one of these patches.
+/// If the solution belongs to other patches.
 pub fn finer(scene: &Scene, patches: &Patches, solution: &Solution, growth: f64) -> Patches {
     let variation = variation(patches, solution);
     let mut order: Vec<usize> = (0..patches.fronts()).collect();
@@ -34,8 +35,8 @@ pub fn finer(scene: &Scene, patches: &Patches, solution: &Solution, growth: f64)
     patches.refined(scene, &marked)
 }
 
-/// The area of every front patch times the variance of radiosity over its parent, summed over the channels. Patches that are
-/// whole triangles have no parents; they get the mean variance of the other patches.
+/// For every front patch, its area times the variance of radiosity over its parent, summed over the channels. Patches
+/// that are whole triangles have no parent; they get the mean variance of the other patches.
 fn variation(patches: &Patches, solution: &Solution) -> Vec<f64> {
     let channels = solution.channels;
     assert_eq!(solution.radiosity.len(), patches.len() * channels, "sizes disagree");
@@ -52,7 +53,7 @@ fn variation(patches: &Patches, solution: &Solution) -> Vec<f64> {
     variances.iter().enumerate().map(|(i, v)| patches.area(i) * v.unwrap_or(mean)).collect()
 }
 
-/// The area-weighted variance of some values over these patches.
+/// The area-weighted variance of `values` over the patches `of`, summed over the channels.
 fn variance(patches: &Patches, of: std::ops::Range<usize>, values: &[f64], channels: usize) -> f64 {
     let area: f64 = of.clone().map(|i| patches.area(i)).sum();
     let mean = |f: &dyn Fn(usize) -> f64| of.clone().map(|i| patches.area(i) / area * f(i)).sum::<f64>();

@@ -12,17 +12,18 @@ use crate::{
     trace::Tracer,
 };
 
-/// From this number of patches on, one half of the rays is enough: the sampling errors, which differ between the halves, average out.
+/// From this number of patches on, one half of the rays is enough, because the sampling errors of the halves average
+/// out.
 const ENOUGH: usize = 1 << 17;
 
-/// The relative bias of the mean irradiance, over all channels and weighted by area. Positive if the mean is too high. `None` if the
-/// form factors were not sampled, or with too few rays to halve.
+/// The estimated relative bias of the mean irradiance, over all channels and weighted by area. It is positive if the
+/// mean is too high. `None` if the form factors were not sampled, or if there are too few rays to halve.
 ///
 /// # Errors
-/// As [`solve`](crate::solve::solve()).
+/// See [`solve`](crate::solve::solve()).
 ///
 /// # Panics
-/// When the sizes disagree.
+/// If the sizes disagree.
 pub fn relative(
     form_factors: &FormFactors,
     tracer: &Tracer,
@@ -31,7 +32,7 @@ pub fn relative(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<Option<f64>> {
-    // Of constant light: slopes have the same rays in the whole and in its halves.
+    // The bias is that of the solution with constant light: slopes use the same rays in the whole and in the halves.
     let mean = |solution: &Solution| -> f64 {
         let irradiance = solution.constant_irradiance().chunks_exact(solution.channels);
         irradiance.zip(form_factors.areas()).map(|(e, area)| area * e.iter().sum::<f64>()).sum()

@@ -1,21 +1,21 @@
-//! Two independent estimates of the same irradiances, compared patch by patch.
+//! Comparison of two independent estimates of the same irradiances, patch by patch.
 //!
-//! If both are right, the differences divided by their combined standard errors follow Student's t distribution with mean 0. An
-//! error in either shifts or spreads them.
+//! If both are right, the differences divided by their combined standard errors (the z-scores) follow Student's t
+//! distribution with mean 0. An error in either estimate shifts or spreads them.
 
 use serde::Serialize;
 
-/// An estimate of the irradiance of every patch, `channels` interleaved values each.
+/// Estimates of the irradiance of every patch, with interleaved channels.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Estimates {
     /// Irradiance, W/m².
     pub irradiance: Vec<f64>,
-    /// Its standard error.
+    /// Standard error of the irradiance from sampling, W/m².
     pub standard_error: Vec<f64>,
-    /// Standard deviation of all errors that do not come from sampling.
+    /// Standard deviation of all other errors, W/m².
     pub allowance: Vec<f64>,
-    /// Area-weighted mean irradiance of each channel. Its standard error includes the allowance.
+    /// Area-weighted mean irradiance of each channel and its standard error, which includes the allowance. W/m².
     pub mean: Vec<(f64, f64)>,
 }
 
@@ -36,7 +36,7 @@ impl Estimates {
     }
 }
 
-/// A patch where two estimates differ most.
+/// A patch at which two estimates differ much.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Worst {
@@ -52,25 +52,26 @@ pub struct Worst {
     pub second: f64,
 }
 
-/// How two estimates differ.
+/// The differences of two estimates.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Comparison {
     /// Area-weighted root mean square of the difference, relative to the mean irradiance.
     pub rms_relative: f64,
-    /// Relative difference of the area-weighted means, of the channel with the largest z-score.
+    /// Relative difference of the area-weighted means, for the channel with the largest z-score.
     pub mean_relative: f64,
     /// The same difference in units of its standard error.
     pub mean_z: f64,
     /// Mean of the patches' z-scores.
     pub z_mean: f64,
-    /// Root mean square of the patches' z-scores. About 1.07 if both estimates are right, because standard errors are estimates too.
+    /// Root mean square of the patches' z-scores. If both estimates are right, it is about 1.07 and not 1, because
+    /// standard errors are estimates too.
     pub z_spread: f64,
     /// Share of patches with |z| > 2: 4.6 % for normal errors, 6.4 % with 15 degrees of freedom.
     pub beyond_2: f64,
     /// Share of patches with |z| > 3: 0.3 % for normal errors, 0.9 % with 15 degrees of freedom.
     pub beyond_3: f64,
-    /// Number of compared values: patches times channels, without values that are exactly equal in both.
+    /// Number of compared values: patches times channels, without values that are equal in both estimates.
     pub compared: usize,
     /// The patches that differ most, worst first.
     #[serde(skip)]
@@ -80,19 +81,19 @@ pub struct Comparison {
 /// Number of the worst patches to report.
 const NAMED: usize = 10;
 
-/// Largest |z| of the means. With about 15 degrees of freedom, 1 in 400 right answers exceeds it.
+/// Largest allowed |z| of the means. With about 15 degrees of freedom, 1 in 400 right answers exceeds it.
 const MEAN_LIMIT: f64 = 3.6;
-/// Largest spread of the z-scores. The errors of neighbouring patches are correlated, so that a thousand patches count like about
-/// a hundred independent ones. Then 1.35 is four standard deviations above 1.07.
+/// Largest allowed spread of the z-scores. The errors of neighbouring patches are correlated, so a thousand patches
+/// count like about a hundred independent ones. Then 1.35 is four standard deviations above 1.07.
 const SPREAD_LIMIT: f64 = 1.35;
-/// Largest share of patches beyond three standard errors: three times the expected share.
+/// Largest allowed share of patches beyond three standard errors: about three times the expected share.
 const BEYOND_3_LIMIT: f64 = 0.03;
 
 impl Comparison {
-    /// Compares two estimates of the same patches.
+    /// Compares two estimates for the same patches.
     ///
     /// # Panics
-    /// When their sizes disagree.
+    /// If their sizes disagree.
     pub fn of(first: &Estimates, second: &Estimates, areas: &[f64]) -> Comparison {
         let n = first.irradiance.len();
         let channels = n / areas.len();
@@ -131,7 +132,7 @@ impl Comparison {
             },
             mean_relative,
             mean_z,
-            // The sum of nothing is negative zero.
+            // An empty sum is -0; adding 0 makes it positive.
             z_mean: scores.iter().map(|(_, z)| z).sum::<f64>() / compared + 0.0,
             z_spread: (scores.iter().map(|(_, z)| z * z).sum::<f64>() / compared).sqrt(),
             beyond_2: share(2.0),
@@ -154,7 +155,8 @@ impl Comparison {
         comparison
     }
 
-    /// Reasons to believe that the two do not estimate the same quantity, one sentence each. Empty if they agree.
+    /// Reasons to believe that the two estimates differ by more than their errors, one sentence each. Empty if they
+    /// agree.
     pub fn objections(&self) -> Vec<String> {
         let mut objections = Vec::new();
         // All conditions are negated, so that NaN fails.

@@ -1,10 +1,10 @@
-//! The discretisation error: radiosity is taken as constant on each patch, while light is not.
+//! The discretisation error: the solution treats radiosity as constant on each patch, but real light varies.
 //!
-//! The solution with patches of edge h is compared with that of their parents, edge 2h. The form factors of the parents are sums
-//! of those of the patches, so no ray is needed, and both have the same sampling error, which cancels. Where patches straddle
-//! the edges of shadows, as in most scenes, the error falls like h. Then the error at h is as large as the change from 2h to
-//! h. Where light is smooth the error falls like h², and the estimate is three times too large. It is the error of constant light:
-//! of linear light it is an upper estimate.
+//! The solution for patches of edge h is compared with the solution for their parents of edge 2h. The form factors of
+//! the parents are sums of the patches' form factors, so no rays are needed, and the sampling error is the same in both
+//! and cancels. If patches straddle the edges of shadows, as in most scenes, the error falls like h. Then the error at
+//! h equals the change from 2h to h. Where light is smooth, the error falls like h², and the estimate is three times
+//! too large. It estimates the error of constant light, which is an upper bound for linear light.
 
 use std::ops::Range;
 
@@ -16,32 +16,34 @@ use crate::{
     solve::Solution,
 };
 
-/// The share of the change that may be missing from it,
+/// The iteration ends when the missing part of the change is less than this share of it.
 const ENOUGH: f64 = 0.02;
-/// or when a bounce changes no more of the light than some roundings of single precision, or after so many of them.
+/// It also ends when a bounce changes the light by less than this share: a few rounding errors of single precision.
 const ROUNDING: f64 = 1e-6;
+/// It ends after this many bounces at the latest.
 const MOST_BOUNCES: usize = 200;
 
 /// The discretisation error of a solution.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Discretisation {
-    /// Irradiance of the parent, edge 2h, less the mean of its children, W/m²: interleaved channels a patch.
+    /// For each patch, the irradiance of its parent (edge 2h) minus the mean irradiance of the parent's children, W/m²,
+    /// with interleaved channels.
     pub change: Vec<f64>,
-    /// Its area-weighted root mean square relative to the mean irradiance, over the patches that can be seen
+    /// Area-weighted root mean square of `change`, relative to the mean irradiance, over the patches that can be seen
     /// ([`Patches::seen_areas`]).
     pub relative: f64,
 }
 
 impl Discretisation {
-    /// Solves for patches twice as large and compares. `None` if more than half of the area is in patches that are whole triangles,
-    /// which have no parents.
+    /// Estimates the error by solving for patches twice as large. `None` if more than half of the area is in patches
+    /// that are whole triangles, because these have no parents.
     ///
     /// # Errors
-    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
+    /// [`Error::Stopped`](crate::Error::Stopped) if `progress` was stopped.
     ///
     /// # Panics
-    /// When the sizes disagree.
+    /// If the sizes disagree.
     pub fn of(
         form_factors: &FormFactors,
         patches: &Patches,
@@ -75,7 +77,7 @@ impl Discretisation {
     }
 }
 
-/// The means of interleaved channels over the patches of every family.
+/// The area-weighted means of `values` over the patches of every family, with interleaved channels.
 fn means(families: &[Range<usize>], areas: &[f64], values: &[f64], channels: usize) -> Vec<f64> {
     let of_family = |family: &Range<usize>| -> Vec<f64> {
         let area: f64 = areas[family.clone()].iter().sum();
@@ -85,9 +87,9 @@ fn means(families: &[Range<usize>], areas: &[f64], values: &[f64], channels: usi
     families.iter().flat_map(of_family).collect()
 }
 
-/// The irradiance of every family if its patches were one, with the same B on all of them. The form factors of parents are sums
-/// of those of their children, so no matrix of parents is made. The iteration starts from the solution of the children and ends when
-/// the remaining terms are small beside the change.
+/// The irradiance of every family if its patches were a single patch with constant radiosity. The form factors of
+/// parents are sums of their children's form factors, so no matrix of parents is built. The iteration starts from the
+/// solution of the children and ends when the remaining terms are small compared with the change.
 fn coarse_irradiance<const C: usize>(
     form_factors: &FormFactors,
     patches: &Patches,

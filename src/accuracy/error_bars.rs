@@ -1,15 +1,18 @@
-//! Error bars: the standard error of every patch's irradiance that comes from sampling the form factors.
+//! Error bars: the standard error of every patch's irradiance from sampling the form factors.
 //!
-//! The rays of every patch are taken as K parts, the replicates. Replicate k, by itself, gives direct light D + dD_k and form
-//! factors F + dF_k, and to first order the irradiance is off by
+//! The rays of every patch are divided into K parts, the replicates. Replicate k alone gives direct light D + dD_k and
+//! form factors F + dF_k. To first order its irradiance deviates by
 //!
 //!   dE_k = dD_k + dF_k U + F ρ dE_k
 //!
-//! where U is what form factors carry, all light but what lamps emit. The first term is that of shadow rays, the second is summed
-//! from the hemisphere rays of the replicate, its closure included; the two are independent. The third, the error that a patch
-//! inherits through the light of others, is a Neumann series. The spread of dE_k over the K replicates would give
-//! the standard error of their mean, sqrt(Σ dE_k² / (K (K - 1))), were they independent; they are parts of one sequence,
-//! and together better than that, here more and there less: see `stratification`.
+//! where U is the radiosity that form factors carry: all light except the emission of lamps. The first term comes from
+//! shadow rays. The second comes from the hemisphere rays of the replicate, including their closure. These two are
+//! independent. The third term is the error that a patch inherits through the light of other patches. It is summed as a
+//! Neumann series.
+//!
+//! If the K replicates were independent, the standard error of their mean would be sqrt(Σ dE_k² / (K (K - 1))). But
+//! they are parts of one stratified sequence, so their mean has a smaller error. The gain differs between patches; see
+//! `stratification`.
 
 use rayon::prelude::*;
 
@@ -25,66 +28,71 @@ use crate::{
     solve::{Radiometry, Solution},
 };
 
-/// Terms of the Neumann series at most. Error bars need no more than a few percent of themselves.
+/// Largest number of terms of a Neumann series. Error bars need a relative accuracy of a few percent only.
 const MOST_BOUNCES: usize = 40;
-/// The series ends when a term changes the root mean square of the deviations by less than this share.
+/// A series ends when a term changes the root mean square of the deviations by less than this share.
 const ENOUGH: f64 = 0.01;
 
-/// The variance of a run of rays falls with some power of its length: at least and at most as that of independent rays, or of
-/// scrambled nets where all is smooth (Owen, "Scrambled net variance for integrals of smooth functions", Annals of Statistics 25,
-/// 1997). Steeper ones are luck.
+/// In the first model, the variance of the mean of a run of rays falls with one power of the run's length. The smallest
+/// and largest allowed power are those of independent rays, and of scrambled nets with smooth integrands (Owen,
+/// "Scrambled net variance for integrals of smooth functions", Annals of Statistics 25, 1997). A steeper observed power
+/// is chance.
 const RATES: (f64, f64) = (1.0, 3.0);
 
-/// Or it is partly smooth, partly cut by edges, and these fall with powers of their own: the latter, in d dimensions, with 1 + 1/d
-/// (He and Wang, "On the Convergence Rate of Randomized Quasi-Monte Carlo for Discontinuous Functions", SIAM Journal on Numerical
-/// Analysis 53, 2015). Rays have four, of which an edge need not cut all.
+/// In the second model, a part of the integrand has edges and the rest is smooth. The variances of the two parts fall
+/// with these powers. In d dimensions the power of the first part is 1 + 1/d (He and Wang, "On the Convergence Rate of
+/// Randomized Quasi-Monte Carlo for Discontinuous Functions", SIAM Journal on Numerical Analysis 53, 2015). Rays have
+/// four dimensions, but an edge need not cut all of them.
 ///
-/// The mean of both is taken. At 64 to 1024 rays intervals of 95 % held, with one power, 93.8 to 97.3 % of patches on the five scenes
-/// of the example `calibration`, but 88 % in a box with two spheres; with two 92.0 to 98.0, and 95 % there.
+/// The mean of both models is used. At 64 to 1024 rays, the 95 % confidence intervals of the first model contained the
+/// truth for 93.8 to 97.3 % of patches on the five scenes of the example `calibration`, but only for 88 % in a box with
+/// two spheres. With the second model these were 92.0 to 98.0 %, and 95 % in the box.
 const POWERS: [f64; 2] = [1.3, 3.0];
 
-/// How many patches the mean of all counts as, beside a run of siblings, where it is told how much better the parts are together:
-/// it differs from place to place, but few patches tell it badly. In door-ajar, whose second room is lit by rare paths, the mean
-/// alone held 91 % of patches at 64 rays in 95 % intervals, and 92 % at 256; with 16 it is 94 %. With 4, others lose a percent.
+/// Weight of the mean over all patches, as a number of patches, when it is combined with a run of siblings to estimate
+/// the gain from stratification. The gain differs between places, but a few patches alone determine it badly. In the
+/// scene door-ajar, whose second room is lit by rare paths, 95 % confidence intervals from the mean alone contained the
+/// truth for 91 % of patches at 64 rays, and for 92 % at 256. With a weight of 16 it is 94 %. With a weight of 4, other
+/// scenes lose a percent.
 const PRIOR: f64 = 16.0;
 
-/// The least share of its own variance that a patch keeps where what it inherits makes up for it.
+/// Least share of its own variance that a patch keeps if its inherited error compensates its own error.
 const LEAST_LEFT: f64 = 0.25;
 
-/// The least share of light that is taken to be lost at a bounce, where importance is guessed.
+/// Least share of light lost at a bounce, in the first guess of the importance.
 const LEAST_LOSS: f64 = 1e-2;
 
-/// Lengths of runs: 1, 2, 4, ... replicates.
+/// Number of lengths of runs: 1, 2, 4, ... replicates.
 const LEVELS: usize = REPLICATES.ilog2() as usize;
 
-/// The least relative standard error. Light that is known exactly is still stored in single precision, and shares in what rows
-/// are settled to: some millionths.
+/// Least relative standard error. Even exactly known light is stored in single precision, and row sums are closed to a
+/// tolerance of some millionths.
 const LEAST: f64 = 1e-5;
 
-/// 97.5 % quantile of Student's t distribution with K - 1 = 15 degrees of freedom: E ± this times its standard error
-/// is the 95 % interval of a patch.
+/// 97.5 % quantile of Student's t distribution with K - 1 = 15 degrees of freedom. The 95 % confidence interval of a
+/// patch is E ± this factor times its standard error.
 pub const T_QUANTILE: f64 = 2.131;
 
-/// Standard errors of irradiance, W/m², `channels` interleaved values a patch.
+/// Standard errors of irradiance, W/m², with interleaved channels.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct ErrorBars {
-    /// 1 or 3.
+    /// Number of channels: 1 or 3.
     pub channels: usize,
-    /// The standard error of each patch and channel.
+    /// The standard error of each patch and channel, W/m².
     pub standard_error: Vec<f64>,
-    /// The standard error of the area-weighted mean irradiance of all patches, for each channel: less than patches
-    /// with independent errors would give, since what one patch receives too much another misses.
+    /// The standard error of the area-weighted mean irradiance of all patches, W/m² per channel. It is smaller than for
+    /// patches with independent errors, because light that one patch receives too much is missing at another.
     pub of_mean: Vec<f64>,
-    /// The standard error of the power that escapes, W, for each channel.
+    /// The standard error of the power that escapes, W per channel.
     pub of_escaped: Vec<f64>,
 }
 
 impl ErrorBars {
-    /// Estimates the error bars of a solution; `None` when its form factors were not sampled.
+    /// Estimates the error bars of a solution. `None` if its form factors were not sampled.
     ///
     /// # Panics
-    /// When the sizes disagree.
+    /// If the sizes disagree.
     pub fn of<'a>(
         form_factors: &FormFactors,
         radiometry: impl Into<Radiometry<'a>>,
@@ -105,7 +113,7 @@ impl ErrorBars {
     ) -> Option<ErrorBars> {
         let reflectance: &[[f64; C]] = radiometry.reflectance.as_chunks().0;
         let unit = magnitude(&solution.radiosity);
-        // Divided by it, single precision holds them.
+        // Divided by `unit`, the values fit single precision.
         let scaled = |b: &[f64; C]| b.map(|b| b / unit);
         let emission: Vec<[f64; C]> = radiometry.emission.as_chunks().0.iter().map(scaled).collect();
         let mut carried: Vec<[f64; C]> = solution.radiosity.as_chunks().0.iter().map(scaled).collect();
@@ -161,12 +169,13 @@ impl ErrorBars {
     }
 }
 
-/// The standard errors of all patches and channels: the variance of a patch is taken together with the mean of its
-/// siblings, up to 16 patches of a triangle. By itself it has 15 degrees of freedom, and knows nothing of rare paths that
-/// its own rays have missed.
+/// The standard errors of all patches and channels. The variance of a patch is averaged with the mean variance of its
+/// siblings, up to 16 patches of a triangle: the patch's own variance has only 15 degrees of freedom and does not
+/// include rare paths that its rays missed.
 ///
-/// `own` is what the replicates of a patch deviate by, the channels together, without what it inherits, `strata` tell of it with
-/// that: which is shared out among the channels as its irradiance is.
+/// `local` and `own` are the deviations of the replicates without inherited errors: per channel, and summed over the
+/// channels. `strata` are those of the summed deviations with inherited errors. The inherited variance is distributed
+/// over the channels by the square of their share of the irradiance.
 fn smoothed_errors<const C: usize>(
     form_factors: &FormFactors,
     solution: &Solution,
@@ -188,12 +197,12 @@ fn smoothed_errors<const C: usize>(
     with_mean(form_factors.siblings(), &variances, |own, mean| (0.5 * (own + mean)).sqrt())
 }
 
-/// How well the parts of sequences complement each other: sums over patches.
+/// Statistics of the replicates that determine the gain from stratification, summed over patches.
 #[derive(Debug, Clone, Copy, Default)]
 struct Strata {
-    /// Squares of the standard errors that the whole would have, were its parts independent.
+    /// Squares of the standard errors of the mean if the replicates were independent.
     spread: f64,
-    /// Mean squares of half the difference of neighbouring runs of each length.
+    /// For each length of runs, the mean square of half the difference of neighbouring runs.
     halves: [f64; LEVELS],
 }
 
@@ -214,14 +223,14 @@ impl Strata {
         }
     }
 
-    /// This, and what is typical with so many times its weight.
+    /// Combines these statistics with the typical ones, whose weight is `share` times the weight of these.
     fn beside(&self, typical: &Strata, share: f64) -> Strata {
         let weight = share * self.spread / typical.spread;
-        // Where nothing spreads there is nothing to tell.
+        // Without any spread the weight is not finite, and the typical values do not matter.
         self.plus(typical, if weight.is_finite() { weight } else { 0.0 })
     }
 
-    /// The standard error of the whole over what its parts would have, were they independent: at most 1.
+    /// The ratio of the standard error of the mean to its value for independent replicates. At most 1.
     fn factor(&self) -> f64 {
         if !(self.spread > 0.0) || self.halves.contains(&0.0) {
             return 1.0;
@@ -232,8 +241,8 @@ impl Strata {
     }
 }
 
-/// Area-weighted root mean square of `values`, interleaved channels a patch, relative to the area-weighted mean
-/// irradiance; zero in the dark.
+/// Area-weighted root mean square of `values`, relative to the area-weighted mean irradiance. Both have interleaved
+/// channels. Zero if the mean irradiance is zero.
 pub fn relative_rms(values: &[f64], irradiance: &[f64], areas: &[f64]) -> f64 {
     let channels = values.len() / areas.len();
     let (mut squares, mut mean, mut weight) = (0.0, 0.0, 0.0);
@@ -246,8 +255,10 @@ pub fn relative_rms(values: &[f64], irradiance: &[f64], areas: &[f64]) -> f64 {
     if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
 }
 
-/// What all patches together receive more of one more unit that each receives: v = 1 + ρ F v, the radiosity of a scene in which
-/// all shine alike, since form factors are reciprocal. From what it would be were every patch like the mean of all.
+/// The importance of each patch: the flux that all patches together receive in addition per additional flux that this
+/// patch receives. It satisfies v = 1 + ρ F v. Because form factors are reciprocal, this is the radiosity of a scene in
+/// which all patches emit 1. The iteration starts from the value that each patch would have if the others were all like
+/// the mean.
 fn importance<const C: usize>(form_factors: &FormFactors, reflectance: &[[f64; C]]) -> Vec<[f32; C]> {
     let (areas, escaped) = (form_factors.areas(), form_factors.escaped());
     let returned = |i: usize, c: usize| reflectance[i][c] * (1.0 - escaped[i]);
@@ -277,8 +288,9 @@ fn importance<const C: usize>(form_factors: &FormFactors, reflectance: &[[f64; C
     importance
 }
 
-/// By how much what escapes deviates in each replicate: straight from lamps, by the escaped shares themselves, and of what local
-/// deviations bring to patches, what is reflected and escapes in the end.
+/// Deviations of the escaped power of each replicate, per channel. They have three sources: light that escapes straight
+/// from lamps, deviations of the patches' escaped shares, and local deviations of irradiance, of which a part is
+/// reflected and finally escapes.
 fn escaped_deviations<const C: usize>(
     form_factors: &FormFactors,
     reflectance: &[[f64; C]],
@@ -287,7 +299,7 @@ fn escaped_deviations<const C: usize>(
     direct: Option<&DirectLight<C>>,
 ) -> Option<[[f64; REPLICATES]; C]> {
     let (areas, escaped) = (form_factors.areas(), form_factors.escaped());
-    // Of one more unit that a patch receives, what escapes: v = ρ e + ρ F v.
+    // The part of additional flux on a patch that finally escapes: v = ρ e + ρ F v.
     let mut v: Vec<[f32; C]> = vec![[0.0; C]; areas.len()];
     let mut arriving = v.clone();
     let total = |v: &[[f32; C]]| ordered_sum(areas.len(), |i| areas[i] * f64::from(v[i].iter().sum::<f32>()));
@@ -316,8 +328,9 @@ fn escaped_deviations<const C: usize>(
     }))
 }
 
-/// Sums over the channels of dF_k B, which are `local`, and of dE_k. One channel serves for all: what patches inherit is the small
-/// part in most scenes, and alike in all channels.
+/// Two deviations of each patch, summed over the channels: the local deviations, and the deviations dE_k that include
+/// inherited errors. The inherited part is propagated in a single channel, because in most scenes it is small and
+/// similar in all channels.
 fn propagate<const C: usize>(
     form_factors: &FormFactors,
     reflectance: &[[f64; C]],
@@ -329,7 +342,7 @@ fn propagate<const C: usize>(
     };
     let own: Vec<[f32; REPLICATES]> =
         local.par_iter().with_min_len(256).map(|local| sum(local, [1.0; C])).collect();
-    // What is inherited is reflected as the irradiance is.
+    // The mean reflectance for inherited deviations, weighted by the irradiance of the channels.
     let mean = |rho: &[f64; C], e: &[f64]| {
         let all: f64 = e.iter().sum();
         if all > 0.0 { (0..C).map(|c| rho[c] * e[c] / all).sum() } else { 0.0 }
@@ -361,7 +374,7 @@ fn propagate<const C: usize>(
     [own, total]
 }
 
-/// Variance of the mean of deviations, which sum to zero but for rounding.
+/// Variance of the mean of independent replicates, from their deviations, which sum to zero up to rounding.
 fn variance_of(deviations: &[f64; REPLICATES]) -> f64 {
     let many = REPLICATES as f64;
     let squares: f64 = deviations.iter().map(|d| d * d).sum();
@@ -379,7 +392,7 @@ mod tests {
 
     #[test]
     fn the_root_mean_square_is_weighted_by_area() {
-        // sqrt((2^2 + 3 * 1^2) / 4) over (1 + 3 * 5) / 4.
+        // The expected value is sqrt((2² + 3 · 1²) / 4) / ((1 + 3 · 5) / 4).
         let relative = relative_rms(&[2.0, 1.0], &[1.0, 5.0], &[1.0, 3.0]);
         assert!((relative - 1.75f64.sqrt() / 4.0).abs() < 1e-14);
         assert_eq!(relative_rms(&[0.0, 0.0], &[0.0, 0.0], &[1.0, 3.0]), 0.0);

@@ -1,8 +1,8 @@
-//! What it costs to take all surfaces as Lambertian.
+//! The error from treating all surfaces as Lambertian.
 //!
-//! The referee follows light three times with the same random numbers: with materials as given, with Lambertian ones of the
-//! same hemispherical albedo, and with the diffuse parts alone. What the runs share cancels in their differences, so these are
-//! known better than the runs are.
+//! Path and light tracing run three times with the same random numbers: with the given materials, with Lambertian
+//! materials of the same hemispherical albedo, and with the diffuse parts only. The runs are correlated, so their
+//! differences have smaller errors than each run.
 
 use std::ops::Range;
 
@@ -17,17 +17,17 @@ use crate::{
     trace::Tracer,
 };
 
-/// How hard to look.
+/// Options of [`LambertCost::of`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct LambertOptions {
-    /// Paths a patch, of each run.
+    /// Paths per patch in each run.
     pub paths: u32,
-    /// Particles from the emitters, of each run.
+    /// Particles from the emitters in each run.
     pub particles: u64,
-    /// Independent parts of the paths and particles; their spread gives the standard errors.
+    /// Number of independent parts of the paths and particles. Their spread gives the standard errors.
     pub replicates: u32,
-    /// The same seed gives the same figures.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
@@ -44,24 +44,26 @@ impl Default for LambertOptions {
     }
 }
 
-/// By how much irradiance with materials as given differs from that with Lambertian ones.
+/// The change of irradiance from Lambertian materials to the given ones.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Change {
-    /// Irradiance as given less the Lambertian one, of each front patch, W/m².
+    /// For each front patch, irradiance with the given materials minus irradiance with Lambertian ones, W/m².
     pub irradiance: Vec<Estimate>,
-    /// Area-weighted root mean square of it, relative to the mean irradiance. What sampling adds is taken out.
+    /// Area-weighted root mean square of the change, relative to the mean irradiance. The contribution of sampling
+    /// noise is removed.
     pub rms_relative: f64,
-    /// Standard error of that.
+    /// Standard error of `rms_relative`.
     pub standard_error: f64,
-    /// Change of the mean irradiance, relative to it, of all channels together.
+    /// Relative change of the mean irradiance of all channels.
     pub mean_relative: f64,
-    /// Standard error of that.
+    /// Standard error of `mean_relative`.
     pub mean_standard_error: f64,
-    /// The patch of the largest change that is certain: by its lower limit of 95 % confidence.
+    /// The patch with the largest certain change: the lower limit of the 95 % confidence interval of its |change| is
+    /// largest.
     pub worst: usize,
-    /// Its change, relative to the mean irradiance, of the channel where it is largest.
+    /// Change of the patch `worst` relative to the mean irradiance, for the channel with the largest certain change.
     pub largest_relative: f64,
-    /// Standard error of that.
+    /// Standard error of `largest_relative`.
     pub largest_standard_error: f64,
     /// Change of the absorbed flux, W.
     pub absorbed: Estimate,
@@ -69,29 +71,29 @@ pub struct Change {
     pub escaped: Estimate,
 }
 
-/// What is lost by taking all surfaces as Lambertian.
+/// The error from treating all surfaces as Lambertian.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LambertCost {
-    /// Materials that have a specular part.
+    /// Number of materials with a specular part.
     pub glossy: usize,
-    /// Mean irradiance with materials as given, of all channels together, W/m².
+    /// Mean irradiance of all channels with the given materials, W/m².
     pub mean: f64,
-    /// Against Lambertian materials of the same hemispherical albedo.
+    /// Change from Lambertian materials of the same hemispherical albedo.
     pub matched: Change,
-    /// Against the diffuse parts alone.
+    /// Change from the diffuse parts only.
     pub dropped: Change,
 }
 
-/// The runs of one set of materials.
+/// The results with one set of materials.
 struct Runs {
-    /// Irradiance of each patch by each replicate.
+    /// Irradiance of each replicate, patch by patch.
     irradiance: Vec<[f64; 3]>,
     /// Emitted, absorbed and escaped flux of each batch.
     books: Vec<[[f64; 3]; 3]>,
 }
 
 impl LambertCost {
-    /// Follows light through the scene as given and as Lambertian, and compares the front patches.
+    /// Follows light through the scene with the given and with Lambertian materials, and compares the front patches.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped); [`Error::NoEquilibrium`](crate::Error::NoEquilibrium).
@@ -214,17 +216,19 @@ impl Change {
     }
 }
 
-/// Half a 95 % interval of a mean of 16 replicates, in standard errors: Student's t with 15 degrees of freedom.
+/// Half width of the 95 % confidence interval of a mean of 16 replicates, in standard errors: Student's t with 15
+/// degrees of freedom.
 pub const CONFIDENCE_95: f64 = 2.131;
 
 fn less(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
     std::array::from_fn(|c| a[c] - b[c])
 }
 
-/// Root mean square of the mean of replicates whose scalar products are given, and its standard error.
+/// Root mean square of the mean of `n` replicates, and its standard error. `gram` holds the scalar products of the
+/// replicates.
 ///
-/// The mean product of different replicates is the square without what noise adds to it. Its standard error is the jackknife's
-/// (Efron, *The Jackknife, the Bootstrap and Other Resampling Plans*, 1982).
+/// The mean product of different replicates is an estimate of the squared mean without the contribution of noise. Its
+/// standard error comes from the jackknife (Efron, *The Jackknife, the Bootstrap and Other Resampling Plans*, 1982).
 fn root_mean_square(gram: &[f64], n: usize) -> (f64, f64) {
     let row = |r: usize| -> f64 { gram[r * n..][..n].iter().sum::<f64>() - gram[r * n + r] };
     let rows: Vec<f64> = (0..n).map(row).collect();
@@ -239,6 +243,7 @@ fn root_mean_square(gram: &[f64], n: usize) -> (f64, f64) {
     let variance = (count - 1.0) / count * without.iter().map(|w| (w - middle).powi(2)).sum::<f64>();
     let error = variance.sqrt();
     let rms = square.max(0.0).sqrt();
-    // By the derivative of the root; near zero, where it has none, what the square might be.
+    // The error of the square is propagated by the derivative of the root. Near zero, where the derivative is infinite,
+    // the root of the square's error is used.
     (rms, if rms * rms > error { 0.5 * error / rms } else { error.sqrt() })
 }

@@ -1,4 +1,4 @@
-//! A forecast of the memory that a solution will take.
+//! A forecast of the memory that a solution needs. All constants are in bytes.
 
 use crate::{
     direct::{Constants, REPLICATES},
@@ -7,47 +7,48 @@ use crate::{
     solve::Solver,
 };
 
-/// The program, its threads, and the buffers of output files.
+/// For the program, its threads, and the buffers of output files.
 const BASE: f64 = 16.0 * 1024.0 * 1024.0;
-/// A triangle, its normals and its share of the hierarchy during construction: 498 bytes measured on 10⁶ triangles.
+/// For a triangle, its normals and its share of the hierarchy during construction: 498 bytes measured on 10⁶ triangles.
 const TRIANGLE: f64 = 500.0;
-/// Entries of a matrix of whole rows: value and column.
+/// For an entry of a matrix of whole rows: value and column.
 const ENTRY: f64 = 8.0;
-/// The same while they are made from a symmetric matrix: pairs are listed, and rows grow.
+/// For an entry of whole rows while they are built from a symmetric matrix: pairs are listed, and rows grow.
 const UNFOLDED_ENTRY: f64 = 36.0;
-/// The same while they are made from columns. Memory freed earlier does not fit.
+/// For an entry of columns while they are built from rows. Memory that was freed earlier does not fit.
 const TRANSPOSED_ENTRY: f64 = 24.0;
-/// Entries of a dense matrix and of its factors, and of the factors of the previous channel.
+/// For an entry of a dense matrix, of its factors, and of the factors of the previous channel.
 const DENSE_ENTRY: f64 = 32.0;
-/// Entries of a row of a symmetric matrix, each half of a pair of 12 bytes at most.
+/// For an entry of a row of a symmetric matrix: half of a pair, which has 12 bytes at most.
 const SHARED_ENTRY: f64 = 6.0;
-/// How light varies over a patch, for each channel: slopes, constant light, and replicates of what they change; and the same while it
-/// is found.
+/// For linear light, per patch and channel: slopes, constant light, and replicates of the change from slopes; and the
+/// same again during their computation.
 const LINEAR: f64 = 400.0;
-/// A shadow ray: what it went to, and its weight.
+/// For a shadow ray: its target and its weight.
 const SHADOW_RAY: f64 = 8.0;
 
-/// A patch without a matrix, for any number of rays: sums, batches, light and error of a channel, and everything that does not
-/// depend on channels; then the mesh that is written.
+/// For a patch without a matrix, for any number of rays: everything that does not depend on channels, and then the mesh
+/// that is written.
 const SWEPT: f64 = 480.0;
+/// For a patch without a matrix, per channel: sums, batches, light and error.
 const SWEPT_CHANNEL: f64 = 160.0;
-/// The form factor of a patch to a piece of a lamp.
+/// For the form factor of a patch to a piece of a lamp.
 const KNOWN_PIECE: f64 = 8.0;
 
-/// Peak number of bytes of a solution without a matrix, for a number of patches that includes backs.
+/// Peak number of bytes of a solution without a matrix. `patches` is the number of patches, backs included.
 pub fn without_matrix(scene: &Scene, patches: f64) -> f64 {
     let of_patch =
         SWEPT + SWEPT_CHANNEL * scene.channels() as f64 + KNOWN_PIECE * known_pieces(scene, patches);
     BASE + TRIANGLE * scene.triangles.len() as f64 + of_patch * patches
 }
 
-/// Bytes that linear light adds at most, for a number of patches that includes backs.
+/// Largest number of bytes that linear light adds. `patches` is the number of patches, backs included.
 pub fn of_linear_light(scene: &Scene, patches: f64) -> f64 {
     LINEAR * scene.channels() as f64 * patches
 }
 
-/// How many pieces of lamps there are whose unblocked light each patch holds: a lamp's triangle, or of one that shines by a texture
-/// each patch; none where they are too many.
+/// Number of pieces of lamps for which each patch stores the unblocked light. A piece is an emitting triangle, or a
+/// patch of a triangle with an emission texture. Zero if there are too many pieces.
 fn known_pieces(scene: &Scene, patches: f64) -> f64 {
     let all: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
     let of_triangle = |t: usize| match scene.material(t).emission_map {
@@ -58,38 +59,39 @@ fn known_pieces(scene: &Scene, patches: f64) -> f64 {
     if pieces <= Constants::MOST_KNOWN as f64 { pieces } else { 0.0 }
 }
 
-/// Number of bytes of a solution with all its errors, by purpose. This is an upper estimate: with evenly distributed hits, a row of r
-/// rays among n patches has n (1 - exp(-r / n)) entries; in a real scene hits crowd together and it has fewer. The number of
-/// patches must include backs, which rays find later.
+/// Forecast number of bytes of a solution with all its errors, by purpose. It is an upper estimate. With evenly
+/// distributed hits, a row of r rays among n patches has n (1 - exp(-r / n)) entries. In a real scene hits are
+/// concentrated, and a row has fewer entries.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Memory {
     /// The program, the scene and the hierarchy of its triangles.
     pub scene: f64,
     /// Numbers stored for every patch.
     pub patches: f64,
-    /// The hits of all rays.
+    /// Hits of all rays.
     pub hits: f64,
-    /// The form factors.
+    /// Form factors.
     pub matrix: f64,
-    /// For a time: hits sorted by the blocks that they connect, and entries before tiles hold them.
+    /// Temporary: hits sorted by the blocks that they connect, and entries before they are stored in tiles.
     pub calibration: f64,
-    /// For a time: sums of every replicate, and deviations.
+    /// Temporary: sums of every replicate, and deviations.
     pub error_bars: f64,
-    /// For a time: half of the hits, and the form factors that they give, with what the solver makes of them.
+    /// Temporary: half of the hits, the form factors from these hits, and the solver's copy of them.
     pub halves: f64,
-    /// For a time: the matrix as the solver wants it, where that is not as it is kept.
+    /// Temporary: the solver's copy of the matrix, if it needs another format.
     pub solver: f64,
 }
 
 impl Memory {
-    /// The forecast for a number of patches, backs included, and a mean number of rays per patch.
+    /// The forecast for a scene. `patches` is the number of patches, including the backs that rays will hit. `rays` is
+    /// the mean number of rays per patch.
     pub fn of(scene: &Scene, patches: f64, rays: f64, estimator: Estimator, solver: Solver) -> Memory {
         let n = patches.max(1.0);
         let channels = scene.channels() as f64;
         let pooled = estimator == Estimator::Pooled;
         let (hemisphere, shadow) = if pooled { (0.75 * rays, 0.25 * rays) } else { (rays, 0.0) };
         let of_lamps = if pooled { KNOWN_PIECE * known_pieces(scene, n) } else { 0.0 };
-        // Number of entries of a row with a number of samples among a number of patches.
+        // Expected number of entries of a row with `samples` samples among `patches` patches.
         let row = |samples: f64, patches: f64| -patches * (-samples / patches).exp_m1();
         let both = if pooled { 2.0 } else { 1.0 };
         let hits = 4.0 * hemisphere + SHADOW_RAY * shadow + 100.0;
@@ -98,7 +100,7 @@ impl Memory {
         let factors = if pooled { 10.0 * entries + 8.0 * row(rays, n) } else { 2.0 * ENTRY * row(rays, n) };
         let half_entries = row(0.5 * both * rays, n);
         let half = entry * half_entries;
-        // Whole rows, unless the matrix has them; columns, unless it is symmetric; a dense matrix.
+        // Some solvers need whole rows, which a symmetric matrix does not have. Southwell needs columns.
         let (whole, columns) =
             if pooled { (UNFOLDED_ENTRY, UNFOLDED_ENTRY) } else { (0.0, TRANSPOSED_ENTRY) };
         let solver = |entries: f64| match solver {
@@ -115,13 +117,13 @@ impl Memory {
             matrix: n * entry * entries,
             calibration: n * factors,
             error_bars: n * REPLICATES as f64 * (sums + deviations),
-            // Copied into vectors that grow while they are filled.
+            // Twice: the entries are copied into vectors that grow while they are filled.
             halves: n * (hits + 2.0 * half + solver(half_entries)),
             solver: n * solver(entries),
         }
     }
 
-    /// The peak over time.
+    /// The peak over time, in bytes.
     pub fn peak(&self) -> f64 {
         let for_a_time = [self.calibration, self.error_bars, self.halves, self.solver];
         let kept = self.scene + self.patches + self.hits + self.matrix;

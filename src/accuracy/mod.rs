@@ -1,4 +1,4 @@
-//! How right the answer is: error bars, and the comparison with the referee.
+//! Accuracy of solutions: error bars, estimates of other errors, and comparison with path and light tracing.
 
 pub mod adaptive;
 pub mod bias;

@@ -1,7 +1,7 @@
 //! Sampling in rounds, until the error is low enough or the time is up.
 //!
-//! Every round keeps all earlier rays and casts more where they reduce the error of irradiance most. A [`Plan`] decides how many
-//! more. It looks at the rounds so far and never at a clock.
+//! Every round keeps all earlier rays and casts more where they reduce the error of irradiance most. A [`Plan`] decides
+//! how many more. It uses the recorded rounds and never reads a clock.
 
 use std::{sync::Arc, time::Instant};
 
@@ -24,19 +24,20 @@ pub const FIRST_RAYS: f64 = 64.0;
 const MOST_GROWTH: f64 = 4.0;
 /// A round has at least this many times the rays of the previous one, because each assembles and solves everything again.
 const LEAST_GROWTH: f64 = 1.2;
-/// The plan aims at this share of the target, so that chance does not cause one more round.
+/// The plan aims at this share of the target error, so that chance does not cause one more round.
 const AIM: f64 = 0.97;
-/// Smallest and largest power of the number of rays with which the error falls. Independent rays give 1/2, and stratified rays
-/// more.
+/// Smallest and largest power of the number of rays with which the error falls. It is 1/2 for independent rays and
+/// larger for stratified rays.
 const RATES: (f64, f64) = (0.5, 0.8);
 /// The power that is assumed after one round.
 const USUAL_RATE: f64 = 0.65;
 
-/// Sweeps without a matrix need this many times the time that was spent with one to reach a smaller error. With the same rays their
-/// error is about twice as large, and it falls with the power 0.6 of the rays: a factor of 4 makes up for it, and 5 gains.
+/// Sweeps without a matrix start only if the remaining time is this many times the time spent with a matrix. With the
+/// same rays their error is about twice as large, and it falls with the power 0.6 of the number of rays. So 4 times the
+/// time reaches about the same error, and 5 times a smaller one.
 const ANEW: f64 = 5.0;
 
-/// What a round reached.
+/// The result of a round.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Round {
     /// Mean number of rays per patch, over all rounds.
@@ -49,13 +50,14 @@ pub struct Round {
     pub casting: f64,
 }
 
-/// When to stop. Without any limit, sampling stops after the first round.
+/// Limits of the sampling. Without any limit, sampling stops after the first round.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Plan {
-    /// Stop when the error is at most this.
+    /// Target error. Sampling stops when the error is at most this.
     pub error: Option<f64>,
-    /// Stop after this number of seconds. A round starts only if it, and everything after the last round, should end by then.
+    /// Time limit in seconds. A round starts only if it, and everything after the last round, is expected to end in
+    /// time.
     pub seconds: Option<f64>,
     /// Duration of everything after the last round, relative to the last round. Zero if unknown.
     pub after: f64,
@@ -74,7 +76,7 @@ impl Plan {
     /// The number of rays per patch after the next round, or `None` to stop.
     ///
     /// # Panics
-    /// When there was no round yet.
+    /// If `rounds` is empty.
     pub fn next(&self, rounds: &[Round]) -> Option<f64> {
         let last = rounds.last().expect("at least one round");
         if !self.wants_more(last) {
@@ -85,7 +87,8 @@ impl Plan {
             growth = growth.min((last.error / (AIM * target)).powf(1.0 / rate(rounds)).max(LEAST_GROWTH));
         }
         if let Some(seconds) = self.seconds {
-            // The cost of a round is about proportional to all rays so far, because it assembles and solves with all of them.
+            // The time of a round is about proportional to all rays so far, because it assembles and solves with all of
+            // them.
             let before = rounds.len().checked_sub(2).map_or(0.0, |k| rounds[k].elapsed);
             let left = seconds - last.elapsed;
             growth = growth.min(left / ((1.0 + self.after) * (last.elapsed - before)).max(1e-9));
@@ -94,19 +97,20 @@ impl Plan {
         (rays >= LEAST_GROWTH * last.rays).then_some(rays)
     }
 
-    /// Whether to go on after this round, for a method that can stop at any time, if the next step takes this many seconds.
+    /// Whether to continue after this round, for a method that can stop at any time. `seconds` is the time of the next
+    /// step.
     pub fn goes_on(&self, last: &Round, seconds: f64) -> bool {
         self.wants_more(last) && self.seconds.is_none_or(|all| last.elapsed + seconds <= all)
     }
 
-    /// Whether to start again without a matrix after the last round that memory holds: if the error was not reached and there is
-    /// enough time for sweeps to reach a smaller one.
+    /// Whether to start again without a matrix after the last round that fits into memory. This is so if the target
+    /// error was not reached and there is enough time for sweeps to reach a smaller error.
     pub fn starts_anew(&self, rounds: &[Round]) -> bool {
         let Some(last) = rounds.last() else { return false };
         self.wants_more(last) && self.seconds.is_none_or(|all| all - last.elapsed > ANEW * last.elapsed)
     }
 
-    /// Whether the error was not reached, or time alone decides.
+    /// Whether the target error was not reached. Without a target error: whether there is a time limit.
     fn wants_more(&self, last: &Round) -> bool {
         match self.error {
             Some(target) => last.error > target,
@@ -114,7 +118,8 @@ impl Plan {
         }
     }
 
-    /// Forecast of the number of rays per patch that the wanted error needs, from the rounds so far.
+    /// Forecast of the number of rays per patch for the target error, from the rounds so far. `None` without a target
+    /// error.
     pub fn forecast(&self, rounds: &[Round]) -> Option<f64> {
         let (target, last) = (self.error?, rounds.last()?);
         Some(last.rays * (last.error / target).max(1.0).powf(1.0 / rate(rounds)))
@@ -128,11 +133,11 @@ fn rate(rounds: &[Round]) -> f64 {
     if observed.is_finite() { observed.clamp(RATES.0, RATES.1) } else { RATES.0 }
 }
 
-/// Casts and solves the first round, with the rays of `cast`. If there is a checkpoint, known hits are taken from it and new ones
-/// are stored in it, also by later rounds.
+/// Casts and solves the first round, with the rays of `cast`. If there is a checkpoint, known hits are read from it.
+/// New hits are stored in it, also by later rounds.
 ///
 /// # Errors
-/// As [`FormFactors::cast_checkpointed`] and [`solve_linear`].
+/// See [`FormFactors::cast_checkpointed`] and [`solve_linear`].
 pub fn begin(
     scene: &Scene,
     tracer: &Tracer,
@@ -148,11 +153,12 @@ pub fn begin(
     round((scene, tracer), (start, 0.0), patches, form_factors, options, progress)
 }
 
-/// Continues after the first round until `next` returns `None`, and returns the last solution. `next` gets the solution and all rounds so
-/// far, and returns the number of rays per patch after one more round. Its own time counts to no round.
+/// Continues after the first round until `next` returns `None`. Returns the last solution and all rounds. `next`
+/// receives the solution and all rounds so far, and returns the number of rays per patch after one more round. Its own
+/// time is not part of any round.
 ///
 /// # Errors
-/// As [`solve_linear`], and what `next` returns.
+/// See [`solve_linear`]. Errors of `next` are returned too.
 pub fn refine(
     scene: &Scene,
     tracer: &Tracer,
@@ -173,7 +179,7 @@ pub fn refine(
     Ok((solved, rounds))
 }
 
-/// Everything after casting, in a round that began at `start`, `before` seconds after the first round began.
+/// Everything after casting, in a round that began at `start`. The earlier rounds took `before` seconds.
 fn round(
     (scene, tracer): (&Scene, &Tracer),
     (start, before): (Instant, f64),
@@ -203,8 +209,8 @@ mod tests {
         Round { rays, error, elapsed, casting: 0.5 * elapsed }
     }
 
-    /// Errors that fall like 1/sqrt(rays) reach the target in about as few rounds as growth allows, and overshoot by no more
-    /// than the least growth.
+    /// An error that falls like 1/sqrt(rays) reaches the target in the fewest rounds that the largest growth allows. It
+    /// overshoots by no more than the least growth.
     #[test]
     fn an_error_is_reached_and_not_by_far() {
         let plan = Plan { error: Some(0.01), ..Plan::default() };
@@ -214,9 +220,9 @@ mod tests {
         }
         let last = rounds.last().unwrap();
         assert!(last.error <= 0.01 && last.error >= 0.01 / LEAST_GROWTH.sqrt(), "{rounds:?}");
-        // 64 times the rays are three times four times as many.
+        // 64 times the rays take three more rounds with four times the rays each.
         assert_eq!(rounds.len(), 4);
-        // The second round tells the rate.
+        // The second round determines the rate.
         assert!((plan.forecast(&rounds[..2]).unwrap() / 4096.0 - 1.0).abs() < 1e-12);
     }
 
@@ -224,13 +230,13 @@ mod tests {
     fn no_round_begins_that_would_end_too_late() {
         let plan = Plan { seconds: Some(10.0), ..Plan::default() };
         assert_eq!(plan.next(&[round(64.0, 0.1, 1.0)]), Some(256.0));
-        // 4 seconds for the last round, 5 left: a quarter more.
+        // The last round took 4 seconds, and 5 are left: a quarter more rays fit.
         assert_eq!(plan.next(&[round(64.0, 0.1, 1.0), round(256.0, 0.05, 5.0)]), Some(320.0));
         assert_eq!(plan.next(&[round(64.0, 0.1, 1.0), round(256.0, 0.05, 6.0)]), None);
     }
 
-    /// On a clock by which rounds take `cost` seconds for each of their rays a patch, and what comes after them `after` times as
-    /// long, all ends in time; and no time is left in which another round could have ended.
+    /// Rounds take `cost` seconds per ray per patch, and everything after the last round takes `after` times as long as
+    /// that round. Then all ends in time, and the remaining time is too short for another round.
     #[test]
     fn what_comes_after_the_last_round_ends_in_time_too() {
         for (seconds, cost, after) in

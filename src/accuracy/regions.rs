@@ -1,7 +1,7 @@
-//! Errors of the parts of a scene, relative to the light that is there.
+//! Errors of the parts of a scene, relative to the light on each part.
 //!
-//! The error of a whole scene is relative to its mean irradiance. Where one room is bright and another dim, it tells nothing of the
-//! dim one.
+//! The error of a whole scene is relative to its mean irradiance. If one room is bright and another dim, this error
+//! shows nothing about the dim room.
 
 use std::collections::BTreeMap;
 
@@ -12,17 +12,18 @@ use crate::{patch::Patches, scene::Scene};
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct RegionError {
-    /// What they have in common, as in `material wall` or `object lamp`.
+    /// Name of the material or object, as in `material wall` or `object lamp`.
     pub region: String,
-    /// Root mean square of their standard errors by area, relative to their own mean irradiance.
+    /// Area-weighted root mean square of the standard errors in the region, relative to the mean irradiance of the
+    /// region.
     pub rms_relative: f64,
 }
 
-/// The error of every material, and of every object where the file names some, the largest first. Surfaces that no light reaches
-/// are left out. `standard_error` and `irradiance` hold interleaved channels of all patches.
+/// The errors of all materials, and of all objects that the file names, largest first. Regions that no light reaches
+/// are left out. `irradiance` and `standard_error` have an entry per patch and channel.
 ///
 /// # Panics
-/// When they do not have as many values.
+/// If the sizes disagree.
 pub fn errors(
     scene: &Scene,
     patches: &Patches,
@@ -37,7 +38,7 @@ pub fn errors(
         let triangle = &scene.triangles[patches.triangle(i)];
         let material = &scene.materials[triangle.material as usize].name;
         regions.entry(format!("material {material}")).or_default().push(i);
-        // The face that the triangle comes from begins last before it.
+        // The triangle comes from the last face that begins at or before it.
         let after = scene.faces.partition_point(|face| face.first <= triangle.source);
         let face = after.checked_sub(1).map(|face| &scene.faces[face]);
         let object = face.and_then(|face| scene.parts.get(face.part as usize)?.object.as_ref());
@@ -68,7 +69,7 @@ mod tests {
     use super::*;
     use crate::{patch::Subdivision, scene::Material};
 
-    /// Two triangles of areas 1/2 and 2: of irradiance 4 ± 1 and 1/2 ± 1/4, relative to themselves.
+    /// Two triangles have areas 1/2 and 2 and irradiances 4 ± 1 and 1/2 ± 1/4. Their relative errors are 1/4 and 1/2.
     #[test]
     fn errors_are_relative_to_the_light_of_their_region() {
         let triangle = |size: f64, z: f64| [dvec3(0.0, 0.0, z), dvec3(size, 0.0, z), dvec3(0.0, size, z)];
@@ -76,8 +77,8 @@ mod tests {
         let scene = Scene::new(&[(triangle(1.0, 0.0), 0), (triangle(2.0, 1.0), 1)], materials.into());
         let patches = Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY));
         let found = errors(&scene, &patches, &[4.0, 0.5], &[1.0, 0.25]);
-        let told: Vec<(&str, f64)> = found.iter().map(|e| (&*e.region, e.rms_relative)).collect();
-        assert_eq!(told, [("material dim", 0.5), ("material bright", 0.25)]);
+        let reported: Vec<(&str, f64)> = found.iter().map(|e| (&*e.region, e.rms_relative)).collect();
+        assert_eq!(reported, [("material dim", 0.5), ("material bright", 0.25)]);
         assert!(errors(&scene, &patches, &[4.0, 0.0], &[1.0, 0.0]).len() == 1);
     }
 }

@@ -1,4 +1,4 @@
-//! A solved scene, with everything that the solution was made from.
+//! A solved scene: the solution with its patches, form factors and error bars.
 
 use crate::{
     Progress, Result,
@@ -13,21 +13,21 @@ use crate::{
 /// A scene solved at one patch size.
 #[derive(Debug)]
 pub struct Solved {
-    /// Its patches.
+    /// The patches.
     pub patches: Patches,
-    /// Their form factors.
+    /// The form factors of the patches.
     pub form_factors: FormFactors,
-    /// The light.
+    /// The solution.
     pub solution: Solution,
-    /// Its standard errors.
+    /// Standard errors of the solution.
     pub error_bars: ErrorBars,
 }
 
 impl Solved {
-    /// Cuts, casts, solves and estimates the errors.
+    /// Subdivides the scene, casts rays, solves and estimates the errors.
     ///
     /// # Errors
-    /// As [`FormFactors::cast`] and [`solve_linear`].
+    /// See [`FormFactors::cast`] and [`solve_linear`].
     pub fn new(
         scene: &Scene,
         tracer: &Tracer,
@@ -39,10 +39,10 @@ impl Solved {
         Self::of_patches(scene, tracer, Patches::subdivide(scene, subdivision), cast, options, progress)
     }
 
-    /// As [`Solved::new`], for given patches.
+    /// Like [`Solved::new`], for given patches.
     ///
     /// # Errors
-    /// As [`FormFactors::cast`] and [`solve_linear`].
+    /// See [`FormFactors::cast`] and [`solve_linear`].
     pub fn of_patches(
         scene: &Scene,
         tracer: &Tracer,

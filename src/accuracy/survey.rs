@@ -1,4 +1,4 @@
-//! A survey by a few rays before anything is computed: whether surfaces see fronts, backs, or the outside.
+//! A quick survey with a few rays before a computation: whether surfaces see fronts, backs, or the outside.
 
 use std::{collections::HashMap, time::Instant};
 
@@ -14,19 +14,19 @@ use crate::{
     },
 };
 
-/// Rays that a thread casts at a time.
+/// Rays per parallel task.
 const BLOCK: u64 = 4096;
 
-/// Counts of what rays from some surfaces met.
+/// Counts of rays from some surfaces by what they hit.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Seen {
     /// Rays cast.
     pub rays: u64,
-    /// Rays that met the front of a surface.
+    /// Rays that hit the front of a surface.
     pub fronts: u64,
-    /// Rays that met a back.
+    /// Rays that hit the back of a surface.
     pub backs: u64,
-    /// Rays that met nothing.
+    /// Rays that hit nothing.
     pub escaped: u64,
 }
 
@@ -42,27 +42,28 @@ impl Seen {
     }
 }
 
-/// What rays from the fronts of a scene met.
+/// The hits of rays from the fronts of a scene.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Survey {
-    /// From all fronts, in proportion to the area.
+    /// Rays from all fronts, in proportion to their area.
     pub all: Seen,
-    /// From the fronts that emit.
+    /// Rays from the fronts that emit.
     pub lamps: Seen,
-    /// Number of rays that met the back of each material of the scene.
+    /// For each material of the scene, the number of rays that hit its back.
     pub backs_of: Vec<u64>,
-    /// Estimated share of the area whose backs can be seen. These backs will be patches too.
+    /// Estimated share of the area whose back can be seen. These backs will become patches too.
     pub back_area: f64,
-    /// Area of fronts that are shut in solids, in the file's unit squared: no rays were cast from them.
+    /// Area of fronts that are shut in solids, in square scene units. No rays were cast from them.
     pub shut_in_area: f64,
-    /// Seconds that all rays took.
+    /// Time of all rays in seconds.
     pub seconds: f64,
 }
 
 impl Survey {
-    /// Casts `rays` cosine-distributed rays from all fronts, and a quarter as many from emitting fronts, but for those that are
-    /// shut in solids ([`shut_in_solids`]). The same seed gives the same counts for any number of threads.
+    /// Casts `rays` cosine-distributed rays from all fronts, and a quarter as many from emitting fronts. Fronts that
+    /// are shut in solids ([`shut_in_solids`]) are left out. The same seed gives the same counts for any number of
+    /// threads.
     pub fn of(scene: &Scene, tracer: &Tracer, rays: u64, seed: u64) -> Survey {
         let shut_in = shut_in_solids(scene);
         let is_shut_in = |t: &usize| shut_in.get(*t).is_some_and(|[front, _]| *front);
@@ -82,28 +83,31 @@ impl Survey {
     }
 }
 
-/// A luminaire that is inside out: what its fronts emit stays in it or close to it, while its backs see the room.
+/// A luminaire that is inside out: the light of its fronts stays in it or close to it, while its backs see the room.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TurnedLamp {
-    /// Its first triangle.
+    /// Index of its first triangle.
     pub triangle: usize,
-    /// The material that most of its light meets first.
+    /// Index of the material that most of its light hits first.
     pub lit: u32,
     /// The share of its light that stays close to it.
     pub kept: f64,
 }
 
-/// Walks from each side of a luminaire: shares to a few per cent, of which halves and quarters are told apart.
+/// Random walks from each side of a luminaire. They give shares to a few per cent, enough to distinguish a half from a
+/// quarter.
 const WALKS: u32 = 256;
-/// Hits of a walk. Light that is not close to its luminaire after so many reflections has left it.
+/// Number of hits of a walk. Light that leaves the neighbourhood of its luminaire within this many hits counts as lost
+/// to it.
 const STEPS: u32 = 4;
-/// No more luminaires than this are looked at, the largest.
+/// Largest number of luminaires to check. The largest ones are checked.
 const MOST_LAMPS: usize = 256;
 
-/// The luminaires that are inside out. After some reflections more than half of the light of their fronts is still close to
-/// them: in a box whose faces are inside out, or between a lamp and the ceiling that it faces. Of walks from their backs fewer
-/// than a quarter stay so close. A lamp deep in a recess shines out of it, at last after some reflections. A room that glows all
-/// round is no luminaire: nothing else is in the scene.
+/// The luminaires that are inside out. More than half of the light of their fronts is still close to them after some
+/// reflections: in a box whose faces are inside out, or between a lamp and the ceiling that it faces. Fewer than a
+/// quarter of the walks from their backs stay as close. A lamp deep in a recess does not count, because its light
+/// leaves the recess after some reflections. A luminaire whose neighbourhood includes the whole scene, like a room that
+/// glows all around, does not count either.
 pub fn turned_lamps(scene: &Scene, tracer: &Tracer) -> Vec<TurnedLamp> {
     let area = |lamp: &[usize]| lamp.iter().map(|&t| scene.area(t)).sum::<f64>();
     let mut lamps: Vec<(f64, Vec<usize>)> =
@@ -126,7 +130,7 @@ pub fn turned_lamps(scene: &Scene, tracer: &Tracer) -> Vec<TurnedLamp> {
     lamps.par_iter().filter_map(turned).collect()
 }
 
-/// A box round triangles, in unit space.
+/// Bounding box of triangles, in unit space.
 fn bounds(tracer: &Tracer, triangles: &[usize]) -> [Vec3A; 2] {
     const CORNERS: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let corners = triangles.iter().flat_map(|&t| CORNERS.map(|b| tracer.triangles()[t].point(b)));
@@ -134,7 +138,7 @@ fn bounds(tracer: &Tracer, triangles: &[usize]) -> [Vec3A; 2] {
     corners.fold(none, |[low, high], p| [low.min(p), high.max(p)])
 }
 
-/// Emitting triangles that hang together by their vertices, of one material each.
+/// Groups of emitting triangles that are connected by shared vertices and have the same material.
 fn luminaires(scene: &Scene) -> Vec<Vec<usize>> {
     let emitters: Vec<usize> = (0..scene.triangles.len()).filter(|&t| scene.emits(t)).collect();
     let mut sets = DisjointSets::new(emitters.len());
@@ -151,8 +155,8 @@ fn luminaires(scene: &Scene) -> Vec<Vec<usize>> {
     luminaires
 }
 
-/// The share of the walks from one side of some triangles, from hit to hit, that stay in a box; and the material that most of
-/// them meet first.
+/// The share of the random walks from one side of some triangles that stay in a box, and the material that most of them
+/// hit first.
 fn kept(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]: [Vec3A; 2]) -> (f64, u32) {
     let total: f64 = lamp.iter().map(|&t| scene.area(t)).sum();
     let (mut below, mut at) = (scene.area(lamp[0]), 0);
@@ -189,8 +193,9 @@ fn kept(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]
     (f64::from(kept) / f64::from(WALKS), most as u32)
 }
 
-/// The share of the area of all triangles whose back was met or would be met by more rays. If a sample contains f1 kinds once
-/// and f2 kinds twice, at least f1² / 2 f2 kinds are missing (Chao, Scandinavian Journal of Statistics 11, 1984).
+/// The share of the area in triangles whose back was hit or would be hit by more rays. `met` holds a triangle per hit.
+/// If a sample contains f1 kinds once and f2 kinds twice, at least f1² / 2 f2 kinds are missing (Chao, Scandinavian
+/// Journal of Statistics 11, 1984).
 fn back_area(scene: &Scene, mut met: Vec<u32>) -> f64 {
     met.sort_unstable();
     let (mut area, mut kinds, mut once, mut twice) = (0.0, 0.0, 0.0, 0.0);
@@ -208,7 +213,8 @@ fn back_area(scene: &Scene, mut met: Vec<u32>) -> f64 {
     (area / total * (kinds + missing) / kinds).min(1.0)
 }
 
-/// What `rays` from these triangles met, and the triangles whose back was met. Adds the time that the rays took.
+/// Casts `rays` rays from the triangles `from`. Returns the counts, and the triangle of each hit on a back. Adds the
+/// time of the rays to `seconds`.
 fn cast(
     scene: &Scene,
     tracer: &Tracer,
@@ -217,7 +223,7 @@ fn cast(
     seed: u64,
     seconds: &mut f64,
 ) -> (Seen, Vec<u32>) {
-    // Areas may overflow when summed, and vanish in the single precision of unit space.
+    // Areas may overflow in the sum, and they may vanish in the single precision of unit space.
     let largest = from.iter().map(|&t| scene.area(t)).fold(0.0, f64::max);
     let mut below = Vec::with_capacity(from.len());
     let mut total = 0.0;

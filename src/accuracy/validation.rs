@@ -1,8 +1,8 @@
 //! Validation of a solution: radiosity against path tracing and light tracing.
 //!
-//! An energy balance cannot distinguish a right answer from a wrong symmetric one. An estimate that shares no numerics with the
-//! solver can. The discretisation error also contributes to the difference. To estimate it, the scene is solved with edges
-//! half as long, too.
+//! An energy balance cannot distinguish a right solution from a wrong symmetric one. An estimate that shares no
+//! numerics with the solver can. The discretisation error contributes to the difference too. To estimate it, the scene
+//! is also solved with edges half as long.
 
 use crate::{
     Progress, Result,
@@ -20,21 +20,22 @@ use crate::{
     trace::Tracer,
 };
 
-/// The effort of a validation.
+/// Options of [`Validation::of`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ValidationOptions {
     /// The patches under test.
     pub subdivision: Subdivision,
-    /// Rays per patch for the solution under test. The finer solution casts a quarter of it from each of its patches.
+    /// Rays per patch for the solution under test. The finer solution casts a quarter of this number from each of its
+    /// patches.
     pub rays: f64,
     /// Paths per patch.
     pub paths: u32,
     /// Particles from the emitters.
     pub particles: u64,
-    /// How the linear systems are solved.
+    /// Options of the solver.
     pub solve: SolveOptions,
-    /// The same seed gives the same verdict.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
@@ -48,7 +49,8 @@ setters!(ValidationOptions {
 });
 
 impl Default for ValidationOptions {
-    /// About 1000 patches, 1024 rays and 1024 paths each, 4 million particles. This takes some seconds, with errors near 1 %.
+    /// About 1000 patches with 1024 rays and 1024 paths each, and 4 million particles. This takes some seconds and
+    /// gives errors near 1 %.
     fn default() -> Self {
         ValidationOptions {
             subdivision: Subdivision::Count(1000),
@@ -61,13 +63,13 @@ impl Default for ValidationOptions {
     }
 }
 
-/// Radiosity as one side of the comparison: estimates for the front patches of `coarse`, with allowances for their discretisation
-/// error from `fine`, the same scene with edges half as long.
+/// Radiosity's estimates for the comparison: the irradiance of the front patches of `coarse`, with allowances for the
+/// discretisation error. These come from `fine`, the same scene with edges half as long.
 ///
-/// The error of `fine` is between a third of the change between the two (if the error falls with the square of the edge) and all of
-/// it (if it falls with the edge). The estimate of a patch stays as it is. Its allowance is twice the change of the patch or of its
-/// neighbours, as far as sampling does not explain it. The mean, for which a small bias matters, is extrapolated by two thirds of
-/// the change, with an uncertainty of a third.
+/// The error of `fine` is between a third of the change from `coarse` to `fine` (if the error falls with the square of
+/// the edge) and all of it (if it falls with the edge). The irradiance of a patch is not corrected. Its allowance is
+/// twice the change of the patch or of its neighbours, minus the part that sampling explains. The mean, for which a
+/// small bias matters, is extrapolated by two thirds of the change, with an uncertainty of a third.
 pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
     let channels = coarse.solution.channels;
     let n = coarse.patches.fronts();
@@ -97,16 +99,16 @@ pub fn radiosity_estimates(coarse: &Solved, fine: &Solved) -> Estimates {
     Estimates { irradiance, standard_error, allowance, mean }
 }
 
-/// Values of the patches of `fine`, with interleaved channels, averaged over the front patches of `coarse`. Both subdivide the same
-/// triangles.
+/// Averages values of the patches of `fine` over the front patches of `coarse`. The values have interleaved channels.
+/// Both subdivide the same triangles.
 ///
 /// # Panics
-/// When the sizes disagree.
+/// If the sizes disagree.
 pub fn averaged(coarse: &Patches, fine: &Patches, values: &[f64]) -> Vec<f64> {
     weighted(coarse, fine, values, |share| share)
 }
 
-/// Standard errors of such averages, from independent standard errors of the patches of `fine`.
+/// Standard errors of the averages of [`averaged`], from independent standard errors of the patches of `fine`.
 pub(super) fn averaged_errors(coarse: &Patches, fine: &Patches, errors: &[f64]) -> Vec<f64> {
     let variance: Vec<f64> = errors.iter().map(|e| e * e).collect();
     weighted(coarse, fine, &variance, |share| share * share).into_iter().map(f64::sqrt).collect()
@@ -126,7 +128,7 @@ fn weighted(coarse: &Patches, fine: &Patches, values: &[f64], weight: impl Fn(f6
     sums
 }
 
-/// Path tracing as one side of the comparison, for the front patches.
+/// Path tracing's estimates for the comparison, for the front patches.
 ///
 /// # Errors
 /// [`Error::Stopped`](crate::Error::Stopped).
@@ -143,7 +145,7 @@ pub fn path_traced(
     let effort = Effort { samples: options.paths, seed: options.seed, ..Effort::default() };
     let mut found = PathTracer::new(scene, tracer, PathOptions::default())
         .mean_irradiances(&regions, &effort, progress)?;
-    // Of two faces at the same place only one is lit. Paths that start on the hidden one do not notice.
+    // Of two faces at the same place, only one is lit. Paths that start on the hidden face do not find this out.
     for (i, found) in found.iter_mut().enumerate() {
         if is_hidden(tracer, patches, i) {
             *found = Estimate::default();
@@ -152,7 +154,7 @@ pub fn path_traced(
     Ok(from_monte_carlo(&found, patches, |_| 1.0))
 }
 
-/// Light tracing as one side of the comparison, for the front patches.
+/// Light tracing's estimates for the comparison, for the front patches.
 ///
 /// # Errors
 /// [`Error::Stopped`](crate::Error::Stopped); [`Error::NoEquilibrium`](crate::Error::NoEquilibrium).
@@ -172,14 +174,15 @@ pub fn light_traced(
     Ok(from_monte_carlo(&transport.bins, patches, |i| 1.0 / patches.area(i)))
 }
 
-/// Standard errors, raised to the common standard error of the block of the patch where they are lower. Where light arrives by rare paths,
-/// a patch that missed them has a mean and a standard error that are both too low. Its neighbours correct the latter.
+/// Raises standard errors at least to the common standard error of the patch's block. If light arrives by rare paths, a
+/// patch that missed these paths has a mean and a standard error that are both too low. Its neighbours correct the
+/// standard error.
 fn share_luck(patches: &Patches, standard_error: &[f64]) -> Vec<f64> {
     let variance: Vec<f64> = standard_error.iter().map(|e| e * e).collect();
     at_least_common(patches, &variance).into_iter().map(f64::sqrt).collect()
 }
 
-/// Values, raised to their mean over the block of up to 16 patches (two levels up the quadtree) where they are lower.
+/// Raises values at least to their mean over the block of up to 16 patches, two levels up the quadtree.
 fn at_least_common(patches: &Patches, values: &[f64]) -> Vec<f64> {
     let channels = patches.channels();
     let mut raised = values.to_vec();
@@ -216,9 +219,9 @@ fn from_monte_carlo(found: &[Estimate], patches: &Patches, factor: impl Fn(usize
 pub struct Validation {
     /// The solution under test.
     pub solved: Solved,
-    /// Its energy ledger.
+    /// Energy ledger of the solution.
     pub energy: EnergyLedger,
-    /// Area-weighted root mean square of the allowance for the discretisation error, relative to the mean irradiance.
+    /// Area-weighted root mean square of the allowances for the discretisation error, relative to the mean irradiance.
     pub discretisation_relative: f64,
     /// Radiosity against path tracing.
     pub path: Comparison,
@@ -229,10 +232,10 @@ pub struct Validation {
 }
 
 impl Validation {
-    /// Solves the scene with two patch sizes, traces paths and particles, and compares.
+    /// Solves the scene with two patch sizes, traces paths and particles, and compares the results.
     ///
     /// # Errors
-    /// As [`Solved::new`] and [`light_traced`].
+    /// See [`Solved::new`] and [`light_traced`].
     pub fn of(
         scene: &Scene,
         tracer: &Tracer,
@@ -265,7 +268,7 @@ impl Validation {
         let mut limit = |what: &str, value: f64, limit: f64| {
             // The condition is negated, so that NaN fails.
             if !(value.abs() <= limit) {
-                objections.push(format!("{what} is {value:.2e}, {limit:.0e} is allowed"));
+                objections.push(format!("{what} is {value:.2e}; at most {limit:.0e} is allowed"));
             }
         };
         limit("the energy imbalance", self.energy.imbalance(), 1e-9 + 64.0 * self.energy.rounding());

@@ -1,4 +1,4 @@
-//! What each part of the sky sends to patches and points.
+//! Daylight coefficients of patches and points.
 
 use std::f64::consts::PI;
 
@@ -21,25 +21,25 @@ use crate::{
     },
 };
 
-/// Columns that go through the matrix at a time.
+/// Number of columns that are multiplied by the matrix at a time.
 const BLOCK: usize = 16;
-/// Bounces end when they bring less than this share of what arrived.
+/// The iteration ends when a bounce adds less than this share of the light.
 const ENOUGH: f64 = 1e-5;
 const MOST_BOUNCES: usize = 2000;
 
-/// What to compute.
+/// Options of [`Daylight::new`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct DaylightOptions {
     /// The parts of the sky.
     pub parts: SkyParts,
-    /// Which axis is up.
+    /// The axis that points up.
     pub up: Up,
-    /// Rays of each patch.
+    /// Rays per patch.
     pub rays: f64,
-    /// Rays of each point.
+    /// Rays per point.
     pub rays_of_points: u32,
-    /// The same seed gives the same coefficients.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
@@ -52,30 +52,31 @@ setters!(DaylightOptions {
 });
 
 impl Default for DaylightOptions {
-    /// Tregenza's parts, y is up, 256 rays a patch and 4096 a point, seed 0.
+    /// Tregenza's parts, y is up, 256 rays per patch and 4096 per point, seed 0.
     fn default() -> Self {
         DaylightOptions { parts: SkyParts::new(1), up: Up::Y, rays: 256.0, rays_of_points: 4096, seed: 0 }
     }
 }
 
-/// A place that is lit: a point in the coordinates of the file, and the direction that it faces.
+/// A receiver: a point in scene coordinates and its normal.
 pub type Place = (DVec3, DVec3);
 
-/// Coefficients: the irradiance of places by each part of the sky, were its radiance 1. Surfaces reflect the mean of their channels.
+/// Daylight coefficients: the irradiance of places from each part of the sky with radiance 1. Surfaces reflect with the
+/// mean reflectance of their channels.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Coefficients {
-    /// The parts.
+    /// The parts of the sky.
     pub parts: SkyParts,
     /// Number of places.
     pub places: usize,
-    /// Of each place, what arrives from each part straight and reflected.
+    /// Direct and reflected irradiance of each place from each part, place by place.
     pub total: Vec<f32>,
-    /// Of it what is reflected.
+    /// Reflected irradiance only, in the same order.
     pub reflected: Vec<f32>,
 }
 
-/// A scene with what daylight exchanges in it.
+/// A scene that is solved for all parts of the sky.
 #[derive(Debug)]
 pub struct Daylight<'a> {
     scene: &'a Scene,
@@ -85,17 +86,17 @@ pub struct Daylight<'a> {
     /// Mean reflectance of each patch.
     reflectance: Vec<f64>,
     options: DaylightOptions,
-    /// Of each patch, what all parts bring to it straight and reflected.
+    /// Direct and reflected irradiance of each patch from each part, patch by patch.
     irradiance: Vec<f32>,
-    /// Of it what comes straight.
+    /// Direct irradiance only, in the same order.
     direct: Vec<f32>,
 }
 
 impl<'a> Daylight<'a> {
-    /// Casts rays from all patches, under a uniform sky, and solves for all parts. Other light of the scene is left out.
+    /// Casts rays from all patches under a uniform sky and solves for all parts. Other lights of the scene are ignored.
     ///
     /// # Errors
-    /// [`Error::Stopped`]; [`Error::NoEquilibrium`] where light is caught.
+    /// [`Error::Stopped`]; [`Error::NoEquilibrium`] if light cannot leave the scene and is not absorbed.
     pub fn new(
         scene: &'a Scene,
         tracer: &'a Tracer,
@@ -103,7 +104,7 @@ impl<'a> Daylight<'a> {
         options: &DaylightOptions,
         progress: &Progress,
     ) -> Result<Daylight<'a>> {
-        // What form factors are calibrated with, and what decides who gets more rays.
+        // The uniform sky determines which patches get more rays, and calibrates the form factors.
         let mut lit = scene.clone();
         lit.lights = Lights { sky: Some(Sky::uniform(options.up, [1.0; 3])), ..Lights::default() };
         lit.materials.iter_mut().for_each(|m| m.emission = [0.0; 3]);
@@ -128,12 +129,12 @@ impl<'a> Daylight<'a> {
         Ok(daylight)
     }
 
-    /// The patches, with the backs that rays have met.
+    /// The patches, including the backs that rays hit.
     pub fn patches(&self) -> &Patches {
         &self.patches
     }
 
-    /// What each part of radiance 1 sends to each patch straight.
+    /// Direct irradiance of each patch from each part of radiance 1.
     fn straight(&self) -> Vec<f32> {
         let DaylightOptions { parts, up, seed, .. } = self.options;
         let set = self.form_factors.ray_set().expect("the form factors were cast");
@@ -156,7 +157,7 @@ impl<'a> Daylight<'a> {
         direct
     }
 
-    /// E = D + F ρ E, block of columns by block.
+    /// Solves E = D + F ρ E in blocks of columns.
     fn solve(&self, progress: &Progress) -> Result<Vec<f32>> {
         let (n, count) = (self.patches.len(), self.options.parts.count());
         let mut irradiance = self.direct.clone();
@@ -211,7 +212,7 @@ impl<'a> Daylight<'a> {
         Coefficients { parts, places: fronts, total, reflected }
     }
 
-    /// The coefficients of points: by rays that see the sky, or what patches reflect of it.
+    /// The coefficients of points. Rays from each point hit the sky, or patches that reflect its light.
     ///
     /// # Errors
     /// [`Error::Stopped`].
@@ -258,7 +259,7 @@ impl<'a> Daylight<'a> {
         Ok(Coefficients { parts, places: points.len(), total: total.concat(), reflected: reflected.concat() })
     }
 
-    /// Whether the sun in this direction shines straight on a point.
+    /// Whether a point receives direct light from the sun in the direction `towards`.
     pub fn sees(&self, (point, normal): &Place, towards: DVec3) -> bool {
         let normal = normal.normalize().as_vec3a();
         let towards = towards.as_vec3a();
@@ -268,13 +269,14 @@ impl<'a> Daylight<'a> {
 }
 
 impl Coefficients {
-    /// The irradiance of place `i` under a sky with these radiances of its parts.
+    /// The irradiance of place `i` under a sky with the given radiance of each part.
     pub fn irradiance(&self, i: usize, radiance: &[f64]) -> f64 {
         let row = &self.total[i * self.parts.count()..][..self.parts.count()];
         row.iter().zip(radiance).map(|(&c, l)| f64::from(c) * l).sum()
     }
 
-    /// What surfaces reflect to place `i` of a sun in the direction of a part, over the irradiance on a plane that faces it.
+    /// The irradiance that surfaces reflect to place `i` from a sun in the direction of a part, per irradiance of a
+    /// plane that faces the sun.
     pub fn of_sun(&self, i: usize, part: usize) -> f64 {
         f64::from(self.reflected[i * self.parts.count() + part]) / self.parts.solid_angle(part)
     }

@@ -1,9 +1,9 @@
-//! Daylight coefficients: what each part of the sky sends to points of a scene, from one set of form factors.
+//! Daylight coefficients: the irradiance of points of a scene from each part of the sky, from one set of form factors.
 //!
-//! The sky is divided into the parts of Tregenza (1987), 145 of them, or of Reinhart, each row and column of those divided again. One
-//! casting of rays tells what arrives straight from each part, D_k, and what surfaces exchange, F; then E_k = D_k + F ρ E_k is solved for
-//! all parts, in blocks of columns through the matrix ([`coefficients`]). Any sky is a weighted sum of them: so is every hour of a year
-//! ([`year`]).
+//! The sky is divided into the 145 parts of Tregenza (1987), or into those of Reinhart, which divide Tregenza's rows
+//! and columns again. One set of rays gives the direct irradiance D_k from each part and the form factors F. Then E_k =
+//! D_k + F ρ E_k is solved for all parts k, in blocks of columns ([`coefficients`]). Any sky is a weighted sum of its
+//! parts, so the light of every hour of a year is a weighted sum of the E_k ([`year`]).
 
 pub mod coefficients;
 pub mod year;
@@ -14,39 +14,39 @@ use glam::DVec3;
 
 use crate::scene::light::Up;
 
-/// Parts in the rows of Tregenza's sky, from the horizon up; the zenith is one more.
+/// Number of parts in the rows of Tregenza's sky, from the horizon up. The zenith is one more part.
 const ROWS: [usize; 7] = [30, 30, 24, 24, 18, 12, 6];
 
-/// The parts of a sky: as Tregenza has them, each side divided by `division`.
+/// The parts of a sky: Tregenza's parts with each side divided by `division`.
 ///
-/// They are numbered from the horizon up, and in each row clockwise from north, in whose direction the middle of the first one is: the order
-/// of RADIANCE without its ground.
+/// Parts are numbered from the horizon up, and clockwise in each row. The middle of the first part of a row is in the
+/// north. This is the order of RADIANCE without its ground.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SkyParts {
     division: usize,
 }
 
 impl SkyParts {
-    /// 145 parts for 1, 577 for 2, 2305 for 4.
+    /// A sky of 145 parts for a division of 1, 577 for 2, 2305 for 4.
     ///
     /// # Panics
-    /// When the division is 0.
+    /// If the division is 0.
     pub fn new(division: usize) -> SkyParts {
-        assert!(division > 0, "a sky is divided by 1 at least");
+        assert!(division > 0, "the division of a sky is at least 1");
         SkyParts { division }
     }
 
-    /// How many there are.
+    /// Number of parts.
     pub fn count(self) -> usize {
         144 * self.division * self.division + 1
     }
 
-    /// Height of a row in radians. The zenith has half of it all round.
+    /// Height of a row in radians. The zenith is a cap with half this radius.
     fn height(self) -> f64 {
         FRAC_PI_2 / ((ROWS.len() * self.division) as f64 + 0.5)
     }
 
-    /// Parts in a row.
+    /// Number of parts in a row.
     fn of_row(self, row: usize) -> usize {
         ROWS[row / self.division] * self.division
     }
@@ -55,12 +55,12 @@ impl SkyParts {
         ROWS.len() * self.division
     }
 
-    /// Parts before a row.
+    /// Number of parts below a row.
     fn before(self, row: usize) -> usize {
         (0..row).map(|row| self.of_row(row)).sum()
     }
 
-    /// The part in a direction, a unit vector; `None` below the horizon.
+    /// The part in a direction, which is a unit vector. `None` below the horizon.
     pub fn at(self, up: Up, direction: DVec3) -> Option<usize> {
         let [east, north, sin] = up.of_scene(direction);
         if sin <= 0.0 {
@@ -75,7 +75,8 @@ impl SkyParts {
         Some(self.before(row) + (turn + 0.5) as usize % many)
     }
 
-    /// Bounds of a part: azimuths from and to, the first of which may be negative, and altitudes from and to; radians.
+    /// Bounds of a part in radians: first and last azimuth, of which the first may be negative; lowest and highest
+    /// altitude.
     pub fn bounds(self, part: usize) -> [[f64; 2]; 2] {
         let height = self.height();
         if part + 1 >= self.count() {
@@ -86,19 +87,19 @@ impl SkyParts {
         [[(k - 0.5) * width, (k + 0.5) * width], [row as f64 * height, (row + 1) as f64 * height]]
     }
 
-    /// Solid angle of a part.
+    /// Solid angle of a part, sr.
     pub fn solid_angle(self, part: usize) -> f64 {
         let [[from, to], [low, high]] = self.bounds(part);
         (to - from) * (high.sin() - low.sin())
     }
 
-    /// The irradiance of an unobstructed horizontal plane by a part of radiance 1.
+    /// The irradiance of an unobstructed horizontal plane from a part of radiance 1.
     pub fn horizontal(self, part: usize) -> f64 {
         let [[from, to], [low, high]] = self.bounds(part);
         0.5 * (to - from) * (high.sin().powi(2) - low.sin().powi(2))
     }
 
-    /// The mean of what is seen in a part, by directions evenly spread over its solid angle, `steps` by `steps`.
+    /// The mean of `seen` over a part, from `steps` by `steps` directions that are evenly spread over its solid angle.
     pub fn mean(self, up: Up, part: usize, steps: usize, seen: impl Fn(DVec3) -> f64) -> f64 {
         let [[from, to], [low, high]] = self.bounds(part);
         let step = |k: usize| (k as f64 + 0.5) / steps as f64;
@@ -115,7 +116,8 @@ impl SkyParts {
 mod tests {
     use super::*;
 
-    /// 145, 577 and 2305 parts that fill the sky: 2π sr and π of a horizontal plane; each direction is in the part whose bounds hold it.
+    /// 145, 577 and 2305 parts fill the sky: their solid angles sum to 2π sr, and their irradiances of a horizontal
+    /// plane to π. Each direction belongs to the part whose bounds contain it.
     #[test]
     fn parts_fill_the_sky() {
         for (division, count) in [(1, 145), (2, 577), (4, 2305)] {
@@ -136,7 +138,7 @@ mod tests {
         }
     }
 
-    /// The first part is in the north, the next one to the east of it, as RADIANCE counts them.
+    /// The first part is in the north and the next one to the east of it, as in RADIANCE.
     #[test]
     fn the_order_of_parts() {
         let (parts, up) = (SkyParts::new(1), Up::Z);

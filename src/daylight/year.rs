@@ -9,40 +9,42 @@ use super::{
 };
 use crate::scene::light::{Hour, Perez, SOLAR_CONSTANT, Sky, SkyModel, Up, Weather, luminous_efficacy};
 
-/// Steps of each side of a part in which the radiance of a sky is averaged.
+/// The radiance of a sky is averaged over this number of directions squared in each part.
 const STEPS: usize = 3;
 
-/// Illuminance that autonomy demands, lx, and the share of hours in which it does (IES LM-83, "Approved Method: IES Spatial Daylight
-/// Autonomy (sDA) and Annual Sunlight Exposure (ASE)").
+/// Illuminance that counts for daylight autonomy, lx (IES LM-83, "Approved Method: IES Spatial Daylight Autonomy (sDA)
+/// and Annual Sunlight Exposure (ASE)").
 pub const ENOUGH_LIGHT: f64 = 300.0;
-/// The share of the occupied hours.
+/// Share of the occupied hours with [`ENOUGH_LIGHT`] that spatial daylight autonomy demands (IES LM-83).
 pub const ENOUGH_HOURS: f64 = 0.5;
-/// Labels of the first and the last occupied hour: from 8 to 18.
+/// Labels of the first and the last occupied hour. Together they span the time from 8:00 to 18:00.
 pub const OCCUPIED: [u32; 2] = [9, 18];
 
-/// The illuminance of places hour by hour.
+/// Illuminance of places for every hour of a weather file, with daylight autonomy.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Year {
     /// Month, day and label of each hour.
     pub labels: Vec<[u32; 3]>,
-    /// lx; of each hour all places.
+    /// Illuminance in lx, hour by hour, with an entry per place.
     pub illuminance: Vec<f32>,
-    /// Of each place the share of occupied hours with [`ENOUGH_LIGHT`].
+    /// Daylight autonomy of each place: the share of occupied hours with [`ENOUGH_LIGHT`].
     pub autonomy: Vec<f64>,
-    /// The share of places with that in [`ENOUGH_HOURS`] of the occupied hours.
+    /// Spatial daylight autonomy: the share of places whose daylight autonomy is at least [`ENOUGH_HOURS`].
     pub spatial_autonomy: f64,
 }
 
-/// Of each place its irradiance over that of an unobstructed horizontal plane, under the overcast sky of the CIE.
+/// Daylight factor of each place: its irradiance under the overcast sky of the CIE, divided by the irradiance of an
+/// unobstructed horizontal plane.
 pub fn daylight_factors(coefficients: &Coefficients, up: Up) -> Vec<f64> {
     let sky = Sky::with_irradiance(SkyModel::Overcast, up, [1.0; 3]);
     let radiance = radiances(coefficients.parts, up, &sky, 1.0);
     (0..coefficients.places).map(|i| coefficients.irradiance(i, &radiance)).collect()
 }
 
-/// Mean radiance of a sky in each of its parts, scaled so that a horizontal plane receives this irradiance. Unscaled it would receive
-/// 0.4 % less under an overcast sky: in each part the brighter half is also the one that is higher up.
+/// Mean radiance of a sky in each of its parts, scaled so that a horizontal plane receives the given irradiance.
+/// Without scaling, the plane would receive 0.4 % less under an overcast sky, because the brighter half of each part is
+/// also the higher half.
 fn radiances(parts: SkyParts, up: Up, sky: &Sky, irradiance: f64) -> Vec<f64> {
     let mut radiance: Vec<f64> =
         (0..parts.count()).map(|k| parts.mean(up, k, STEPS, |d| sky.radiance(d)[0])).collect();
@@ -52,7 +54,8 @@ fn radiances(parts: SkyParts, up: Up, sky: &Sky, irradiance: f64) -> Vec<f64> {
     radiance
 }
 
-/// The sun and the sky of an hour in lx and cd/m²: direction and illuminance of the one, luminance of the parts of the other.
+/// Sun and sky of an hour: the direction of the sun, its illuminance of a plane that faces it (lx), and the luminance
+/// of the sky's parts (cd/m²). `None` without light.
 fn hour_of(hour: &Hour, parts: SkyParts, up: Up) -> Option<(DVec3, f64, Vec<f64>)> {
     let (azimuth, altitude) = hour.sun?;
     if hour.direct + hour.diffuse <= 0.0 {
@@ -70,8 +73,9 @@ fn hour_of(hour: &Hour, parts: SkyParts, up: Up) -> Option<(DVec3, f64, Vec<f64>
 }
 
 impl Year {
-    /// The year of a weather file. The sun shines straight on `points` where rays find it; without points, what coefficients are of
-    /// patches, it is a part of the sky.
+    /// Computes the hours of a weather file. If `points` are given, which are the places of the coefficients, a ray to
+    /// the sun decides whether its direct light reaches each point. Otherwise the coefficients are those of patches,
+    /// and the light of the sun is added to its part of the sky.
     pub fn of(
         daylight: &Daylight<'_>,
         coefficients: &Coefficients,

@@ -1,9 +1,9 @@
-//! Error over time on one scene, for rays, patches, tolerances, solvers, estimators and path tracing.
+//! Error over time on one scene, for different rays, patches, tolerances, solvers, estimators and for path tracing.
 //!
-//! All methods are compared by the mean irradiance of *common patches*, the coarsest subdivision of the sweep. The truth is
-//! estimated by two independent reference solutions r1 and r2, with finer patches and more rays than any point. The mean of
-//! (x - r1)(x - r2) is free of their noise in expectation. [`Reference::error`] is what their discretisation error and their
-//! noise may still add, and smaller errors are marked as not believed.
+//! All methods are compared by the mean irradiance of *common patches*, the coarsest subdivision of the sweep. The
+//! truth is estimated by two independent reference solutions r1 and r2, with finer patches and more rays than any
+//! point. In expectation, the mean of (x - r1)(x - r2) contains no noise of the references. [`Reference::error`] is the
+//! remaining error from their discretisation and noise. Errors below it are marked as not believed.
 
 mod sweep;
 
@@ -18,22 +18,22 @@ use sweep::Sweep;
 
 /// Rays per patch at the start of every line.
 const FIRST_RAYS: f64 = 16.0;
-/// Every line has edges half as long as the one before.
+/// Number of lines. Each line has edges half as long as the line before.
 const LINES: i32 = 3;
-/// The coarsest line reaches at least this many rays per patch, for any number of triangles.
+/// The coarsest line has at least this many rays per patch at its end, for any number of triangles.
 const LEAST_MOST_RAYS: f64 = 64.0;
-/// Each of the two references casts this many times the rays of the largest point.
+/// Rays of each reference, relative to the rays of the largest point.
 const REFERENCE_RAYS: f64 = 4.0;
 
-/// The extent of a sweep.
+/// Options of [`Tradeoff::of`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct TradeoffOptions {
     /// Approximate number of common patches.
     pub patches: usize,
-    /// Number of rays of the largest point, over all patches. Time and memory are proportional to it.
+    /// Number of rays of the largest point, over all patches. Time and memory are proportional to this number.
     pub rays: f64,
-    /// The same seed gives the same errors. Times differ.
+    /// Seed of all random numbers. The same seed gives the same errors, but not the same times.
     pub seed: u64,
 }
 
@@ -50,26 +50,26 @@ impl Default for TradeoffOptions {
     }
 }
 
-/// What a point belongs to.
+/// The series that a point belongs to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Series {
-    /// Increasing numbers of rays on the patches of one line. Lines are numbered from the coarsest.
+    /// Increasing numbers of rays on the patches of one line. Lines are numbered from the coarsest, from 0.
     Rays(usize),
     /// A preset, by its name.
     Preset(&'static str),
     /// An estimator of form factors, by its name.
     Estimator(&'static str),
-    /// A solver and a tolerance, on form factors that are cast once for all of them.
+    /// Solvers with different tolerances, on the same form factors.
     Solver,
     /// Path tracing of the common patches, with next event estimation.
     PathTracing,
 }
 
-/// Seconds of the wall clock.
+/// Wall-clock times in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Times {
-    /// Subdivision and form factors; of path tracing, everything.
+    /// Subdivision and form factors. For path tracing, everything.
     pub casting: f64,
     /// The linear system.
     pub solving: f64,
@@ -78,19 +78,20 @@ pub struct Times {
 }
 
 impl Times {
-    /// All of it.
+    /// The sum of all times.
     pub fn total(&self) -> f64 {
         self.casting + self.solving + self.error_bars
     }
 }
 
-/// The time and the errors of one choice. Errors are area-weighted RMS errors over the common patches, relative to the mean irradiance.
+/// Time and errors of one choice of options. Errors are area-weighted RMS errors over the common patches, relative to
+/// the mean irradiance.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Point {
-    /// What it belongs to.
+    /// The series that it belongs to.
     pub series: Series,
-    /// Patches, those on backs included.
+    /// Number of patches, backs included.
     pub patches: usize,
     /// Mean number of rays or paths per patch.
     pub rays: f64,
@@ -98,17 +99,17 @@ pub struct Point {
     pub solver: Option<Solver>,
     /// The tolerance of the solver.
     pub tolerance: f64,
-    /// Its iterations.
+    /// Iterations of the solver.
     pub iterations: usize,
-    /// The true error. Zero if the noise of the references outweighs it.
+    /// The error against the references. Zero if the noise of the references exceeds it.
     pub error: f64,
-    /// Whether the true error exceeds the error of the references.
+    /// Whether `error` exceeds the error of the references.
     pub believed: bool,
-    /// The sampling error as estimated by the error bars of the point.
+    /// The sampling error according to the error bars of the point.
     pub estimated_sampling: f64,
     /// The estimated discretisation error. `None` if unknown.
     pub estimated_discretisation: Option<f64>,
-    /// The median of its runs, stage by stage.
+    /// Median over the runs of the time of each stage.
     pub seconds: Times,
     /// Number of runs with different seeds. The squares of the errors are averaged.
     pub runs: usize,
@@ -117,29 +118,30 @@ pub struct Point {
 }
 
 impl Point {
-    /// The error that the point itself would report: sampling and discretisation together.
+    /// The error estimate of the point itself: sampling and discretisation together.
     pub fn estimated(&self) -> f64 {
         self.estimated_sampling.hypot(self.estimated_discretisation.unwrap_or(0.0))
     }
 }
 
-/// The references.
+/// Sizes and errors of the two references.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Reference {
-    /// Number of patches of each of the two.
+    /// Number of patches of each reference.
     pub patches: usize,
-    /// Mean number of rays per patch of each.
+    /// Mean number of rays per patch of each reference.
     pub rays: f64,
-    /// Standard error of their mean, from their difference.
+    /// Standard error of the references' mean, estimated from their difference, relative to the mean irradiance.
     pub sampling: f64,
-    /// Change of their irradiance from edges twice as long. It equals the remaining error if the error falls with the edge, and is three
-    /// times as large if the error falls with its square.
+    /// Change of the irradiance from edges twice as long, relative to the mean irradiance. It equals the remaining
+    /// error if the error falls with the edge, and is three times as large if the error falls with the square of the
+    /// edge.
     pub discretisation: f64,
 }
 
 impl Reference {
-    /// Both parts together. Errors below this are not believed.
+    /// Sampling and discretisation error together. Smaller errors of points are not believed.
     pub fn error(&self) -> f64 {
         self.sampling.hypot(self.discretisation)
     }
@@ -155,7 +157,7 @@ pub struct Tradeoff {
     pub reference: Reference,
     /// The points, by series.
     pub points: Vec<Point>,
-    /// What was left out of the sweep, one sentence each.
+    /// Runs that were left out of the sweep, one sentence each.
     pub left_out: Vec<String>,
 }
 
@@ -190,8 +192,8 @@ impl Tradeoff {
     /// Runs the sweep.
     ///
     /// # Errors
-    /// As [`crate::form_factor::FormFactors::cast`] and [`crate::solve::solve`], except that a solver that does not converge is left
-    /// out.
+    /// See [`crate::form_factor::FormFactors::cast`] and [`crate::solve::solve`]. A solver that does not converge is
+    /// not an error but left out.
     pub fn of(
         scene: &Scene,
         tracer: &Tracer,

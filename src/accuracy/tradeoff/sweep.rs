@@ -21,7 +21,8 @@ use crate::{
 
 /// Each point of a line has this many times the rays of the previous point.
 const STEP: f64 = 4.0;
-/// Estimators and solvers are compared with at most this share of the rays of the largest point.
+/// Estimators and solvers are compared with this share of the rays of the largest point, rounded down to a power of two
+/// per patch.
 const SHORT: f64 = 1.0 / 15.0;
 /// Number of runs of each point.
 const REPEATS: u64 = 3;
@@ -46,7 +47,7 @@ pub(super) struct Sweep<'a> {
     pub(super) reference: Reference,
 }
 
-/// The result of a run for the common patches, and its cost.
+/// One run: its point, and the squared relative error of the common patches.
 struct Run {
     point: Point,
     square: f64,
@@ -63,7 +64,7 @@ impl<'a> Sweep<'a> {
         let common = Patches::subdivide(scene, &Subdivision::Edge(extent.edge));
         let areas: Vec<f64> = (0..common.len()).map(|i| common.area(i)).collect();
         let solved = |k: u64| -> Result<Solved> {
-            // Different from the seeds of all points.
+            // This seed differs from the seeds of all points.
             let seed = options.seed.wrapping_add((1 << 32) + k);
             let cast = CastOptions { rays: extent.reference_rays, seed, ..CastOptions::default() };
             let finest = Subdivision::Edge(extent.edge * 0.5f64.powi(LINES));
@@ -89,7 +90,8 @@ impl<'a> Sweep<'a> {
         Ok(Sweep { scene, tracer, progress, seed, extent, common, areas, truth, reference })
     }
 
-    /// Increasing numbers of rays for each size of patches: the points, and the numbers of patches and rays per patch asked for.
+    /// Increasing numbers of rays for each size of patches. Returns each point with the requested numbers of patches
+    /// and of rays per patch.
     pub(super) fn lines(&self) -> Result<Vec<([f64; 2], Point)>> {
         let mut points = Vec::new();
         for line in 0..LINES {
@@ -114,7 +116,7 @@ impl<'a> Sweep<'a> {
             let rays = f64::from(quality.rays);
             let edge = Patches::subdivide(self.scene, &subdivision).edge();
             let count = Patches::forecast(self.scene, &subdivision);
-            // A preset has an approximate number of patches, and a scene may need more.
+            // The number of patches of a preset is approximate, and a scene may need more.
             let nominal = count.min(quality.patches as f64);
             let within = edge <= self.extent.edge && edge > self.extent.edge * 0.5f64.powi(LINES);
             if within && nominal * rays <= self.extent.rays {
@@ -129,16 +131,16 @@ impl<'a> Sweep<'a> {
         Ok(points)
     }
 
-    /// Numbers of patches and rays at which all estimators and all solvers are compared.
+    /// The numbers of patches and rays for the comparison of estimators and of solvers.
     fn common_ground(&self) -> (Subdivision, CastOptions) {
-        // A power of two, which all estimators can cast exactly.
+        // All estimators can cast exactly this number of rays if it is a power of two.
         let rays =
             (self.extent.rays * SHORT / self.common.len() as f64).max(FIRST_RAYS).log2().floor().exp2();
         let cast = CastOptions { rays, ..CastOptions::default() };
         (Subdivision::Edge(self.extent.edge), cast)
     }
 
-    /// The estimators of form factors, each with the same number of rays.
+    /// A point for each estimator of form factors, all with the same number of rays.
     pub(super) fn estimators(&self) -> Result<Vec<Point>> {
         let (subdivision, pooled) = self.common_ground();
         let evenly = CastOptions { by_variance: false, ..pooled };
@@ -153,7 +155,7 @@ impl<'a> Sweep<'a> {
         .collect()
     }
 
-    /// Every solver with every tolerance, and the solvers that did not converge.
+    /// A point for every solver with every tolerance, and a sentence for each run that was left out.
     pub(super) fn solvers(&self) -> Result<(Vec<Point>, Vec<String>)> {
         let (subdivision, cast) = self.common_ground();
         let cast = CastOptions { seed: self.seed, ..cast };
@@ -248,7 +250,7 @@ impl<'a> Sweep<'a> {
         Ok(points)
     }
 
-    /// Casts and solves, several times.
+    /// A point of radiosity: casts and solves several times.
     fn radiosity(&self, series: Series, subdivision: &Subdivision, cast: &CastOptions) -> Result<Point> {
         let mut runs = Vec::new();
         for repeat in 0..REPEATS {
@@ -301,7 +303,8 @@ impl<'a> Sweep<'a> {
         Ok(Run { square: self.square(&averaged(&self.common, patches, &solution.irradiance)), point })
     }
 
-    /// The squared error relative to the mean. In expectation it is free of the noise of the references.
+    /// The squared error relative to the squared mean irradiance. In expectation it contains no noise of the
+    /// references.
     fn square(&self, irradiance: &[f64]) -> f64 {
         let [one, two] = &self.truth;
         let channels = self.common.channels();
@@ -315,12 +318,12 @@ impl<'a> Sweep<'a> {
         if mean > 0.0 { squares * weight / (mean * mean) } else { 0.0 }
     }
 
-    /// RMS relative to the true mean.
+    /// Root mean square of values relative to the mean irradiance of the first reference.
     fn relative(&self, values: &[f64]) -> f64 {
         relative_rms(values, &self.truth[0], &self.areas)
     }
 
-    /// One point from several runs.
+    /// Combines several runs to one point. `None` if there are no runs.
     fn summed_up(&self, runs: Vec<Run>) -> Option<Point> {
         let count = runs.len();
         let mean = |value: fn(&Run) -> f64| runs.iter().map(value).sum::<f64>() / count as f64;
