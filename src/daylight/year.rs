@@ -9,7 +9,7 @@ use super::{
 };
 use crate::scene::light::{Hour, Perez, SOLAR_CONSTANT, Sky, SkyModel, Up, Weather, luminous_efficacy};
 
-/// The radiance of a sky is averaged over this number of directions squared in each part.
+/// The radiance of a sky is averaged over `STEPS` × `STEPS` directions in each part.
 const STEPS: usize = 3;
 
 /// Illuminance that counts for daylight autonomy, lx (IES LM-83, "Approved Method: IES Spatial Daylight Autonomy (sDA)
