@@ -97,8 +97,7 @@ pub struct TurnedLamp {
 /// Random walks from each side of a luminaire. They give shares to a few per cent, enough to distinguish a half from a
 /// quarter.
 const WALKS: u32 = 256;
-/// Number of hits of a walk. Light that leaves the neighbourhood of its luminaire within this many hits counts as lost
-/// to it.
+/// Number of hits of a walk. Light that leaves the neighbourhood of its luminaire within this many hits counts as gone.
 const STEPS: u32 = 4;
 /// Largest number of luminaires to check. The largest ones are checked.
 const MOST_LAMPS: usize = 256;

@@ -1,4 +1,4 @@
-//! Daylight coefficients and the hours of a year as a `.npz`.
+//! Daylight coefficients and the hours of a year as an `.npz` file.
 
 use std::io::{self, Write};
 
@@ -13,27 +13,33 @@ use crate::daylight::{
     year::Year,
 };
 
-/// What is written.
+/// The contents of the `.npz` file.
 #[derive(Debug, Clone, Copy)]
 pub struct DaylightTable<'a> {
-    /// Points, or middles and normals of patches.
+    /// Positions and normals of points, or of the middles of patches.
     pub places: &'a [Place],
-    /// Their coefficients.
+    /// The coefficients of these places.
     pub coefficients: &'a Coefficients,
-    /// Irradiance under the overcast sky over that of an unobstructed horizontal plane.
+    /// Daylight factor of each place.
     pub factors: &'a [f64],
     /// The hours of a year, if there was a weather file.
     pub year: Option<&'a Year>,
 }
 
 impl DaylightTable<'_> {
-    /// Writes arrays for `numpy.load`: `places` (x y z nx ny nz), `parts` (azimuth and altitude of the middle of each part in degrees,
-    /// solid angle), `coefficients` (places by parts: irradiance over the radiance of the part), `reflected` (what of it surfaces
-    /// reflect), `sun` (places by parts: what surfaces reflect of a sun in the part, over its irradiance on a plane that faces it),
-    /// `daylight_factor`; and with a year `hours` (month, day, label), `illuminance` (hours by places, lx) and `autonomy`.
+    /// Writes arrays for `numpy.load`:
+    ///
+    /// - `places`: x y z nx ny nz of each place.
+    /// - `parts`: azimuth and altitude of the middle of each part in degrees, and its solid angle in sr.
+    /// - `coefficients` (places × parts): irradiance of the place per radiance of the part.
+    /// - `reflected` (places × parts): the part of `coefficients` that surfaces reflect.
+    /// - `sun` (places × parts): irradiance that surfaces reflect from a sun in the part, per irradiance of a plane
+    ///   that faces the sun.
+    /// - `daylight_factor` of each place.
+    /// - With a year: `hours` (month, day, label), `illuminance` (hours × places, lx) and `autonomy` of each place.
     ///
     /// # Errors
-    /// What `out` says, and when the file would be larger than 4 GiB.
+    /// Errors of `out`, and an error if the file would be larger than 4 GiB.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         let Coefficients { parts, places, total, reflected, .. } = self.coefficients;
         let (places, count) = (*places, parts.count());
@@ -70,24 +76,24 @@ impl DaylightTable<'_> {
     }
 }
 
-/// What `radiosity daylight --report` writes.
+/// The report of `radiosity daylight`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DaylightReport {
     /// Version of the program.
     pub version: &'static str,
     /// The scene's file, as it was named.
     pub scene: String,
-    /// Patches of the scene.
+    /// Number of patches of the scene.
     pub patches: usize,
-    /// Points, or patches where no points were given.
+    /// Number of points, or of patches if no points were given.
     pub places: usize,
-    /// Parts of the sky.
+    /// Number of parts of the sky.
     pub parts: usize,
     /// Mean of the daylight factors of all places, as a share.
     pub mean_daylight_factor: f64,
-    /// Hours of the weather file; `null` without one.
+    /// Number of hours in the weather file; `null` without one.
     pub hours: Option<usize>,
-    /// Share of places with 300 lx in half of the hours from 8 to 18; `null` without a weather file.
+    /// Share of places with at least 300 lx in at least half of the hours from 8 to 18; `null` without a weather file.
     pub spatial_daylight_autonomy: Option<f64>,
     /// Mean illuminance of all places and hours, lx; `null` without a weather file.
     pub mean_illuminance: Option<f64>,
@@ -95,15 +101,15 @@ pub struct DaylightReport {
     pub seed: u64,
     /// Time of each stage.
     pub seconds: Seconds,
-    /// Most memory held at any time; `null` where the operating system does not tell.
+    /// Peak memory of the process in bytes; `null` if the operating system does not report it.
     pub peak_bytes: Option<u64>,
 }
 
 impl DaylightReport {
-    /// Writes it as indented JSON with a line end after it.
+    /// Writes the report as indented JSON, followed by a line end.
     ///
     /// # Errors
-    /// What `out` says.
+    /// Errors of `out`.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         super::write_json(self, out)
     }

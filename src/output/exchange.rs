@@ -13,7 +13,7 @@ pub struct ExchangeReport {
     pub version: &'static str,
     /// The scene's file, as it was named.
     pub scene: String,
-    /// Number of faces. The radiosity of each is taken as uniform.
+    /// Number of faces. The radiosity of each face is assumed to be uniform.
     pub parts: usize,
     /// Whether the faces enclose a room, so that none of them sees the sky.
     pub enclosed: bool,
@@ -25,9 +25,9 @@ pub struct ExchangeReport {
     pub imbalance: f64,
     /// RMS standard error of the view factors between faces that are not zero.
     pub view_factor_error: f64,
-    /// What the reader and the computation left out or assumed.
+    /// Warnings of the reader and of the computation.
     pub warnings: Vec<String>,
-    /// Seconds, all in all.
+    /// Total time in seconds.
     pub seconds: f64,
 }
 
@@ -40,16 +40,16 @@ pub struct SurfaceHeat {
     pub area: Option<f64>,
     /// Temperature, K. For a surface with a given flux: the fourth root of the mean fourth power.
     pub temperature: f64,
-    /// Standard error of the temperature: 0 where the temperature was given.
+    /// Standard error of the temperature, K; 0 for a given temperature.
     pub temperature_standard_error: f64,
-    /// Net power, W: what leaves the surface minus what arrives.
+    /// Net power, W: the power that leaves the surface minus the power that arrives.
     pub heat: f64,
-    /// Standard error of the net power that follows from the standard errors of the view factors.
+    /// Standard error of the net power from the standard errors of the view factors, W.
     pub heat_standard_error: f64,
 }
 
 impl SurfaceHeat {
-    /// All surfaces, and the sky.
+    /// Collects the heat of all surfaces, and of the sky.
     pub fn of(
         names: &[String],
         areas: &[f64],
@@ -77,7 +77,7 @@ impl SurfaceHeat {
 }
 
 impl ExchangeReport {
-    /// Writes it as JSON.
+    /// Writes the report as indented JSON, followed by a line end.
     ///
     /// # Errors
     /// Errors of writing to `out`.
@@ -86,7 +86,7 @@ impl ExchangeReport {
     }
 }
 
-/// Writes A_i 𝓕_ij in m² as CSV, with names in the first line and column.
+/// Writes the exchange areas A_i 𝓕_ij in m² as CSV, with names in the first line and column.
 ///
 /// # Errors
 /// Errors of writing to `out`.

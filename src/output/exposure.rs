@@ -5,15 +5,15 @@ use crate::{
     tone::{Exposure, luminance, rgb},
 };
 
-/// Automatic exposure ([`Exposure::automatic`]), weighted by area, of the lit surfaces that do not emit and that can be seen
-/// ([`Patches::seen_areas`]). Lamps may clip. Neither unlit surfaces nor the unit of length change it. A scene without light is
-/// shown black.
+/// Automatic exposure ([`Exposure::automatic`]), weighted by area, for the lit surfaces that do not emit and that can
+/// be seen ([`Patches::seen_areas`]). Lamps may clip. Unlit surfaces and the unit of length have no influence. A scene
+/// without light is black.
 ///
 /// # Panics
-/// When `radiosity` does not hold `channels` values per patch.
+/// If `radiosity` does not have a value per patch and channel.
 pub fn of_radiosity(patches: &Patches, radiosity: &[f64]) -> Exposure {
     let channels = patches.channels();
-    assert_eq!(radiosity.len(), channels * patches.len(), "one value a patch and channel is wanted");
+    assert_eq!(radiosity.len(), channels * patches.len(), "one value per patch and channel is needed");
     let emits = |i: usize| patches.emission()[i * channels..][..channels].iter().any(|&e| e > 0.0);
     let bright = |i: usize| luminance(rgb(&radiosity[i * channels..][..channels]));
     let areas = patches.seen_areas(radiosity);
@@ -32,7 +32,7 @@ mod tests {
     use crate::{Scene, patch::Subdivision, scene::Material};
     use glam::DVec3;
 
-    /// Unit squares, of which the first emits.
+    /// Right triangles with legs of 1. The first one emits.
     fn squares(n: usize) -> Patches {
         let materials =
             vec![Material::new("lamp", [0.5; 3], [9.0; 3]), Material::new("wall", [0.5; 3], [0.0; 3])];
@@ -47,7 +47,7 @@ mod tests {
 
     #[test]
     fn exposure_goes_by_lit_walls_not_by_lamps_or_darkness() {
-        // A lamp, three dark walls and ten lit ones, of which the brightest may exceed the target.
+        // A lamp, three dark walls and ten lit ones. The brightest wall may exceed the target.
         let mut radiosity = vec![1000.0, 0.0, 0.0, 0.0];
         radiosity.extend((1..=10).map(f64::from));
         let exposure = of_radiosity(&squares(14), &radiosity);

@@ -1,4 +1,4 @@
-//! Irradiance in false colours, with a scale and lines of equal irradiance.
+//! Pictures of irradiance in false colours, with a scale and isolines.
 
 use std::io::{self, Write};
 
@@ -6,7 +6,8 @@ use image::{ImageFormat, Rgb, RgbImage};
 
 use crate::monte_carlo::Film;
 
-/// Colours from none to most: even steps of the colour map viridis (Smith and Van der Walt, 2015), whose lightness grows evenly.
+/// Colours from zero to the top of the scale: even steps of the colour map viridis (Smith and Van der Walt, 2015),
+/// whose lightness grows evenly.
 const COLOURS: [[u8; 3]; 9] = [
     [68, 1, 84],
     [71, 44, 122],
@@ -19,7 +20,7 @@ const COLOURS: [[u8; 3]; 9] = [
     [253, 231, 37],
 ];
 
-/// Letters of the scale, 5 by 7 dots, row by row.
+/// Bitmaps of the scale's letters: 5 by 7 dots, row by row.
 const LETTERS: [(char, [u8; 7]); 19] = [
     ('0', [0x0e, 0x11, 0x13, 0x15, 0x19, 0x11, 0x0e]),
     ('1', [0x04, 0x0c, 0x04, 0x04, 0x04, 0x04, 0x0e]),
@@ -42,24 +43,26 @@ const LETTERS: [(char, [u8; 7]); 19] = [
     ('+', [0x00, 0x04, 0x04, 0x1f, 0x04, 0x04, 0x00]),
 ];
 
-/// Width of the strip with the scale, of the bar in it, and of a letter with its gap.
+/// Width of the strip with the scale, in pixels.
 const STRIP: u32 = 100;
+/// Width of the bar in the strip.
 const BAR: u32 = 16;
+/// Width of a letter with its gap.
 const LETTER: u32 = 6;
 /// Distance of the bar from the top and the bottom of the picture.
 const MARGIN: u32 = 20;
-/// Share of the lit pixels that the automatic scale covers.
+/// Share of the lit pixels that an automatic scale covers.
 const COVERED: f64 = 0.995;
-/// About this many steps of the scale.
+/// Approximate number of steps of the scale.
 const STEPS: f64 = 6.0;
 
-/// How a picture is coloured.
+/// Options of [`draw`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct FalseColour {
-    /// The irradiance at the top of the scale; chosen by the picture where `None`.
+    /// Irradiance at the top of the scale; `None` for an automatic scale.
     pub most: Option<f64>,
-    /// Whether lines are drawn at the steps of the scale.
+    /// Whether to draw isolines at the steps of the scale.
     pub isolines: bool,
 }
 
@@ -69,7 +72,7 @@ setters!(FalseColour {
 });
 
 impl Default for FalseColour {
-    /// Automatic, with lines.
+    /// An automatic scale with isolines.
     fn default() -> Self {
         FalseColour { most: None, isolines: true }
     }
@@ -81,7 +84,7 @@ fn luminance(pixel: &[f32; 3]) -> f64 {
     0.2126 * r + 0.7152 * g + 0.0722 * b
 }
 
-/// The step of a scale up to `most`: 1, 2 or 5 times a power of ten.
+/// The step of a scale from 0 to `most`: 1, 2 or 5 times a power of ten.
 fn step(most: f64) -> f64 {
     let rough = most / STEPS;
     let power = 10f64.powf(rough.log10().floor());
@@ -99,7 +102,7 @@ fn colour(share: f64) -> Rgb<u8> {
     Rgb([mix(0), mix(1), mix(2)])
 }
 
-/// A number with up to three digits.
+/// A label of the scale: a number with up to three significant digits.
 fn label(x: f64) -> String {
     match x {
         0.0 => "0".into(),
@@ -129,7 +132,7 @@ fn write_text(image: &mut RgbImage, (left, top): (u32, u32), text: &str) {
     }
 }
 
-/// Draws a picture of irradiance, whose dark pixels show nothing, and the scale to its right.
+/// Draws a picture of irradiance in false colours, with the scale to its right. Pixels without light stay black.
 pub fn draw(film: &Film, options: &FalseColour, unit: &str) -> RgbImage {
     let values: Vec<f64> = film.pixels().iter().map(luminance).collect();
     let mut lit: Vec<f64> = values.iter().copied().filter(|&e| e > 0.0).collect();
@@ -175,10 +178,10 @@ pub fn draw(film: &Film, options: &FalseColour, unit: &str) -> RgbImage {
     image
 }
 
-/// The same as a PNG.
+/// Writes the picture of [`draw`] as PNG.
 ///
 /// # Errors
-/// What `out` says.
+/// Errors of `out`.
 pub fn encode(out: &mut dyn Write, film: &Film, options: &FalseColour, unit: &str) -> io::Result<()> {
     let mut bytes = io::Cursor::new(Vec::new());
     draw(film, options, unit).write_to(&mut bytes, ImageFormat::Png).map_err(io::Error::other)?;
@@ -189,7 +192,7 @@ pub fn encode(out: &mut dyn Write, film: &Film, options: &FalseColour, unit: &st
 mod tests {
     use super::*;
 
-    /// A ramp from 0 to 300: its colours follow the map, lines are at 50, 100, 150, ..., and dark pixels stay black.
+    /// In a ramp from 0 to 300, colours follow the map, isolines are at 50, 100, 150, ..., and dark pixels stay black.
     #[test]
     fn a_ramp_has_its_colours_and_lines() {
         let (width, height) = (301, 60);

@@ -1,8 +1,8 @@
-//! Files that are written whole or not at all.
+//! Files that are written completely or not at all.
 //!
 //! The contents go to a temporary file in the same directory. It is synchronised to the disk and then renamed. Renaming
-//! within a file system is atomic, so a reader finds either the old file or the new one, even after a loss of power.
-//! A temporary file that a killed process left behind is removed by the next process that writes to the same name.
+//! within a file system is atomic, so a reader finds either the old file or the new one, even after a loss of power. If
+//! a process was killed, the next process that writes to the same name removes its temporary file.
 
 use std::{
     ffi::{OsStr, OsString},
@@ -18,17 +18,17 @@ use crate::{Error, Result};
 /// Number of random characters in the name of a temporary file.
 const RANDOM: usize = 6;
 
-/// A file that can be written. Make it with [`OutputFile::new`] before a long computation, so that a bad path is noticed
-/// early.
+/// A file that can be written. Create it with [`OutputFile::new`] before a long computation, so that a bad path is
+/// reported early.
 #[derive(Debug)]
 pub struct OutputFile {
-    /// As the user named it, for messages.
+    /// The path as given by the user, for messages.
     path: PathBuf,
     /// The regular file to replace, with links followed; `None` for devices and pipes.
     target: Option<PathBuf>,
 }
 
-/// A file that is written but does not have its name yet. Dropping it removes it.
+/// A file that is written but does not have its final name yet. Dropping it removes the file.
 #[derive(Debug)]
 #[must_use = "the file is removed unless it is committed"]
 pub struct Pending {
@@ -39,15 +39,15 @@ pub struct Pending {
 #[derive(Debug)]
 enum Contents {
     File(NamedTempFile),
-    /// Contents for a device or a pipe. They are sent in one go once they are complete.
+    /// Contents for a device or a pipe. They are sent at once when they are complete.
     Memory(Vec<u8>),
 }
 
 impl OutputFile {
-    /// Checks that `path` can be written and is none of `inputs`. A file that exists stays as it is.
+    /// Checks that `path` can be written and is not one of `inputs`. An existing file stays as it is.
     ///
     /// # Errors
-    /// [`Error::Usage`] when the file is an input or its directory is missing, [`Error::Io`] when it cannot be written.
+    /// [`Error::Usage`] if the file is an input or its directory is missing; [`Error::Io`] if it cannot be written.
     pub fn new(path: &Path, inputs: &[&Path]) -> Result<OutputFile> {
         let failed = |e| Error::io(path, e);
         let target = match fs::metadata(path) {
@@ -69,12 +69,12 @@ impl OutputFile {
         Ok(output)
     }
 
-    /// Checks that the file is none of `inputs`. For inputs that are known only after others have been read.
+    /// Checks that the file is not one of `inputs`. This is for inputs that are known only after others have been read.
     ///
     /// # Errors
-    /// [`Error::Usage`] when the file is an input.
+    /// [`Error::Usage`] if the file is an input.
     pub fn check_inputs(&self, inputs: &[impl AsRef<Path>]) -> Result<()> {
-        // A file that does not exist yet cannot be one that was read.
+        // A file that does not exist yet cannot be an input.
         let is_input = |input: &Path| fs::canonicalize(input).is_ok_and(|input| Some(input) == self.target);
         match inputs.iter().map(AsRef::as_ref).find(|input| is_input(input)) {
             None => Ok(()),
@@ -106,7 +106,7 @@ impl OutputFile {
     /// Writes the contents to the temporary file.
     ///
     /// # Errors
-    /// [`Error::Io`]; the temporary file is removed then.
+    /// [`Error::Io`]. The temporary file is then removed.
     pub fn write(self, contents: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<Pending> {
         let failed = |e| Error::io(&self.path, e);
         if self.target.is_none() {
@@ -122,11 +122,11 @@ impl OutputFile {
         Ok(Pending { output: self, contents: Contents::File(file) })
     }
 
-    /// A new file beside the target, with the permissions that the target has or would get.
+    /// Creates a temporary file beside the target, with the permissions that the target has or would get.
     fn temporary(&self) -> Result<NamedTempFile> {
         let target = self.target.as_deref().expect("only regular files are replaced");
         let failed = |e| Error::io(&self.path, e);
-        // Paths like `a/` and `a/.` are those of directories.
+        // Paths like `a/` and `a/.` name directories.
         let is_last =
             |name: &&OsStr| target.as_os_str().as_encoded_bytes().ends_with(name.as_encoded_bytes());
         let Some(name) = target.file_name().filter(is_last) else {
@@ -155,8 +155,8 @@ impl OutputFile {
         }
         let file = loop {
             let file = builder.tempfile_in(directory(target)).map_err(|e| failed(bare(e)))?;
-            // Locked until it has its name, so that no other process takes it for abandoned. If one removed it before the
-            // lock was held, another temporary file is made.
+            // The file stays locked until it is renamed, so that no other process considers it abandoned. If another
+            // process removed it before the lock was held, the loop makes another one.
             let _ = file.as_file().lock();
             if file.path().exists() {
                 break file;
@@ -170,7 +170,8 @@ impl OutputFile {
 }
 
 impl Pending {
-    /// Gives all files their names. Devices and pipes come first: if one of them fails, no file has been replaced yet.
+    /// Gives all files their final names. Devices and pipes come first: if one of them fails, no file has been replaced
+    /// yet.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -186,10 +187,10 @@ impl Pending {
         Ok(())
     }
 
-    /// Gives the file its name. Replaces an older file of this name.
+    /// Gives the file its final name. This replaces an older file of this name.
     ///
     /// # Errors
-    /// [`Error::Io`]; the older file stays then.
+    /// [`Error::Io`]. The older file then stays.
     pub fn commit(self) -> Result<()> {
         Self::commit_all(vec![self])
     }
@@ -211,7 +212,7 @@ impl Pending {
     }
 }
 
-/// Removes temporary files for `target` that killed processes left: no process holds their lock. Files that cannot be
+/// Removes temporary files for `target` that killed processes left behind. Their locks are free. Files that cannot be
 /// opened stay.
 fn remove_abandoned(target: &Path) {
     let Some(name) = target.file_name() else { return };
@@ -227,8 +228,8 @@ fn remove_abandoned(target: &Path) {
     }
 }
 
-/// Forces the names in a directory to the disk, where the system can do that. Where it cannot, a loss of power may bring
-/// back the older file, which is whole. So a failure here is no error.
+/// Synchronises the names in a directory to the disk, if the system can do that. If it cannot, a loss of power may
+/// bring back the older file, which is complete. So a failure here is not an error.
 fn sync_directory(directory: &Path) {
     #[cfg(unix)]
     let _ = fs::File::open(directory).and_then(|directory| directory.sync_all());
@@ -236,7 +237,7 @@ fn sync_directory(directory: &Path) {
     let _ = directory;
 }
 
-/// Where a file that does not exist yet would be made. Follows links to files that do not exist.
+/// The path at which a new file would be created. It follows symbolic links whose target does not exist yet.
 fn end_of_links(path: &Path) -> PathBuf {
     let mut target = path.to_owned();
     while let Ok(next) = fs::read_link(&target) {

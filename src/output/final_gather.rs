@@ -1,4 +1,4 @@
-//! Irradiance at a point from the radiosity solution: one last bounce, gathered there by rays.
+//! Final gather: irradiance at a point from the radiosity solution, with the last bounce sampled by rays.
 //!
 //! E = E direct + π mean(ρ E' / π). Direct light is sampled as in the path tracer, by rays to points on emitters and by
 //! hemisphere rays that hit emitters. Reflected light comes from hemisphere rays with a cosine distribution, which read
@@ -42,7 +42,7 @@ pub struct FinalGather<'a> {
     patches: &'a Patches,
     /// Irradiance of each patch, never negative.
     irradiance: Vec<[f64; 3]>,
-    /// How it varies over them.
+    /// Slopes of the irradiance over each patch; empty for constant light.
     slopes: Vec<[f64; 2]>,
     direct: PathTracer<'a>,
     rays: u32,
@@ -52,7 +52,7 @@ impl<'a> FinalGather<'a> {
     /// Prepares to gather with `rays` hemisphere rays per sample, at least one.
     ///
     /// # Panics
-    /// When the solution belongs to other patches.
+    /// If the solution belongs to other patches.
     pub fn new(
         scene: &'a Scene,
         tracer: &'a Tracer,
@@ -61,14 +61,14 @@ impl<'a> FinalGather<'a> {
         rays: u32,
     ) -> Self {
         let irradiance = positive(&solution.irradiance, solution.channels);
-        assert_eq!(irradiance.len(), patches.len(), "the solution is of other patches");
+        assert_eq!(irradiance.len(), patches.len(), "the solution belongs to other patches");
         let options = PathOptions { max_bounces: Some(0), ..PathOptions::default() };
         let direct = PathTracer::new(scene, tracer, options);
         let slopes = Light::from(solution).slopes.to_vec();
         FinalGather { scene, tracer, patches, irradiance, slopes, direct, rays: rays.max(1) }
     }
 
-    /// One sample of the irradiance of a place, W/m².
+    /// One sample of the irradiance of a point, W/m².
     pub fn irradiance(&self, at: Receiver, samples: &mut Samples) -> [f64; 3] {
         let direct = DVec3::from(self.direct.irradiance(at, samples));
         let origin = Tracer::leave(at.position, at.normal);
@@ -77,14 +77,15 @@ impl<'a> FinalGather<'a> {
             let [x, y] = samples.branch(ray, self.rays).square();
             let direction = around(at.normal, square_to_cosine_hemisphere(x, y));
             if let Some(hit) = self.tracer.closest(origin, direction) {
-                // π times the mean of the radiance ρ E' / π.
+                // The sample is π times the radiance ρ E' / π.
                 reflected += self.reflected(&hit);
             }
         }
         (direct + reflected / f64::from(self.rays)).to_array()
     }
 
-    /// One sample of the irradiance of a place with a single hemisphere ray, which serves direct and reflected light.
+    /// One sample of the irradiance of a point from a single hemisphere ray, which serves for direct and reflected
+    /// light.
     #[inline]
     pub fn gather(&self, at: Receiver, samples: &mut Samples) -> Gathered {
         let (direct, hit) = self.direct.direct(at, samples);
@@ -93,7 +94,8 @@ impl<'a> FinalGather<'a> {
         Gathered { direct, reflected, hit: Some(hit) }
     }
 
-    /// Irradiance of places, with the standard error of the gathering. It does not include the error of the solution.
+    /// Irradiance of points, W/m². The standard errors are those of the final gather, without the error of the
+    /// solution.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped).
@@ -106,7 +108,7 @@ impl<'a> FinalGather<'a> {
         effort.estimate(places.len(), progress, |i, samples| self.irradiance(places[i], samples))
     }
 
-    /// One sample of the radiance that arrives at `origin` against `direction` (unit space).
+    /// One sample of the radiance that arrives at `origin` from `direction`, both in unit space. W/(m² sr).
     pub fn radiance(&self, origin: Vec3A, direction: Vec3A, samples: &mut Samples) -> [f64; 3] {
         let Some(hit) = self.tracer.closest(origin, direction) else {
             return self.scene.lights.seen(direction.as_dvec3());
@@ -115,7 +117,7 @@ impl<'a> FinalGather<'a> {
         outgoing(self.scene, &hit, irradiance.into())
     }
 
-    /// Reflected radiosity where a ray hit. Zero on backs that no ray of the solution hit.
+    /// Reflected radiosity at a hit. Zero on backs that no ray of the solution hit.
     #[inline]
     fn reflected(&self, hit: &Hit) -> DVec3 {
         let Some(patch) = self.patches.at(hit.triangle, hit.barycentric, hit.front) else {
@@ -131,13 +133,14 @@ impl<'a> FinalGather<'a> {
     }
 }
 
-/// Radiance that leaves a surface with a given irradiance, Le + ρ E / π, with the values of textures at the point.
+/// Radiance Le + ρ E / π that leaves a hit point with irradiance E, with the values of textures at the point.
 pub(crate) fn outgoing(scene: &Scene, hit: &Hit, irradiance: DVec3) -> [f64; 3] {
     let reflected = DVec3::from(hit.reflectance(scene)) * irradiance / std::f64::consts::PI;
     (DVec3::from(hit.emission(scene)) + reflected).to_array()
 }
 
-/// Interleaved values as red, green and blue. Values that a solver left below zero, within its tolerance, become zero.
+/// Converts interleaved values to red, green and blue. Values below zero, which a solver leaves within its tolerance,
+/// become zero.
 pub(super) fn positive(values: &[f64], channels: usize) -> Vec<[f64; 3]> {
     values.chunks_exact(channels).map(|v| rgb(v).map(|x| x.max(0.0))).collect()
 }

@@ -22,7 +22,7 @@ pub struct InspectionReport {
     pub scene: MeshReport,
     /// The edges of the mesh.
     pub edges: EdgesReport,
-    /// What was cut where surfaces touch or cross.
+    /// Cuts at places where surfaces touch or cross.
     pub contacts: Contacts,
     /// The hits of rays from fronts.
     pub seen: SeenReport,
@@ -59,13 +59,13 @@ pub struct MeshReport {
     pub bounds_min: [f64; 3],
     /// Largest coordinates.
     pub bounds_max: [f64; 3],
-    /// The likely unit of length; `null` where none is likely.
+    /// The likely unit of length; `null` if no unit is likely.
     pub unit_guess: Option<&'static str>,
-    /// 1 if everything in the scene is grey, else 3.
+    /// Number of channels: 1 if everything in the scene is grey, otherwise 3.
     pub channels: usize,
 }
 
-/// The edges by the number of their triangles.
+/// Numbers of edges by their number of triangles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EdgesReport {
     /// The numbers of edges.
@@ -91,7 +91,7 @@ pub struct SeenReport {
 /// A material.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MaterialReport {
-    /// Where and how it is used.
+    /// The use of the material in the scene.
     #[serde(flatten)]
     pub used: MaterialUse,
     /// Its share of the hits on backs.
@@ -112,7 +112,7 @@ pub struct TexturesReport {
 pub struct ForecastReport {
     /// The preset.
     pub quality: &'static str,
-    /// Number of patches: fronts, and the backs that rays are likely to hit.
+    /// Number of patches on fronts, and on backs that rays are likely to hit.
     pub patches: f64,
     /// Number of rays of all patches.
     pub rays: f64,
@@ -173,7 +173,7 @@ impl InspectionReport {
         }
     }
 
-    /// Writes it as indented JSON with a line end after it.
+    /// Writes the report as indented JSON, followed by a line end.
     ///
     /// # Errors
     /// Errors of writing to `out`.
@@ -182,9 +182,10 @@ impl InspectionReport {
     }
 }
 
-/// Fresh snow and the whitest paints reflect less than this.
+/// Largest plausible reflectance: fresh snow and the whitest paints reflect less.
 const BRIGHTEST: f64 = 0.95;
-/// Rays that graze an outline sometimes hit a back, even if all faces are turned the right way.
+/// Tolerated share of hits on backs. Rays that graze an outline sometimes hit a back, even if all faces have the right
+/// orientation.
 const FEW: f64 = 0.001;
 
 /// The problems of the scene.
@@ -206,7 +207,7 @@ fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<Stri
     });
     add(lamps.back_share() > 0.5 && lamps.escaped < lamps.rays, &|| {
         format!(
-            "{} of what the lamps shine on are backs: are lamps or surfaces turned round?",
+            "{} of the first hits of lamplight are on backs: are lamps or surfaces turned round?",
             percent(lamps.back_share())
         )
     });
@@ -224,7 +225,7 @@ fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<Stri
         let most = (0..survey.backs_of.len()).max_by_key(|&m| (survey.backs_of[m], std::cmp::Reverse(m)));
         let name = most.map_or("", |m| scene.materials[m].name.as_str());
         format!(
-            "{} of what is seen are backs, most often of `{name}`: they reflect but never emit, and cost patches",
+            "{} of the hits of rays are on backs, most often of `{name}`: backs reflect but never emit, and cost patches",
             percent(all.back_share())
         )
     });
@@ -236,7 +237,7 @@ fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<Stri
     }
     add(survey.shut_in_area > 0.0, &|| {
         format!(
-            "faces between solids that touch, with an area of {:.4e}, are shut in: nobody sees their light, and they cost patches",
+            "faces between touching solids, with an area of {:.4e}, are shut in: their light cannot be seen, and they cost patches",
             survey.shut_in_area
         )
     });
@@ -255,12 +256,12 @@ fn concerns(scene: &Scene, inspection: &Inspection, survey: &Survey) -> Vec<Stri
     });
     add(all.escaped_share() > 0.0 && all.escaped_share() < 0.01, &|| {
         let share = all.escaped_share();
-        format!("{:.3} % of the rays leave what looks closed: there may be gaps", 100.0 * share)
+        format!("{:.3} % of the rays leave a scene that looks closed: there may be gaps", 100.0 * share)
     });
     concerns
 }
 
-/// The first few items of a list.
+/// The first few names of a list, and the number of the others.
 fn names(all: &[&str]) -> String {
     const MOST: usize = 3;
     let first: Vec<String> = all.iter().take(MOST).map(|name| format!("`{name}`")).collect();

@@ -1,4 +1,4 @@
-//! The error of the Lambertian assumption, as JSON and in a sentence.
+//! The error of treating all surfaces as Lambertian, as JSON and in a sentence.
 
 use serde::Serialize;
 
@@ -8,35 +8,36 @@ use crate::{
     scene::Scene,
 };
 
-/// Differences from Lambertian materials with the same hemispherical albedo. `dropped` holds the differences from the
-/// diffuse parts alone.
+/// Changes from Lambertian materials with the same hemispherical albedo to the given materials. `dropped` holds the
+/// changes from the diffuse parts only.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LambertReport {
     /// Number of materials with a specular part.
     pub glossy_materials: usize,
     /// Mean irradiance with the given materials, W/m².
     pub mean_irradiance: f64,
-    /// The figures.
+    /// The changes from Lambertian materials with the same hemispherical albedo.
     #[serde(flatten)]
     pub matched: ChangeReport,
-    /// The differences from the diffuse parts alone.
+    /// The changes from the diffuse parts only.
     pub dropped: ChangeReport,
     /// The verdict in a sentence.
     pub verdict: String,
 }
 
-/// The difference in irradiance between the given materials and Lambertian ones.
+/// The change from Lambertian materials to the given ones.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChangeReport {
-    /// Area-weighted root mean square change, relative to the mean irradiance.
+    /// Area-weighted root mean square of the change of irradiance, relative to the mean irradiance.
     pub rms_relative: f64,
     /// Its standard error.
     pub standard_error: f64,
-    /// Change of the mean irradiance, relative to it.
+    /// Relative change of the mean irradiance.
     pub mean_relative: f64,
     /// Its standard error.
     pub mean_standard_error: f64,
-    /// The largest significant change, relative to the mean irradiance: positive where gloss makes the patch brighter.
+    /// The largest significant change, relative to the mean irradiance. It is positive if gloss makes the patch
+    /// brighter.
     pub largest_relative: f64,
     /// Its standard error.
     pub largest_standard_error: f64,
@@ -44,11 +45,11 @@ pub struct ChangeReport {
     pub largest_position: [f64; 3],
     /// Material of that patch.
     pub largest_material: String,
-    /// Change of the absorbed flux, W, R G B.
+    /// Change of the absorbed flux, W per channel.
     pub absorbed: [f64; 3],
     /// Its standard error.
     pub absorbed_standard_error: [f64; 3],
-    /// Change of the escaped flux, W, R G B.
+    /// Change of the escaped flux, W per channel.
     pub escaped: [f64; 3],
     /// Its standard error.
     pub escaped_standard_error: [f64; 3],
@@ -90,7 +91,7 @@ impl ChangeReport {
         }
     }
 
-    /// In percent of the mean irradiance, with 95 % confidence intervals.
+    /// The change in words, in percent of the mean irradiance, with 95 % confidence intervals.
     fn in_words(&self) -> String {
         let percent =
             |x: f64, error: f64| format!("{:.1} ± {:.1} %", 100.0 * x, 100.0 * CONFIDENCE_95 * error);

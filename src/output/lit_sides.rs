@@ -1,9 +1,9 @@
-//! Which patches a mesh shows, and from which side.
+//! The choice of the patches and sides that a mesh shows.
 //!
-//! A viewer that draws both sides of a face cannot decide between two faces at one place: rounding makes it show one here
-//! and the other there. A mesh for such viewers has one face at each place. It shows the side of a patch that has more
-//! light. Where faces of the scene lie on one another and face opposite ways, as the bottom of a box lies on a floor, it
-//! leaves out the darker surface as far as the brighter one covers it.
+//! A viewer that draws both sides of a face cannot decide between two faces at the same place: rounding makes it show
+//! one face at some pixels and the other face at others. So a mesh for such viewers has one face at each place. It
+//! shows the side of a patch that has more light. If faces of the scene lie on each other with opposite orientation,
+//! like the bottom of a box on a floor, the mesh leaves out the darker surface as far as the brighter one covers it.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -17,11 +17,12 @@ use crate::{
     tone::{luminance, rgb},
 };
 
-/// A patch is covered when at most this share of it is not: as much as faces in one plane may be off it.
+/// A patch counts as covered if at most this share of it is uncovered. It allows for faces that are slightly off their
+/// common plane.
 const UNCOVERED: f64 = 1e-3;
 
-/// For each unknown, whether the mesh shows it. Of a patch and its back it shows the one with the larger radiosity, or with
-/// the larger irradiance where nothing is reflected, or else the front.
+/// For each unknown, whether the mesh shows it. The mesh shows a patch or its back, whichever has the larger radiosity.
+/// If their radiosities are equal, the larger irradiance decides, and then the front is chosen.
 pub(super) fn lit_sides(scene: &Scene, patches: &Patches, light: Light<'_>) -> Vec<bool> {
     let channels = patches.channels();
     let of = |values: &[f64], i: usize| luminance(rgb(&values[i * channels..][..channels]));
@@ -62,9 +63,9 @@ fn sides(patches: &Patches, t: u32) -> impl Iterator<Item = usize> {
     patches.fronts_of(t as usize).flat_map(move |i| [Some(i), backs(i)]).flatten()
 }
 
-/// The triangles that lie on others, first those that are shown whole. Of all triangles that lie on one another, these are
-/// the triangles that face the way that has more power. Single triangles would not do: two sheets whose quadrangles are
-/// cut along different diagonals would each lose one half.
+/// All triangles that lie on others, in the order of precedence. In each stack of such triangles, the orientation with
+/// more power comes first. The decision is for the whole stack: if single triangles decided, two sheets whose
+/// quadrangles are cut along different diagonals would each lose one half.
 fn order(scene: &Scene, pairs: &[[u32; 2]], power: impl Fn(u32) -> [f64; 2]) -> Vec<u32> {
     let mut triangles: Vec<u32> = pairs.iter().flatten().copied().collect();
     triangles.sort_unstable();

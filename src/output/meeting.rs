@@ -1,4 +1,4 @@
-//! Where patches of different size meet: the triangles whose patches have vertices of neighbours on their edges.
+//! The places where patches of different sizes meet, so that patches have vertices of neighbours on their edges.
 
 use rayon::prelude::*;
 
@@ -11,12 +11,12 @@ use crate::{
     scene::Scene,
 };
 
-/// The front patches at which sizes may differ.
+/// The front patches at which sizes may change.
 #[derive(Debug)]
 pub(super) struct Meeting {
     pub(super) edges: Edges,
     mixed: Vec<bool>,
-    /// The patches of mixed triangles with their places, without the inner patches of uniform triangles.
+    /// The patches of mixed triangles with their cells, without the inner patches of uniform triangles.
     pub(super) cells: Vec<(usize, Cell)>,
 }
 
@@ -36,15 +36,15 @@ impl Meeting {
         Meeting { edges, mixed, cells }
     }
 
-    /// Whether a triangle and its neighbours have patches of several levels.
+    /// Whether a triangle and its neighbours together have patches of several levels.
     pub(super) fn is_mixed(&self, t: usize) -> bool {
         self.mixed[t]
     }
 }
 
-/// Which triangles have patches of several levels, or share an edge with a triangle of another level.
+/// For each triangle, whether it has patches of several levels, or shares an edge with a triangle of another level.
 fn mixed(patches: &Patches, edges: &Edges, triangles: usize) -> Vec<bool> {
-    // The level of all triangles that share an edge.
+    // Per edge, the common level of the triangles that share it, or one of two special values.
     const UNKNOWN: u8 = u8::MAX;
     const SEVERAL: u8 = u8::MAX - 1;
     let mut levels = vec![UNKNOWN; 3 * triangles];
@@ -58,7 +58,7 @@ fn mixed(patches: &Patches, edges: &Edges, triangles: usize) -> Vec<bool> {
     (0..triangles).map(|t| (0..3).any(|k| levels[edges.of(t, k) as usize] == SEVERAL)).collect()
 }
 
-/// The edge of its triangle that a cell's edge is a part of, if any.
+/// The edge of the triangle that contains a cell's edge from `a` to `b`, if any.
 pub(super) fn common_edge(a: [u32; 3], b: [u32; 3]) -> Option<usize> {
     edge_of(std::array::from_fn(|axis| a[axis] + b[axis]))
 }

@@ -33,7 +33,7 @@ pub mod view_factors;
 
 use std::io::{self, Write};
 
-/// Writes a report as indented JSON with a line end after it.
+/// Writes a report as indented JSON, followed by a line end.
 pub(crate) fn write_json(report: &impl serde::Serialize, mut out: &mut dyn Write) -> io::Result<()> {
     serde_json::to_writer_pretty(&mut out, report)?;
     out.write_all(b"\n")

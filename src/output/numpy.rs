@@ -10,7 +10,7 @@ use rayon::prelude::*;
 /// Number of rows that are prepared at a time.
 const ROWS: usize = 256;
 
-/// The header of an array of little-endian items of this kind.
+/// The header of an array. `kind` is the type of its items, for example `<f8`.
 fn header(kind: &str, shape: &str) -> Vec<u8> {
     let mut text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
     // The data begin at a multiple of 64 bytes.
@@ -45,7 +45,7 @@ pub(super) fn write_dense(
 /// Writes the non-zero entries of a square matrix in compressed rows, for `scipy.sparse.load_npz`.
 ///
 /// # Errors
-/// Errors of writing to `out`, and an error when the file would be larger than 4 GiB.
+/// Errors of writing to `out`, and an error if the file would be larger than 4 GiB.
 pub(super) fn write_sparse<R: Iterator<Item = (usize, f64)>>(
     n: usize,
     row: impl Fn(usize) -> R,
@@ -69,7 +69,7 @@ pub(super) fn write_sparse<R: Iterator<Item = (usize, f64)>>(
     let mut zip = Zip { out, files: Vec::new(), at: 0 };
     zip.add("indices.npy", &array("<i4", format!("({count},)"), &columns))?;
     drop(columns);
-    // As wide as the indices where possible, because SciPy wants both to have one width.
+    // SciPy wants starts and indices to have the same width, so starts have 32 bits if possible.
     let starts: Vec<u8> = match i32::try_from(count) {
         Ok(_) => starts.iter().flat_map(|&k| (k as i32).to_le_bytes()).collect(),
         Err(_) => starts.iter().flat_map(|&k| (k as i64).to_le_bytes()).collect(),
@@ -82,27 +82,27 @@ pub(super) fn write_sparse<R: Iterator<Item = (usize, f64)>>(
     zip.finish()
 }
 
-/// An array of a `.npz`.
+/// An array of an `.npz` file.
 pub(super) struct Array<'a> {
     pub(super) name: &'a str,
     pub(super) shape: Vec<usize>,
     pub(super) values: Values<'a>,
 }
 
-/// Its values, in the order of the last index.
+/// The values of an array; the last index changes fastest.
 pub(super) enum Values<'a> {
     F32(&'a [f32]),
     F64(&'a [f64]),
     I32(&'a [i32]),
 }
 
-/// Writes arrays as `numpy.load` reads them by name.
+/// Writes named arrays as an `.npz` file for `numpy.load`.
 ///
 /// # Errors
-/// What `out` says, and when the file would be larger than 4 GiB.
+/// Errors of `out`, and an error if the file would be larger than 4 GiB.
 ///
 /// # Panics
-/// When an array has not as many values as its shape says.
+/// If the values of an array do not match its shape.
 pub(super) fn write_arrays(arrays: &[Array<'_>], out: &mut dyn Write) -> io::Result<()> {
     let mut zip = Zip { out, files: Vec::new(), at: 0 };
     for Array { name, shape, values } in arrays {
@@ -120,7 +120,7 @@ pub(super) fn write_arrays(arrays: &[Array<'_>], out: &mut dyn Write) -> io::Res
     zip.finish()
 }
 
-/// A zip archive of files as they are, without compression (PKWARE, *APPNOTE.TXT* 6.3, sections 4.3.7, 4.3.12 and 4.3.16).
+/// A zip archive without compression (PKWARE, *APPNOTE.TXT* 6.3, sections 4.3.7, 4.3.12 and 4.3.16).
 struct Zip<'a> {
     out: &'a mut dyn Write,
     /// The entries of the central directory.

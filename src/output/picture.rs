@@ -1,4 +1,4 @@
-//! Pictures of a radiosity solution. Camera and film are those of path and light tracing.
+//! Pictures of a radiosity solution, with the camera and film of path and light tracing.
 
 use glam::DVec3;
 
@@ -16,10 +16,10 @@ use crate::{
     trace::{Hit, Tracer},
 };
 
-/// A solution as a smooth surface: irradiance at the vertices, linear over each patch.
+/// A solution with smooth light: irradiance at the vertices, interpolated linearly over each patch.
 ///
-/// It interpolates irradiance instead of radiosity, so that texels stay sharp. Without textures there is no difference,
-/// because vertices are shared within one material only.
+/// It interpolates irradiance instead of radiosity, so that textures stay sharp. Without textures there is no
+/// difference, because vertices are shared within one material only.
 #[derive(Debug)]
 pub struct SmoothSurface<'a> {
     scene: &'a Scene,
@@ -32,19 +32,19 @@ impl<'a> SmoothSurface<'a> {
     /// Averages the irradiance of the patches at the vertices.
     ///
     /// # Panics
-    /// When the light belongs to other patches.
+    /// If the light belongs to other patches.
     pub fn new<'l>(scene: &'a Scene, patches: &'a Patches, light: impl Into<Light<'l>>) -> Self {
         let mesh = PatchMesh::new(scene, patches, CREASE);
         let values = vertex_colors::irradiance(scene, patches, &mesh, light.into());
         SmoothSurface { scene, patches, mesh, irradiance: positive(&values, patches.channels()) }
     }
 
-    /// Radiance that leaves the point that a ray hit. Zero on backs that no ray of the solution hit.
+    /// Radiance that leaves a hit point, W/(m² sr). Zero on backs that no ray of the solution hit.
     pub fn radiance(&self, hit: &Hit) -> [f64; 3] {
         self.irradiance(hit).map_or([0.0; 3], |irradiance| outgoing(self.scene, hit, irradiance))
     }
 
-    /// Irradiance of the point that a ray hit: none of backs that no ray of the solution met.
+    /// Irradiance of a hit point, W/m². `None` on backs that no ray of the solution hit.
     fn irradiance(&self, hit: &Hit) -> Option<DVec3> {
         let patch = self.patches.at(hit.triangle, hit.barycentric, hit.front)?;
         let corners = self.mesh.corners(patch as usize);
@@ -53,13 +53,14 @@ impl<'a> SmoothSurface<'a> {
     }
 }
 
-/// A picture of the irradiance of surfaces, W/m², as [`render`] makes one of radiance; dark where there is no surface.
+/// A picture of the irradiance of surfaces, W/m². Pixels without a surface are 0. The light is smoothed over each
+/// patch, or gathered with `gather` rays per sample.
 ///
 /// # Errors
 /// [`Error::Stopped`](crate::Error::Stopped).
 ///
 /// # Panics
-/// When the solution is not one of these patches.
+/// If the solution belongs to other patches.
 pub fn irradiance(
     scene: &Scene,
     tracer: &Tracer,
@@ -87,7 +88,7 @@ pub fn irradiance(
 /// [`Error::Stopped`](crate::Error::Stopped).
 ///
 /// # Panics
-/// When the solution belongs to other patches.
+/// If the solution belongs to other patches.
 pub fn render(
     scene: &Scene,
     tracer: &Tracer,
@@ -109,13 +110,13 @@ pub fn render(
     }
 }
 
-/// A picture of the light on patches, linear over each patch ([`SmoothSurface`]).
+/// A picture of the light on patches, smoothed over each patch ([`SmoothSurface`]).
 ///
 /// # Errors
 /// [`Error::Stopped`](crate::Error::Stopped).
 ///
 /// # Panics
-/// When the light belongs to other patches.
+/// If the light belongs to other patches.
 pub fn smooth(
     scene: &Scene,
     tracer: &Tracer,
@@ -143,7 +144,7 @@ mod tests {
     };
     use glam::dvec3;
 
-    /// A unit square at z = 0, one triangle of it brighter than the other.
+    /// A unit square at z = 0. One of its two triangles is brighter than the other.
     fn square() -> (Scene, Patches, Solution) {
         let [a, b, c, d] = [dvec3(0., 0., 0.), dvec3(1., 0., 0.), dvec3(1., 1., 0.), dvec3(0., 1., 0.)];
         let material = Material::new("m", [0.5, 0.25, 1.0], [1.0, 0.0, 0.0]);
@@ -169,7 +170,8 @@ mod tests {
         let surface = SmoothSurface::new(&scene, &patches, &solution);
         let pi = std::f64::consts::PI;
         let seen = |barycentric, front| surface.radiance(&Hit { triangle: 0, front, t: 1.0, barycentric });
-        // Corners a and c belong to both triangles with equal angles: red irradiance 2. Corner b belongs to the first: 3.
+        // Corners a and c belong to both triangles with equal angles, so their red irradiance is 2. Corner b belongs to
+        // the first triangle only, so it has 3.
         for (barycentric, red) in [([1., 0., 0.], 2.0), ([0., 1., 0.], 3.0), ([0.25, 0.5, 0.25], 2.5)] {
             let got = seen(barycentric, true);
             let want = [1.0 + 0.5 * red / pi, 0.25 * 2.0 * red / pi, 3.0 * red / pi];

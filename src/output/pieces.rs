@@ -1,7 +1,7 @@
-//! Patches that have vertices of neighbours on their edges, cut to triangles that have these vertices as corners.
+//! Cuts patches with vertices of neighbours on their edges into triangles that have these vertices as corners.
 //!
-//! One face with more corners would do as well, but trimesh reads no binary PLY whose faces differ in their number of
-//! corners, and CloudCompare and three.js leave out faces of more than four corners.
+//! A single face with more corners would be simpler. But trimesh cannot read a binary PLY file whose faces differ in
+//! their number of corners, and CloudCompare and three.js leave out faces with more than four corners.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -9,7 +9,7 @@ use rayon::prelude::*;
 /// The vertices of neighbours on the edges of one patch.
 pub(super) struct OnEdges {
     pub(super) patch: u32,
-    /// For the edge from each corner to the next: vertices, and their fractions of the way along it, in order.
+    /// For the edge from each corner to the next: its vertices, and their positions along it from 0 to 1, in order.
     pub(super) edges: [Vec<(u32, f64)>; 3],
 }
 
@@ -17,23 +17,23 @@ pub(super) struct OnEdges {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Piece {
     pub(super) patch: u32,
-    /// In the order of the patch's corners.
+    /// Vertices in the order of the patch's corners.
     pub(super) corners: [u32; 3],
-    /// Its share of the patch's area.
+    /// Share of the patch's area.
     pub(super) share: f64,
 }
 
-/// All patches that are cut.
+/// The pieces of all patches that are cut.
 #[derive(Debug, Clone)]
 pub(super) struct Pieces {
-    /// The first piece of each, in the order of patches.
+    /// The first piece of each patch, in the order of patches.
     first: Vec<Piece>,
     /// The other pieces, in the order of patches.
     others: Vec<Piece>,
 }
 
 impl Pieces {
-    /// Cuts patches, given in order, with their corners.
+    /// Cuts the patches in `met`, which are in order. `corners` are the vertices of all patches.
     pub(super) fn new(positions: &[DVec3], corners: &[[u32; 3]], met: &[OnEdges]) -> Pieces {
         let of_patch = |met: &OnEdges| {
             let mut pieces = Vec::new();
@@ -54,8 +54,8 @@ impl Pieces {
         self.others.len()
     }
 
-    /// The piece that a face is; none where it is a whole patch. The first pieces have the numbers of their patches, the
-    /// others follow after all `patches`.
+    /// The piece of a face; `None` if the face is a whole patch. The first piece of a patch has the number of the
+    /// patch. The others are numbered after all `patches`.
     pub(super) fn get(&self, face: usize, patches: usize) -> Option<&Piece> {
         match face.checked_sub(patches) {
             Some(other) => Some(&self.others[other]),
@@ -67,18 +67,19 @@ impl Pieces {
     }
 }
 
-/// The vertices on an edge of a piece, which is a part of an edge of the patch.
+/// The vertices on an edge of a piece. The edge is a part of an edge of the patch.
 #[derive(Clone, Copy)]
 struct Chain<'a> {
     on: &'a [(u32, f64)],
-    /// The fractions at the ends of the part.
+    /// Positions of the ends of the part along the edge of the patch.
     span: [f64; 2],
 }
 
 const NONE: Chain<'static> = Chain { on: &[], span: [0.0, 1.0] };
 
-/// Cuts a triangle from the opposite corner to a vertex on its longest edge with vertices, the one nearest the middle. Then
-/// cuts both parts likewise. Every piece has an area, because no cut runs along an edge.
+/// Cuts a triangle until no edge has vertices. Among its edges with vertices, the longest is cut at the vertex nearest
+/// to its middle, by a line to the opposite corner. Then both parts are cut in the same way. Every piece has an area,
+/// because no cut runs along an edge.
 fn bisect(positions: &[DVec3], whole: Piece, edges: [Chain; 3], pieces: &mut Vec<Piece>) {
     let at = |k: usize| positions[whole.corners[k % 3] as usize];
     let length = |k: usize| (at(k + 1) - at(k)).length();

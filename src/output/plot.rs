@@ -14,7 +14,7 @@ use plotters::{
 
 /// A part of the drawing.
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-/// Two logarithmic axes.
+/// A chart with two logarithmic axes.
 pub(super) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Log, Log>>;
 type Log = WithKeyPoints<LogCoord<f64>>;
 /// The error of drawing. Drawing into memory does not fail.
@@ -24,7 +24,7 @@ pub(super) const TEXT: RGBColor = RGBColor(34, 34, 34);
 pub(super) const GREY: RGBColor = RGBColor(119, 119, 119);
 const GRID: RGBColor = RGBColor(204, 204, 204);
 pub(super) const FONT: f64 = 14.0;
-/// Pixels of an axis that a label needs.
+/// Least distance of two labels on an axis, in pixels.
 const LABEL: f64 = 48.0;
 /// Width of a letter in pixels at font size [`FONT`].
 const LETTER: f64 = 7.5;
@@ -37,7 +37,7 @@ pub(super) struct Axis {
 }
 
 impl Axis {
-    /// An axis that has room for all positive values, or one decade if there is no such value.
+    /// An axis over all positive values, with a margin; over one decade if there is no such value.
     pub fn over(values: impl Iterator<Item = f64>) -> Axis {
         let (mut low, mut high) = (f64::INFINITY, 0f64);
         for value in values.filter(|v| *v > 0.0 && v.is_finite()) {
@@ -49,8 +49,8 @@ impl Axis {
         Axis { low: low / 1.6, high: high * 1.6 }
     }
 
-    /// The values that get a line and a label. These are powers of ten; also 2 and 5 times these if there is room, or only
-    /// every few decades if there is little room. `pixels` is the length of the axis.
+    /// The values that get a line and a label: powers of ten. If there is room, 2 and 5 times these too; if there is
+    /// little room, only every few decades. `pixels` is the length of the axis.
     fn ticks(&self, pixels: f64) -> Vec<f64> {
         let decade = pixels / (self.high / self.low).log10();
         let digits: &[f64] = if 0.22 * decade > LABEL { &[1.0, 2.0, 5.0] } else { &[1.0] };
@@ -66,7 +66,7 @@ impl Axis {
     }
 }
 
-/// A digit times a power of ten. It divides by a whole power, so that 0.3 is the double that prints as 0.3.
+/// A digit times a power of ten. For negative powers it divides, so that 0.3 is the double that prints as 0.3.
 fn of_digit(digit: f64, decade: i32) -> f64 {
     let power = 10f64.powi(decade.abs());
     if decade < 0 { digit / power } else { digit * power }
@@ -90,7 +90,7 @@ fn superscript(c: char) -> char {
     c.to_digit(10).map_or('⁻', |digit| DIGITS[digit as usize])
 }
 
-/// How text is written.
+/// The style of text.
 pub(super) fn text_style(size: f64, colour: RGBColor) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&colour)
 }
@@ -136,7 +136,7 @@ pub(super) struct Words {
 }
 
 impl Words {
-    /// Keeps words off a mark at a place.
+    /// Reserves the space of a mark, so that no word covers it.
     pub fn keep_off(&mut self, (x, y): (i32, i32), radius: f64) {
         let (x, y) = (f64::from(x), f64::from(y));
         self.taken.push([x - radius, y - radius, x + radius, y + radius]);

@@ -1,20 +1,23 @@
 //! Coloured meshes as binary PLY, which MeshLab, Blender, CloudCompare, three.js and Python's `plyfile` read.
 //!
-//! - `vertex`: `x y z` float in the scene's unit; `red green blue` uchar, exposed and sRGB-encoded; `radiosity_r
-//!   radiosity_g radiosity_b` float, linear, W/m².
-//! - `face`, one a patch: `vertex_indices`; `triangle` int, the triangle of the file; `side` uchar, 0 front and 1 back;
-//!   `area` double; `irradiance_*`, `radiosity_*` and `error_*` float, the last the standard error of the irradiance, NaN
-//!   where it is unknown; where it was estimated also `discretisation_*` float, the change of the irradiance if patches
-//!   were twice as large; where it was measured also `lambert_*` and `lambert_error_*` float, by how much irradiance with
-//!   materials as given exceeds that with Lambertian ones, and its standard error; NaN on backs.
+//! - `vertex`: `x y z` float in scene units; `red green blue` uchar, exposed and sRGB-encoded; `radiosity_r radiosity_g
+//!   radiosity_b` float, linear, W/m².
+//! - `face`, one per patch: `vertex_indices`; `triangle` int, the triangle of the file; `side` uchar, 0 for the front
+//!   and 1 for
+//!   the back; `area` double; `irradiance_*`, `radiosity_*` and `error_*` float. `error_*` is the standard error of the
+//!   irradiance, or NaN if it is unknown.
+//! - Further float values of a face, if they were computed: `discretisation_*`, the change of the irradiance if patches
+//!   were
+//!   twice as large; `lambert_*`, irradiance with the given materials minus irradiance with Lambertian ones, and
+//!   `lambert_error_*`, its standard error. The last two are NaN on backs.
 //!
-//! A face shows the side of its patch that has more light, and faces never lie on one another, so that viewers which draw both
+//! A face shows the side of its patch that has more light, and faces never lie on each other. So viewers that draw both
 //! sides of a face show no noise. With [`PlyOptions::backs`] both sides of a patch are faces.
 //!
-//! Where patches of several sizes meet, a large patch has vertices of its neighbours on its edges. It is then cut to
-//! several triangles, so that no viewer shows gaps along its edges. The first triangle of each patch comes in the order
-//! of patches, the others come after all of these, and `patch` int says which belong together. Values are those of the
-//! whole patch, areas those of the face.
+//! Where patches of several sizes meet, a large patch has vertices of its neighbours on its edges. It is then cut into
+//! several triangles, so that no viewer shows gaps along its edges. The first triangles of all patches come first, in
+//! the order of patches, and the other triangles follow. Then faces have the value `patch` int, the index of their
+//! patch. Light and errors are those of the whole patch, areas are those of the face.
 
 use std::{
     io::{self, Write},
@@ -46,23 +49,23 @@ use crate::{
     tone::{Exposure, rgb},
 };
 
-/// What may be chosen.
+/// Options of [`write()`] and [`encode`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct PlyOptions<'a> {
-    /// Standard error of each patch's irradiance, `channels` interleaved values; written as NaN where `None`.
+    /// Standard error of each patch's irradiance, with interleaved channels. `None` is written as NaN.
     pub standard_errors: Option<&'a [f64]>,
-    /// By how much each patch's irradiance would change were patches twice as large, `channels` interleaved values; not
-    /// written where `None`.
+    /// Change of each patch's irradiance if patches were twice as large, with interleaved channels. `None` is not
+    /// written.
     pub discretisation: Option<&'a [f64]>,
-    /// By how much the irradiance of each front patch with materials as given exceeds that with Lambertian ones, with its standard
-    /// error; not written where `None`.
+    /// For each front patch, irradiance with the given materials minus irradiance with Lambertian ones. `None` is not
+    /// written.
     pub lambert: Option<&'a [Estimate]>,
-    /// Surfaces that bend by this many degrees or more at an edge are not shaded as one.
+    /// Crease angle in degrees. Surfaces that bend by this angle or more at an edge are not shaded smoothly across it.
     pub crease: f64,
-    /// Whether both sides of a patch are written where rays have met both, instead of the one that has more light.
+    /// Whether to write both sides of a patch if rays hit both, instead of the side with more light.
     pub backs: bool,
-    /// How bright the vertex colours are; by [`exposure::of_radiosity`] where `None`.
+    /// Exposure of the vertex colours; `None` for [`exposure::of_radiosity`].
     pub exposure: Option<Exposure>,
 }
 
@@ -76,7 +79,7 @@ setters!(PlyOptions<'a> {
 });
 
 impl Default for PlyOptions<'_> {
-    /// No errors, a crease angle of [`CREASE`] degrees, one face a patch, automatic exposure.
+    /// No errors, a crease angle of [`CREASE`] degrees, one side of each patch, automatic exposure.
     fn default() -> Self {
         PlyOptions {
             standard_errors: None,
@@ -89,13 +92,13 @@ impl Default for PlyOptions<'_> {
     }
 }
 
-/// Writes the solution to a file, whole or not at all.
+/// Writes the solution to a file, completely or not at all.
 ///
 /// # Errors
 /// [`Error::Io`](crate::Error::Io).
 ///
 /// # Panics
-/// When the sizes disagree.
+/// If the sizes disagree.
 pub fn write<'a>(
     path: &Path,
     scene: &Scene,
@@ -110,10 +113,10 @@ pub fn write<'a>(
 /// Writes the solution to `out`, which should be buffered.
 ///
 /// # Errors
-/// Errors of writing to `out`; [`io::ErrorKind::InvalidData`] when a value exceeds single precision.
+/// Errors of writing to `out`; [`io::ErrorKind::InvalidData`] if a value exceeds the range of single precision.
 ///
 /// # Panics
-/// When the sizes disagree.
+/// If the sizes disagree.
 pub fn encode<'a>(
     mut out: &mut dyn Write,
     scene: &Scene,
@@ -169,11 +172,11 @@ pub fn encode<'a>(
     })
 }
 
-/// The faces and vertices of a mesh that are written.
+/// The faces and vertices of a mesh that are written to the file.
 struct Shown {
     faces: Vec<u32>,
     vertices: Vec<u32>,
-    /// The number of each vertex of the mesh among those written; meaningless for others.
+    /// For each vertex of the mesh, its index among the written ones. Undefined for vertices that are not written.
     numbers: Vec<u32>,
 }
 
@@ -195,10 +198,10 @@ impl Shown {
     }
 }
 
-/// Iterative solvers leave a dark patch a little below zero, within their error bound. The exact solution has no
-/// negative value, so zero is closer to it.
+/// Replaces negative values by zero. Iterative solvers leave a dark patch a little below zero, within their error
+/// bound. The exact solution has no negative value, so zero is closer to it.
 fn positive(rgb: [f64; 3]) -> [f64; 3] {
-    // Not `max`, which would turn NaN into darkness.
+    // `max` would turn NaN into 0.
     rgb.map(|x| if x < 0.0 { 0.0 } else { x })
 }
 
@@ -206,7 +209,7 @@ fn single(values: [f64; 3]) -> [f32; 3] {
     values.map(|x| x as f32)
 }
 
-/// Writes `count` elements, a block of them in memory at a time.
+/// Writes `count` elements, with one block of them in memory at a time.
 fn write_elements<E: PropertyAccess + Checked>(
     mut out: &mut dyn Write,
     header: &Header,
@@ -295,7 +298,7 @@ fn scalar(name: &str, kind: ScalarType) -> PropertyDef {
     PropertyDef::new(name.into(), PropertyType::Scalar(kind))
 }
 
-/// Whether every value survived the way to single precision.
+/// Check whether all values fit single precision.
 trait Checked: Send {
     fn fits(&self) -> bool;
 }
@@ -390,7 +393,7 @@ impl PropertyAccess for Face {
     }
 }
 
-/// The channel that `name` asks for, if it is one of this quantity.
+/// The value of the channel `name`, if it is a channel of this quantity.
 fn channel(name: &str, quantity: &str, values: [f32; 3]) -> Option<f32> {
     let channel = name.strip_prefix(quantity)?;
     RGB.iter().position(|&c| c == channel).map(|c| values[c])

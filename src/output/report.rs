@@ -43,9 +43,9 @@ pub struct SolveReport {
     pub rounds: Vec<RoundReport>,
     /// Time of each stage.
     pub seconds: Seconds,
-    /// Most memory held at any time; `null` where the operating system does not report it.
+    /// Peak memory of the process in bytes; `null` if the operating system does not report it.
     pub peak_bytes: Option<u64>,
-    /// The options, enough to run the computation again.
+    /// The options, sufficient to repeat the computation.
     pub options: OptionsReport,
 }
 
@@ -60,11 +60,11 @@ pub struct SceneReport {
     pub patches: usize,
     /// Area of all triangles, one side each.
     pub area: f64,
-    /// 1 if everything in the scene is grey, else 3.
+    /// Number of channels: 1 if everything in the scene is grey, otherwise 3.
     pub channels: usize,
     /// Number of patches on backs.
     pub back_patches: usize,
-    /// The longest edge that the subdivision allowed; `null` where triangles were left whole.
+    /// The longest edge that the subdivision allowed; `null` if triangles were left whole.
     pub patch_edge: Option<f64>,
     /// Units of light.
     pub units: UnitNames,
@@ -85,7 +85,7 @@ pub struct FormFactorsReport {
     pub escaped_fraction: f64,
     /// Number of rays that hit the back of a surface.
     pub back_hits: u64,
-    /// Number of form factors outside 0 to 1. Anything but 0 is a bug.
+    /// Number of form factors outside 0 to 1. Any value but 0 is a bug.
     pub out_of_range: usize,
     /// Largest |sum of a row + its escaped share - 1|.
     pub row_sum_deviation: BeforeAfter,
@@ -97,7 +97,7 @@ pub struct FormFactorsReport {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct BeforeAfter {
-    /// For the form factors as the rays gave them.
+    /// For the form factors directly from the rays.
     pub before: Option<f64>,
     /// For the form factors that the solver uses.
     pub after: Option<f64>,
@@ -110,12 +110,13 @@ pub struct SolverReport {
     pub solver: &'static str,
     /// Number of iterations.
     pub iterations: usize,
-    /// Σ A |Be + ρ E - B| / Σ A Be of the worst channel; `null` without a linear system.
+    /// Σ A |Be + ρ E - B| / Σ A Be for the worst channel; `null` without a linear system.
     pub residual: Option<f64>,
-    /// Bound on the difference of any patch's radiosity from the exact solution of the system; `null` where there is none.
+    /// Bound on the difference of any patch's radiosity from the exact solution of the system; `null` if there is no
+    /// bound.
     pub error_bound: Option<f64>,
-    /// Whether the tolerance was reached. Without a linear system: whether the energy imbalance of the rays is within its
-    /// standard error.
+    /// Whether the tolerance was reached. Without a linear system: whether the energy imbalance of the rays is
+    /// consistent with its standard error.
     pub converged: bool,
 }
 
@@ -124,7 +125,7 @@ pub struct SolverReport {
 pub struct EnergyReport {
     /// Power emitted by surfaces.
     pub emitted: [f64; 3],
-    /// Power that enters from sky, sun and other lights that are no surfaces: the part that hits a surface.
+    /// Power from sky, sun and other lights that are not surfaces, as far as it hits a surface.
     pub entered: [f64; 3],
     /// Absorbed power.
     pub absorbed: [f64; 3],
@@ -132,11 +133,11 @@ pub struct EnergyReport {
     pub escaped: [f64; 3],
     /// Standard error of the escaped power; `null` without a matrix.
     pub escaped_standard_error: Option<[f64; 3]>,
-    /// (emitted + entered - absorbed - escaped) / (emitted + entered) of the worst channel.
+    /// (emitted + entered - absorbed - escaped) / (emitted + entered) for the worst channel.
     pub imbalance: f64,
     /// The part of the imbalance that is due to the residual of the solver; `null` without a linear system.
     pub solver_part: Option<f64>,
-    /// The part that is due to form factors without reciprocity; `null` without form factors.
+    /// The part of the imbalance that is due to form factors without reciprocity; `null` without form factors.
     pub reciprocity_part: Option<f64>,
     /// Without a matrix: the imbalance of the rays, before the result is scaled to remove it.
     pub sampled_imbalance: Option<f64>,
@@ -147,9 +148,9 @@ pub struct EnergyReport {
 /// The error of a material or an object.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RegionReport {
-    /// As in `material wall` or `object lamp`.
+    /// Name of the material or object, as in `material wall` or `object lamp`.
     pub region: String,
-    /// Root mean square of the irradiance's standard error, by area, relative to the region's own mean irradiance.
+    /// Area-weighted root mean square of the irradiance's standard error, relative to the region's own mean irradiance.
     pub rms_relative: f64,
 }
 
@@ -159,7 +160,7 @@ impl From<&RegionError> for RegionReport {
     }
 }
 
-/// Estimated errors; `null` where there is no estimate.
+/// Estimated errors. An error without an estimate is `null`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ErrorReport {
     /// Root mean square of the standard errors of irradiance, weighted by area, relative to the mean irradiance.
@@ -168,16 +169,16 @@ pub struct ErrorReport {
     pub confidence: f64,
     /// Estimated bias, relative to the mean irradiance.
     pub bias_relative: Option<f64>,
-    /// Discretisation error of constant light, relative to the mean irradiance: an upper estimate for linear light. Without a matrix
-    /// only if it determined the patches.
+    /// Discretisation error of constant light, relative to the mean irradiance. It is an upper estimate for linear
+    /// light. Without a matrix, it is given only if it determined the patches.
     pub discretisation_relative: Option<f64>,
     /// Sampling and discretisation together: the root of the sum of their squares.
     pub total_relative: Option<f64>,
-    /// Bound on the error of the solver, relative to the mean irradiance; `null` where there is none.
+    /// Bound on the error of the solver, relative to the mean irradiance; `null` if there is no bound.
     pub solver_relative: Option<f64>,
     /// The value of `--error`; `null` without it.
     pub target: Option<f64>,
-    /// The material or object whose sampling error is largest; `null` where no light arrives.
+    /// The material or object with the largest sampling error; `null` if no light arrives anywhere.
     pub largest_region: Option<RegionReport>,
 }
 
@@ -186,7 +187,7 @@ pub struct ErrorReport {
 pub struct RoundReport {
     /// Mean number of rays per patch in all rounds so far.
     pub rays_per_patch: f64,
-    /// The sampling error, as `rms_relative` of the errors.
+    /// The sampling error, defined as `rms_relative` of [`ErrorReport`].
     pub rms_relative: f64,
     /// Seconds since the first round began.
     pub elapsed: f64,
@@ -213,7 +214,7 @@ impl Default for ErrorReport {
 pub struct Seconds {
     /// Reading the scene.
     pub load: f64,
-    /// Cutting it into patches.
+    /// Cutting the scene into patches.
     pub subdivide: f64,
     /// Building the bounding volume hierarchy.
     pub bvh: f64,
@@ -230,7 +231,7 @@ pub struct Seconds {
 /// The options as given, or their defaults.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OptionsReport {
-    /// Wanted number of rays per patch.
+    /// Requested number of rays per patch.
     pub rays_per_patch: f64,
     /// `pooled` or `one-way`; `sweeps` without a matrix.
     pub estimator: &'static str,
@@ -314,7 +315,7 @@ impl SolveReport {
         }
     }
 
-    /// Writes it as indented JSON with a line end after it.
+    /// Writes the report as indented JSON, followed by a line end.
     ///
     /// # Errors
     /// Errors of writing to `out`.
@@ -413,7 +414,7 @@ pub fn peak_bytes() -> Option<u64> {
     Some(1024 * kibibytes)
 }
 
-/// A time in seconds, to the microsecond.
+/// A time in seconds, rounded to microseconds.
 pub fn seconds(time: Duration) -> f64 {
     (time.as_secs_f64() * 1e6).round() / 1e6
 }

@@ -39,7 +39,7 @@ pub struct SamplingReport {
     pub probes: Option<ProbesReport>,
     /// Time of each stage.
     pub seconds: SamplingSeconds,
-    /// Most memory held at any time; `null` where the operating system does not report it.
+    /// Peak memory of the process in bytes; `null` if the operating system does not report it.
     pub peak_bytes: Option<u64>,
 }
 
@@ -60,7 +60,7 @@ pub struct PictureReport {
     pub fov: f64,
     /// Radiance shown as white, W/(m² sr).
     pub white: f64,
-    /// Mean over the picture, W/(m² sr).
+    /// Mean radiance of the picture, W/(m² sr).
     pub mean_radiance: [f64; 3],
 }
 
@@ -78,7 +78,7 @@ pub struct ProbesReport {
 /// Wall-clock time of each stage in seconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct SamplingSeconds {
-    /// The stages of a solution.
+    /// Stages of the solution.
     #[serde(flatten)]
     pub stages: Seconds,
     /// Sampling the picture or the probes.
@@ -86,7 +86,7 @@ pub struct SamplingSeconds {
 }
 
 impl PictureReport {
-    /// Collects the figures of a picture that shows `white` as white.
+    /// Collects the figures of a picture. `white` is the radiance shown as white.
     pub fn new(camera: &Camera, film: &Film, white: f64) -> PictureReport {
         PictureReport {
             width: film.width(),
@@ -117,7 +117,7 @@ impl ProbesReport {
 }
 
 impl SamplingReport {
-    /// Writes it as indented JSON with a line end after it.
+    /// Writes the report as indented JSON, followed by a line end.
     ///
     /// # Errors
     /// Errors of writing to `out`.

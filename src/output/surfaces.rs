@@ -1,9 +1,9 @@
-//! Which triangles form one smooth surface at an edge and around a vertex.
+//! Smooth surfaces: the triangles that belong together at an edge and around a vertex.
 //!
 //! Two triangles continue each other across an edge if no third triangle has that edge, their windings agree, they have
-//! one material, and their normals differ by less than the crease angle. At an edge of three triangles several surfaces
-//! meet, for example a floor and a wall with a room on each side. Their light is independent. Normals of the file, if it has
-//! any, decide instead of the crease angle.
+//! the same material, and their normals differ by less than the crease angle. At an edge of three triangles several
+//! surfaces meet, for example a floor and a wall with a room on each side. Their light is independent. If the file has
+//! normals, these decide instead of the crease angle.
 
 use glam::Vec3;
 
@@ -15,19 +15,20 @@ use crate::{
     scene::Scene,
 };
 
-/// Edges with a larger angle, in degrees, are creases, even if the file has one normal on both sides: tools average the normals
-/// of rooms too. A column of six sides is still round.
+/// Edges with a larger angle, in degrees, are creases even if the file has the same normal on both sides, because tools
+/// also average the normals at the corners of rooms. A column of six sides is still round.
 const ROUNDEST: f64 = 61.0;
-/// Cosine above which normals of a file are the same: they are rounded to few digits.
+/// Normals of a file are considered equal if the cosine of their angle exceeds this, because files round them to few
+/// digits.
 const SAME_NORMAL: f32 = 0.9998;
 
-/// No such edge, vertex or slot.
+/// Marks a missing edge, vertex or slot.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// The sides of triangles, and which of them continue each other.
+/// The sides of all triangles and their continuations across edges.
 ///
-/// A *slot* is a corner of one side of a triangle, or the edge that starts at it. Slots of fronts have the numbers
-/// `3 t + k`. Slots of backs follow after all fronts.
+/// A *slot* is a corner of one side of a triangle, or the edge that starts at this corner. Slots of fronts have the
+/// numbers `3 t + k`. Slots of backs follow after all fronts.
 pub(super) struct Surfaces {
     triangles: usize,
     /// For each slot, the slot of the same edge on the triangle that continues this one; [`NONE`] at a crease.
@@ -37,7 +38,7 @@ pub(super) struct Surfaces {
 }
 
 impl Surfaces {
-    /// Finds the smooth surfaces; `crease` in degrees, where the file has no normals.
+    /// Finds the smooth surfaces. `crease` is the crease angle in degrees for edges without normals in the file.
     pub(super) fn new(scene: &Scene, patches: &Patches, crease: f64) -> Surfaces {
         let triangles = scene.triangles.len();
         let (mut across, mut clusters) = (vec![NONE; 6 * triangles], DisjointSets::new(6 * triangles));
@@ -62,7 +63,7 @@ impl Surfaces {
         Surfaces { triangles, across, cluster }
     }
 
-    /// The slot of corner, or edge, `k` of a side of triangle `t`.
+    /// The slot of corner `k`, or edge `k`, of a side of triangle `t`.
     pub(super) fn slot(&self, t: usize, k: usize, front: bool) -> usize {
         3 * t + k + if front { 0 } else { 3 * self.triangles }
     }
@@ -72,7 +73,7 @@ impl Surfaces {
         slot % (3 * self.triangles) / 3
     }
 
-    /// The slot of the same edge on the triangle that continues this one.
+    /// The slot of the same edge on the triangle that continues this one; `None` at a crease.
     pub(super) fn across(&self, slot: usize) -> Option<usize> {
         (self.across[slot] != NONE).then(|| self.across[slot] as usize)
     }
@@ -103,8 +104,8 @@ pub(crate) fn smooth_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
     edges_within(scene, crease, |_| true)
 }
 
-/// The same, where the normals of the file do not decide otherwise: an edge is smooth where both triangles have the same normals
-/// at its ends, and a crease where they have others.
+/// The same as [`smooth_edges`], but normals of the file take precedence: an edge is smooth if both triangles have the
+/// same normals at its ends, and a crease if their normals differ.
 fn shaded_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
     if scene.normals.is_empty() {
         return smooth_edges(scene, crease);
@@ -114,7 +115,7 @@ fn shaded_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
         ends.map(|slot| Vec3::from(scene.normals[slot as usize / 3][slot as usize % 3]).normalize_or_zero())
     };
     let mut edges = edges_within(scene, ROUNDEST, |[e, f]| {
-        // The edge runs the other way on the other triangle.
+        // The edge has the opposite direction on the other triangle.
         let ([a, b], [c, d]) = (normals(e), normals(f));
         a.dot(d) > SAME_NORMAL && b.dot(c) > SAME_NORMAL
     });
@@ -124,7 +125,8 @@ fn shaded_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
     edges
 }
 
-/// Pairs of front slots whose triangles continue each other across the edge at less than an angle, of those that `counts` chooses.
+/// Pairs of front slots whose triangles continue each other across the edge at less than the given angle in degrees,
+/// and for which `counts` is true.
 fn edges_within(scene: &Scene, angle: f64, counts: impl Fn([u32; 2]) -> bool) -> Vec<[u32; 2]> {
     let normals: Vec<_> = (0..scene.triangles.len()).map(|t| scene.normal(t)).collect();
     let least_cosine = angle.to_radians().cos();
@@ -146,7 +148,8 @@ mod tests {
     use crate::scene::Material;
     use glam::{DVec3, dvec3};
 
-    /// Whether the edge of two triangles at an angle, in degrees, is smooth, with these normals at all of their corners.
+    /// Whether the common edge of two triangles is smooth. `angle` is the angle between them in degrees, and `normals`
+    /// are the normals at all corners of each.
     fn is_smooth(angle: f64, normals: Option<[[f32; 3]; 2]>) -> bool {
         let (sine, cosine) = angle.to_radians().sin_cos();
         let triangles =
@@ -163,7 +166,7 @@ mod tests {
         assert_eq!([20.0, 40.0].map(|angle| is_smooth(angle, Some([between; 2]))), [true; 2]);
         assert_eq!([20.0, 40.0].map(|angle| is_smooth(angle, Some([up, side]))), [false; 2]);
         assert_eq!([20.0, 40.0].map(|angle| is_smooth(angle, Some([up, none]))), [true, false]);
-        // The corner of a room stays one, though a tool has averaged its normals.
+        // The corner of a room stays a crease, even if a tool has averaged its normals.
         assert!(!is_smooth(90.0, Some([between; 2])));
     }
 }

@@ -40,12 +40,13 @@ enum Mark {
     Ring,
     Diamond,
     Cross,
-    /// For the legend only: a line with a dot, a dotted line.
+    /// A line with a dot, for the legend only.
     Line,
+    /// A dotted line, for the legend only.
     Dotted,
 }
 
-/// The legend.
+/// The entries of a legend.
 type Legend = Vec<(RGBColor, Mark, String)>;
 
 /// The drawing as SVG.
@@ -74,8 +75,8 @@ fn draw(
 ) -> Drawn {
     root.fill(&WHITE)?;
     let known = tradeoff.reference.error();
-    let told = left.iter().filter(|p| line_of(p).is_some()).map(|p| p.estimated());
-    let y = Axis::over(tradeoff.points.iter().map(|p| p.error).chain(told).chain([known]));
+    let estimated = left.iter().filter(|p| line_of(p).is_some()).map(|p| p.estimated());
+    let y = Axis::over(tradeoff.points.iter().map(|p| p.error).chain(estimated).chain([known]));
     heading(root, file, tradeoff, right)?;
     let (_, below) = root.split_vertically(HEADER);
     let (charts, keys) = below.split_vertically(CHARTS);
@@ -112,8 +113,8 @@ fn heading(root: &Area, file: &str, tradeoff: &Tradeoff, right: &[&Point]) -> Dr
     line(printable(&format!("Speed against accuracy: {file}")), (20, 10), 20.0)?;
     let reference = &tradeoff.reference;
     let against = format!(
-        "Error: RMS of the mean irradiance of {} patches, by area, relative to their mean; against {} patches with {:.0} rays \
-         each, twice",
+        "Relative area-weighted RMS error of the irradiance of {} patches, against two references of {} patches with {:.0} rays \
+         each",
         tradeoff.common_patches, reference.patches, reference.rays
     );
     line(against, (20, 38), FONT)?;
@@ -132,7 +133,7 @@ fn line_of(point: &Point) -> Option<usize> {
     }
 }
 
-/// The positive values: zero has no place on a logarithmic axis.
+/// The position of a point; `None` if a value is not positive and so has no place on a logarithmic axis.
 fn place(x: f64, y: f64) -> Option<(f64, f64)> {
     (x > 0.0 && y > 0.0).then_some((x, y))
 }
@@ -236,7 +237,7 @@ fn legend(left: &[&Point]) -> Legend {
     let paths: Vec<&&Point> = left.iter().filter(|p| p.series == Series::PathTracing).collect();
     if let (Some(first), Some(last)) = (paths.first(), paths.last()) {
         let text =
-            format!("path tracing with next event, {:.0} to {:.0} paths a patch", first.rays, last.rays);
+            format!("path tracing with next event, {:.0} to {:.0} paths per patch", first.rays, last.rays);
         legend.push((PATH, Mark::Line, text));
     }
     legend.push((GREY, Mark::Dotted, "the same, with the estimated error".into()));

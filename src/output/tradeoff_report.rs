@@ -25,7 +25,7 @@ pub struct TradeoffReport {
     pub triangles: usize,
     /// Number of threads.
     pub threads: usize,
-    /// The seed of the first run of every point.
+    /// Seed of the first run of every point.
     pub seed: u64,
     /// Number of common patches.
     pub common_patches: usize,
@@ -40,11 +40,12 @@ pub struct TradeoffReport {
 /// The reference: the mean of two solutions.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ReferenceReport {
-    /// Number of patches of each.
+    /// Number of patches of each solution.
     pub patches: usize,
-    /// Rays per patch of each.
+    /// Rays per patch of each solution.
     pub rays: f64,
-    /// Estimated error of their mean: sampling error and discretisation error. Smaller measured errors mean nothing.
+    /// Estimated error of their mean: sampling error and discretisation error. Measured errors below this have no
+    /// meaning.
     pub error: f64,
     /// The sampling error.
     pub sampling: f64,
@@ -57,13 +58,13 @@ pub struct ReferenceReport {
 pub struct PointReport {
     /// `rays`, `preset`, `estimator`, `solver` or `path tracing`.
     pub series: &'static str,
-    /// The preset or estimator.
+    /// Name of the preset or estimator; empty for other series.
     pub name: &'static str,
     /// Number of patches.
     pub patches: usize,
-    /// Mean number of rays per patch; for path tracing, of paths.
+    /// Mean number of rays per patch; of paths per patch for path tracing.
     pub rays: f64,
-    /// The solver; empty for path tracing.
+    /// Name of the solver; empty for path tracing.
     pub solver: &'static str,
     /// Its tolerance.
     pub tolerance: Option<f64>,
@@ -75,9 +76,9 @@ pub struct PointReport {
     pub believed: bool,
     /// The error that the solution estimates for itself: sampling error and discretisation error.
     pub estimated_error: f64,
-    /// The sampling error.
+    /// The estimated sampling error.
     pub estimated_sampling: f64,
-    /// The discretisation error, if there is an estimate.
+    /// The estimated discretisation error, if there is an estimate.
     pub estimated_discretisation: Option<f64>,
     /// Wall-clock time of casting, solving and error bars.
     pub seconds: f64,
@@ -89,7 +90,7 @@ pub struct PointReport {
     pub seconds_error_bars: f64,
     /// Number of runs. Times are medians. Errors are root mean squares.
     pub runs: usize,
-    /// Bytes of form factors and hits; for path tracing, of its estimates.
+    /// Bytes of form factors and hits; of the estimates for path tracing.
     pub bytes: usize,
 }
 
@@ -116,7 +117,7 @@ impl TradeoffReport {
         }
     }
 
-    /// Writes it as indented JSON with a line end after it.
+    /// Writes the report as indented JSON, followed by a line end.
     ///
     /// # Errors
     /// Errors of writing to `out`.
@@ -124,8 +125,8 @@ impl TradeoffReport {
         super::write_json(self, out)
     }
 
-    /// Writes the points as CSV, with the names of the columns first. There are no quotes, because no name has a comma. The
-    /// columns are the fields of [`PointReport`].
+    /// Writes the points as CSV, with the names of the columns in the first line. The columns are the fields of
+    /// [`PointReport`]. There are no quotes, because no name has a comma.
     ///
     /// # Errors
     /// Errors of writing to `out`.

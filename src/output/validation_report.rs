@@ -38,11 +38,11 @@ pub struct ValidationReport {
     pub row_sum_deviation: BeforeAfter,
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j).
     pub reciprocity_deviation: BeforeAfter,
-    /// Discretisation error, RMS relative to the mean irradiance. It was measured with edges half as long.
+    /// RMS discretisation error relative to the mean irradiance, from a solution with edges half as long.
     pub discretisation_relative: f64,
     /// The comparisons of pairs of methods.
     pub comparisons: Vec<ComparisonReport>,
-    /// The error of the Lambertian assumption, if it was measured.
+    /// The error from treating all surfaces as Lambertian, if it was measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lambert: Option<LambertReport>,
 }
@@ -66,7 +66,7 @@ pub struct WorstReport {
     pub patch: usize,
     /// 0 red, 1 green, 2 blue.
     pub channel: usize,
-    /// Its centre in the scene's coordinates.
+    /// Its centre in scene coordinates.
     pub position: [f64; 3],
     /// Name of its material.
     pub material: String,
@@ -102,7 +102,7 @@ impl ValidationReport {
         }
     }
 
-    /// Writes it as indented JSON with a line end after it.
+    /// Writes the report as indented JSON, followed by a line end.
     ///
     /// # Errors
     /// Errors of writing to `out`.

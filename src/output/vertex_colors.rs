@@ -15,34 +15,35 @@ use crate::{
     solve::Light,
 };
 
-/// The smallest weight, so that a vertex between slivers alone has a value.
+/// The smallest weight, so that a vertex with slivers only still has a value.
 const LEAST_ANGLE: f64 = 1e-9;
 
 /// Values at the vertices from values of the patches, both with `patches.channels()` interleaved channels.
 ///
 /// # Panics
-/// When `values` does not hold `channels` values per patch.
+/// If `values` does not have a value per patch and channel.
 pub fn at_vertices(scene: &Scene, patches: &Patches, mesh: &PatchMesh, values: &[f64]) -> Vec<f64> {
     means(scene, patches, mesh, values, |_, _| 0.0)
 }
 
-/// Irradiance at the vertices, as [`at_vertices`].
+/// Irradiance at the vertices, averaged as in [`at_vertices`], with the slopes of linear light.
 pub(super) fn irradiance(scene: &Scene, patches: &Patches, mesh: &PatchMesh, light: Light<'_>) -> Vec<f64> {
     means(scene, patches, mesh, light.irradiance, |q, corner| rise_of(light, q, corner))
 }
 
-/// Radiosity at the vertices, as [`at_vertices`].
+/// Radiosity at the vertices, averaged as in [`at_vertices`], with the slopes of linear light.
 pub(super) fn radiosity(scene: &Scene, patches: &Patches, mesh: &PatchMesh, light: Light<'_>) -> Vec<f64> {
     let reflectance = patches.reflectance();
     means(scene, patches, mesh, light.radiosity, |q, corner| reflectance[q] * rise_of(light, q, corner))
 }
 
-/// By how much irradiance of a patch and channel exceeds its mean at a corner.
+/// The difference of a patch's irradiance at a corner from its mean. `q` is the index of the patch and channel.
 fn rise_of(light: Light<'_>, q: usize, corner: usize) -> f64 {
     light.slopes.get(q).map_or(0.0, |slopes| rise(slopes, CORNERS[corner]))
 }
 
-/// `more` is what a value of a patch and channel has more at a corner.
+/// Means at the vertices. `more` returns the difference of a patch's value at a corner from its mean, for an index of
+/// patch and channel.
 fn means(
     scene: &Scene,
     patches: &Patches,
@@ -63,13 +64,13 @@ fn mean<const C: usize>(
     values: &[f64],
     more: impl Fn(usize, usize) -> f64,
 ) -> Vec<f64> {
-    assert_eq!(values.len(), C * patches.len(), "one value a patch and channel is wanted");
+    assert_eq!(values.len(), C * patches.len(), "one value per patch and channel is needed");
     let angles: Vec<[f64; 3]> =
         (0..scene.triangles.len()).into_par_iter().map(|t| corner_angles(scene, t)).collect();
     let mut sums = vec![[0.0; C]; mesh.positions().len()];
     let mut weights = vec![0.0; sums.len()];
     for (i, value) in values.as_chunks::<C>().0.iter().enumerate() {
-        // Patches are similar to their triangle, corner for corner.
+        // Patches are similar to their triangle, so corresponding corners have equal angles.
         for (corner, angle) in angles[patches.triangle(i)].into_iter().enumerate() {
             let vertex = mesh.corners(i)[corner] as usize;
             weights[vertex] += angle;
@@ -81,7 +82,7 @@ fn mean<const C: usize>(
     for (sum, weight) in sums.iter_mut().zip(&weights) {
         *sum = sum.map(|s| s / weight);
     }
-    // Light is linear along the edge of the larger patch. Another value here would show its pieces.
+    // Light is linear along the edge of the larger patch. Any other value here would make its pieces visible.
     for hanging in mesh.hanging() {
         let [a, b] = hanging.ends.map(|end| sums[end as usize]);
         sums[hanging.vertex as usize] = std::array::from_fn(|c| a[c] + (b[c] - a[c]) * hanging.fraction);
@@ -93,7 +94,7 @@ fn mean<const C: usize>(
 fn corner_angles(scene: &Scene, t: usize) -> [f64; 3] {
     let p = scene.corners(t);
     let edges = [p[1] - p[0], p[2] - p[1], p[0] - p[2]];
-    // Unscaled, the squares of very short or long edges would leave the range of double precision.
+    // Without scaling, the squares of very short or long edges would leave the range of double precision.
     let scale = edges.iter().map(|e| e.abs().max_element()).fold(0.0, f64::max);
     let edges = edges.map(|e| e / scale);
     std::array::from_fn(|k| {

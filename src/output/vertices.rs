@@ -1,8 +1,8 @@
 //! The patches as one mesh with shared vertices.
 //!
-//! A vertex is a vertex of the scene, a point on an edge, or a point inside one triangle. A point on an edge is given by
-//! its distance from the end with the lower index, as a dyadic fraction. Its position is computed in the same way for all
-//! patches that meet there, so these agree to the last bit.
+//! A vertex is a vertex of the scene, a point on an edge, or a point inside one triangle. A point on an edge is given
+//! by its distance from the end with the lower index, as a dyadic fraction. Its position is computed in the same way
+//! for all patches that meet there, so the positions agree to the last bit.
 //!
 //! Where one triangle is cut more finely than its neighbour, a large patch has vertices of smaller patches on its edge.
 //! It is drawn as several faces that have these vertices as corners (`pieces`). Otherwise viewers would show pixels of
@@ -30,14 +30,14 @@ use crate::{
 /// Default crease angle in degrees. A column of 16 sides looks round with it, a column of 8 sides keeps its edges.
 pub const CREASE: f64 = 30.0;
 
-/// A vertex within an edge of a patch, where smaller ones meet it.
+/// A vertex within an edge of a patch, where smaller patches meet the patch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hanging {
     /// The vertex.
     pub vertex: u32,
     /// The ends of the larger patch's edge.
     pub ends: [u32; 2],
-    /// How far the vertex is from the first end to the second, between 0 and 1.
+    /// Position of the vertex from the first end to the second, between 0 and 1.
     pub fraction: f64,
 }
 
@@ -52,7 +52,7 @@ pub struct PatchMesh {
 }
 
 impl PatchMesh {
-    /// Numbers the vertices; surfaces that bend by `crease` degrees or more at an edge share none there.
+    /// Numbers the vertices. Surfaces that bend by `crease` degrees or more at an edge share no vertices there.
     pub fn new(scene: &Scene, patches: &Patches, crease: f64) -> PatchMesh {
         let surfaces = Surfaces::new(scene, patches, crease);
         let meeting = Meeting::new(scene, patches);
@@ -73,7 +73,7 @@ impl PatchMesh {
         }
     }
 
-    /// Where the vertices are, in the file's unit.
+    /// Positions of the vertices in scene units.
     pub fn positions(&self) -> &[DVec3] {
         &self.positions
     }
@@ -101,7 +101,7 @@ impl PatchMesh {
             .map_or((face, 1.0), |piece| (piece.patch as usize, piece.share))
     }
 
-    /// The vertices of a face, counter-clockwise seen from the side that it is on.
+    /// The vertices of a face, counter-clockwise as seen from its side of the patch.
     pub fn face(&self, face: usize) -> [u32; 3] {
         let piece = self.pieces.get(face, self.corners.len());
         let (patch, [a, b, c]) =
@@ -109,13 +109,13 @@ impl PatchMesh {
         if patch < self.fronts { [a, b, c] } else { [a, c, b] }
     }
 
-    /// The vertices within edges of larger patches, the largest first.
+    /// The vertices within edges of larger patches, those of the largest patches first.
     pub fn hanging(&self) -> &[Hanging] {
         &self.hanging
     }
 }
 
-/// The vertices within edges of larger patches, the largest patches first.
+/// The vertices within edges of larger patches, those of the largest patches first.
 fn hanging(patches: &Patches, corners: &[[u32; 3]], met: &[OnEdges]) -> Vec<Hanging> {
     let mut order: Vec<&OnEdges> = met.iter().collect();
     order.sort_by_key(|met| patches.cell(met.patch as usize).level);
@@ -131,8 +131,8 @@ fn hanging(patches: &Patches, corners: &[[u32; 3]], met: &[OnEdges]) -> Vec<Hang
     order.iter().flat_map(of_patch).collect()
 }
 
-/// Gives numbers to the vertices. Points have whole barycentric coordinates that sum to 2^[`FINEST`]. A point on an edge
-/// is given by its distance from the end with the lower index.
+/// Numbering of the vertices. Points have whole barycentric coordinates that sum to 2^[`FINEST`]. A point on an edge is
+/// given by its distance from the end with the lower index.
 struct Numbering<'a> {
     scene: &'a Scene,
     patches: &'a Patches,
@@ -141,14 +141,14 @@ struct Numbering<'a> {
     positions: Vec<DVec3>,
     /// For the lowest slot of each cluster, the vertex at its corner.
     corner: Vec<u32>,
-    /// For the lower of the slots that share an edge, the first vertex inside the edge.
+    /// For the lower one of the slots that share an edge, the first vertex inside the edge.
     edge: Vec<u32>,
     /// The first vertex inside each side of a triangle, fronts first.
     inner: Vec<u32>,
-    /// The points inside edges of mixed triangles, by edge of the scene and distance, in order. All surfaces that meet at
-    /// an edge have vertices at all of its points.
+    /// The points inside edges of mixed triangles: edge of the scene and distance, sorted. All surfaces that meet at an
+    /// edge have vertices at all of its points.
     on_edges: Vec<(u32, u32)>,
-    /// The points inside triangles that are not uniform, by triangle and two coordinates, in order.
+    /// The points inside triangles that are not uniform: triangle and two coordinates, sorted.
     inside: Vec<(u32, [u32; 2])>,
 }
 
@@ -195,7 +195,7 @@ impl<'a> Numbering<'a> {
         from_lower_end(self.scene.triangles[t].vertices, k, p)
     }
 
-    /// Gives numbers to the vertices of a side of triangle `t` that have none yet.
+    /// Numbers the vertices of a side of triangle `t` that have no number yet.
     fn add(&mut self, t: usize, front: bool) {
         for k in 0..3 {
             let slot = self.surfaces.slot(t, k, front);
@@ -228,7 +228,7 @@ impl<'a> Numbering<'a> {
         }
     }
 
-    /// The vertices inside an edge, from the end with the lower index to the other.
+    /// Adds the vertices inside an edge, from the end with the lower index to the other.
     fn push_edge(&mut self, slot: usize) {
         let v = self.scene.triangles[self.surfaces.triangle(slot)].vertices;
         let (a, b) = (v[slot % 3], v[(slot + 1) % 3]);
@@ -249,7 +249,7 @@ impl<'a> Numbering<'a> {
         is_mixed(slot) || self.surfaces.across(slot).is_some_and(is_mixed)
     }
 
-    /// The number of the scene's edge that a slot has.
+    /// The number of the scene's edge at a slot.
     fn scene_edge(&self, slot: usize) -> u32 {
         self.meeting.edges.of(self.surfaces.triangle(slot), slot % 3)
     }
@@ -306,7 +306,7 @@ impl<'a> Numbering<'a> {
         met
     }
 
-    /// The vertices within each edge of a patch, with their fractions of the way along it, in order.
+    /// The vertices within each edge of a patch, with their positions along it from 0 to 1, in order.
     fn on_edges_of(&self, cell: &Cell, front: bool) -> [Vec<(u32, f64)>; 3] {
         let (t, p) = (cell.triangle as usize, points(cell));
         std::array::from_fn(|k| {
@@ -328,7 +328,7 @@ impl<'a> Numbering<'a> {
                     }
                     within
                 }
-                // Restricted quadtrees: a neighbour in the same triangle is smaller by one level at most.
+                // Quadtrees are restricted: a neighbour in the same triangle is smaller by at most one level.
                 None if !self.patches.is_uniform(t) && u32::from(cell.level) < FINEST => {
                     self.vertex(t, front, middle(a, b)).map(|vertex| (vertex, 0.5)).into_iter().collect()
                 }
@@ -338,12 +338,12 @@ impl<'a> Numbering<'a> {
     }
 }
 
-/// The lower of the slots that share an edge's vertices.
+/// The lower one of the slots that share an edge's vertices.
 fn owner(surfaces: &Surfaces, slot: usize) -> usize {
     surfaces.across(slot).map_or(slot, |other| slot.min(other))
 }
 
-/// The part of a sorted list that belongs to `key`, and where it begins.
+/// The start and the entries of the run of a sorted list that has the key `key`.
 fn run<T>(list: &[(u32, T)], key: u32) -> (usize, &[(u32, T)]) {
     let start = list.partition_point(|&(k, _)| k < key);
     let length = list[start..].partition_point(|&(k, _)| k == key);

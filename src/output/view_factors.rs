@@ -32,7 +32,7 @@ pub enum MatrixFormat {
 }
 
 impl MatrixFormat {
-    /// The format for the ending of a name: `.csv`, `.npy`, `.npz` or `.mtx`.
+    /// The format by the file name extension: `csv`, `npy`, `npz` or `mtx`.
     pub fn of(path: &Path) -> Option<MatrixFormat> {
         let extension = path.extension()?.to_string_lossy().to_lowercase();
         match extension.as_str() {
@@ -47,13 +47,13 @@ impl MatrixFormat {
 
 /// The matrix of view factors. Sky and ground may be surfaces of their own.
 ///
-/// Light that leaves the scene upward reaches the sky, light that leaves it downward the ground. Both are infinitely large
-/// and far away, so light that they send is not counted and their rows are empty.
+/// Light that leaves the scene upward reaches the sky, and light that leaves it downward reaches the ground. Both are
+/// infinitely large and far away, so light that they send is not counted and their rows are empty.
 #[derive(Debug, Clone, Copy)]
 pub struct Table<'a> {
     /// The surfaces.
     pub surfaces: &'a Surfaces,
-    /// Their view factors.
+    /// The view factors of the surfaces.
     pub found: &'a ViewFactors,
     /// Whether the sky is a surface.
     pub sky: bool,
@@ -127,8 +127,8 @@ impl Table<'_> {
         }
     }
 
-    /// The first line names the columns: `surface`, `area`, `escaped`, then each surface. Row i holds its name, its area in
-    /// the unit of the file squared, the share that reaches no surface, and F_ij to each surface. `escaped` and the F_ij
+    /// The first line names the columns: `surface`, `area`, `escaped`, then each surface. Row i holds its name, its
+    /// area in square scene units, the share that reaches no surface, and F_ij to each surface. `escaped` and the F_ij
     /// sum to 1. Numbers have enough digits for double precision.
     fn write_csv(&self, out: &mut dyn Write) -> io::Result<()> {
         let names: Vec<String> = self.names().iter().map(|name| quoted(name)).collect();
@@ -141,7 +141,8 @@ impl Table<'_> {
         })
     }
 
-    /// Coordinates from 1 (R. F. Boisvert, R. Pozo and K. A. Remington, "The Matrix Market Exchange Formats", NISTIR 5935, 1996).
+    /// Writes coordinates, counted from 1 (R. F. Boisvert, R. Pozo and K. A. Remington, "The Matrix Market Exchange
+    /// Formats", NISTIR 5935, 1996).
     fn write_matrix_market(&self, out: &mut dyn Write) -> io::Result<()> {
         let n = self.len();
         let non_zeros: usize = (0..n).into_par_iter().map(|i| self.row(i).count()).sum();
@@ -155,8 +156,8 @@ impl Table<'_> {
         })
     }
 
-    /// Writes a line `from,to,view_factor,standard_error` for each view factor that is not zero, and for each that is zero
-    /// with a standard error, in the order of rows.
+    /// Writes a line `from,to,view_factor,standard_error` for each view factor that is not zero or has a standard
+    /// error, in the order of rows.
     ///
     /// # Errors
     /// Errors of writing to `out`.
@@ -173,7 +174,8 @@ impl Table<'_> {
     }
 }
 
-/// Splits the escaped share in two. Their sum is known better than each of them.
+/// The sum of two parts of the escaped share. Its error is that of independent parts: an upper estimate, because the
+/// parts of a known sum are negatively correlated.
 fn sum(a: Share, b: Share) -> Share {
     Share { value: a.value + b.value, error: a.error.hypot(b.error) }
 }
@@ -217,11 +219,11 @@ pub struct ViewFactorsReport {
     pub triangles: usize,
     /// Number of triangles and parallelograms between which view factors were computed.
     pub polygons: usize,
-    /// Number of these that were left out, because an earlier one is at the same place and faces the same way.
+    /// Number of these that were left out because an earlier one is at the same place with the same orientation.
     pub doubled: usize,
     /// Number of triangles that were left out because they are too small compared with the scene.
     pub tiny: usize,
-    /// Whether the surfaces count as an enclosure, so that all rows sum to one.
+    /// Whether the surfaces are treated as an enclosure, so that all rows sum to 1.
     pub enclosed: bool,
     /// The hits of hemisphere rays from the surfaces. They show whether the surfaces enclose a room.
     pub look: LookReport,
@@ -231,7 +233,7 @@ pub struct ViewFactorsReport {
     pub non_zeros: usize,
     /// The errors.
     pub error: ViewFactorErrorReport,
-    /// Largest |sum of a row + its escaped share - 1|. Before closure only for an enclosure.
+    /// Largest |sum of a row + its escaped share - 1|. The value before closure is given only for an enclosure.
     pub row_sum_deviation: BeforeAfter,
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j).
     pub reciprocity_deviation: BeforeAfter,
@@ -241,7 +243,7 @@ pub struct ViewFactorsReport {
     pub warnings: Vec<String>,
     /// Time of each stage.
     pub seconds: ViewFactorSeconds,
-    /// Most memory held at any time; `null` where the operating system does not report it.
+    /// Peak memory of the process in bytes; `null` if the operating system does not report it.
     pub peak_bytes: Option<u64>,
     /// The options.
     pub options: ViewFactorOptionsReport,
@@ -263,7 +265,7 @@ pub struct LookReport {
 pub struct ViewFactorErrorReport {
     /// RMS of the standard errors, before closure.
     pub rms: f64,
-    /// The wanted RMS.
+    /// The target of this RMS.
     pub wanted: f64,
     /// The largest standard error.
     pub largest: f64,
@@ -284,11 +286,11 @@ pub struct SurfaceReport {
     pub polygons: usize,
     /// Its area.
     pub area: f64,
-    /// The area that faces in its plane hide. `area` does not include it.
+    /// Its area that is hidden by other faces in the same plane. `area` does not include it.
     pub hidden_area: f64,
     /// Sum of its view factors before closure.
     pub row_sum: f64,
-    /// The share that reaches no surface: `backs` and `left`.
+    /// The share that reaches no surface: the sum of `backs` and `left`.
     pub escaped: f64,
     /// Standard error of that share.
     pub escaped_standard_error: f64,
@@ -296,26 +298,26 @@ pub struct SurfaceReport {
     pub backs: f64,
     /// Its standard error.
     pub backs_standard_error: f64,
-    /// The share that leaves the scene: `sky` and `ground`.
+    /// The share that leaves the scene: the sum of `sky` and `ground`.
     pub left: f64,
     /// Its standard error.
     pub left_standard_error: f64,
-    /// The share that leaves it upward or level.
+    /// The share that leaves the scene upward or level.
     pub sky: f64,
     /// Its standard error.
     pub sky_standard_error: f64,
-    /// The share that leaves it downward.
+    /// The share that leaves the scene downward.
     pub ground: f64,
     /// Its standard error.
     pub ground_standard_error: f64,
 }
 
-/// Seconds that the stages took.
+/// Wall-clock time of each stage in seconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct ViewFactorSeconds {
     /// Reading the scene and forming its surfaces.
     pub load: f64,
-    /// Finding out whether the surfaces enclose a room.
+    /// Checking whether the surfaces enclose a room.
     pub look: f64,
     /// View factors.
     pub view_factors: f64,
@@ -325,16 +327,16 @@ pub struct ViewFactorSeconds {
     pub total: f64,
 }
 
-/// What was asked for.
+/// The options of the run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ViewFactorOptionsReport {
-    /// What one surface is: a face, group, object, material or property.
+    /// The unit that forms a surface: face, group, object, material or property.
     pub by: String,
     /// The sides of faces that are surfaces.
     pub side: &'static str,
-    /// The seed.
+    /// Seed of the rays.
     pub seed: u64,
-    /// Threads used.
+    /// Number of threads.
     pub threads: usize,
 }
 
@@ -347,7 +349,7 @@ impl LookReport {
 }
 
 impl ViewFactorsReport {
-    /// Writes it as JSON.
+    /// Writes the report as indented JSON, followed by a line end.
     ///
     /// # Errors
     /// Errors of writing to `out`.

@@ -131,7 +131,7 @@ fn concerns_are_reported_and_are_no_failure() {
     let concerns = here.json("r.json")["concerns"].to_string();
     for said in [
         "nothing emits light",
-        "of what is seen are backs, most often of `wall`",
+        "of the hits of rays are on backs, most often of `wall`",
         "4 edges join a front to a back",
         // Half of a square.
         "faces overlap in one plane: an area of 5.0000e-1 of material `wall` lies behind `wall` and is left out",

@@ -26,39 +26,40 @@ pub struct Layout<'a> {
     pub coordinates: &'a [DVec2],
     /// Indices of the texture coordinates of each triangle's corners.
     pub corners: &'a [[u32; 3]],
-    /// The page of each triangle; `None` where it has no place in the map.
+    /// The page of each triangle; `None` if it has no place in the map.
     pub pages: &'a [Option<u32>],
 }
 
-/// How a map is shown.
+/// How materials show a map.
 #[derive(Debug, Clone)]
 pub enum Show {
     /// Materials are black and emit the map. Every viewer can show this, and its own lights add nothing.
     Emissive {
-        /// Images of radiosity, one per page; white is `strength`.
+        /// Images of radiosity, one per page. White has the brightness `strength`.
         pages: Vec<RgbImage>,
-        /// The brightness of white: 1 is white on a screen.
+        /// The brightness of the images' white; 1 is white on a screen.
         strength: f64,
-        /// Emission of the materials that are too bright for the map and need none.
+        /// For each material, its uniform emission if it is too bright for the map. Such a material does not use the
+        /// map.
         plain: Vec<Option<[f64; 3]>>,
     },
     /// Materials keep their colours, and the extension MOZ_lightmap names the map of irradiance.
     Moz {
-        /// Linear images of irradiance, one per page; white is `intensity`.
+        /// Linear images of irradiance, one per page. White is the irradiance `intensity`.
         pages: Vec<RgbImage>,
-        /// The irradiance of white, W/m².
+        /// The irradiance of the images' white, W/m².
         intensity: f64,
     },
-    /// Texture coordinates alone. The map is in files of its own.
+    /// Texture coordinates only. The map is in separate files.
     Coordinates,
 }
 
-/// With this extension a material reflects no light of the viewer.
+/// With this extension, a material reflects no light of the viewer.
 const BLACK: &str = "KHR_materials_specular";
 const STRENGTH: &str = "KHR_materials_emissive_strength";
 const INSTANCING: &str = "EXT_mesh_gpu_instancing";
 
-/// The bytes of the file with the map. `extras` are put at its top level.
+/// The bytes of the file with the map. `extras` become extras at the file's top level.
 ///
 /// # Errors
 /// Errors of reading the source.
@@ -98,11 +99,11 @@ pub fn lit(
     })?;
     writer.place_meshes()?;
     writer.glb.json["asset"]["generator"] = GENERATOR.into();
-    writer.say(extras);
+    writer.add_extras(extras);
     Ok(writer.glb.finish())
 }
 
-/// The set of texture coordinates for the map: the second, unless a texture that is kept uses it.
+/// The set of texture coordinates for the map: the first one from `TEXCOORD_1` on that no kept texture uses.
 fn free_set(json: &Value, show: &Show) -> u32 {
     fn sets(value: &Value, found: &mut Vec<u64>) {
         match value {
@@ -134,10 +135,10 @@ struct Writer<'a> {
     glb: Glb,
     /// Textures of the map, one per page.
     textures: Vec<usize>,
-    /// New materials, by the index in the file, the page, and the material of the scene where it has an emission of its
-    /// own.
+    /// New materials, by the index of the material in the file, the page, and the material of the scene if it has its
+    /// own uniform emission.
     materials: HashMap<(Option<usize>, u32, Option<u32>), usize>,
-    /// Primitives of each instance.
+    /// New primitives of each instance of a mesh.
     meshes: Vec<Vec<Value>>,
     /// Index of the next triangle of the file.
     next: usize,
@@ -148,14 +149,14 @@ struct Writer<'a> {
 enum Corner {
     /// A vertex of the file.
     Vertex(u32),
-    /// A point between three of them.
+    /// A point between three vertices of the file, with its weights.
     Between([u32; 3], [f64; 3]),
 }
 
-/// The corners of a triangle, and their texture coordinates in the map.
+/// The corners of a triangle, and the indices of their texture coordinates in the map.
 type Corners = [(Corner, Option<u32>); 3];
 
-/// The triangles of one primitive.
+/// The vertices and triangles of a new primitive.
 #[derive(Default)]
 struct Group {
     vertices: Vec<(Corner, Option<u32>)>,
@@ -178,7 +179,7 @@ impl Group {
 }
 
 impl Writer<'_> {
-    /// Joins all buffers to one.
+    /// Joins all buffers into one.
     fn take_in_buffers(&mut self) {
         let starts: Vec<usize> = self.source.document.buffers.iter().map(|b| self.glb.append(b)).collect();
         for view in self.glb.json["bufferViews"].as_array_mut().into_iter().flatten() {
@@ -190,7 +191,7 @@ impl Writer<'_> {
         }
     }
 
-    /// Embeds the images that are files of their own. Images that cannot be read stay as names.
+    /// Embeds images that are separate files. Images that cannot be read stay references.
     fn take_in_images(&mut self) {
         let count = self.glb.json["images"].as_array().map_or(0, Vec::len);
         for i in 0..count {
@@ -215,7 +216,8 @@ impl Writer<'_> {
             Show::Moz { pages, .. } => (pages, "irradiance"),
             Show::Coordinates => return,
         };
-        // Neither mipmaps nor repetition: both would mix points that are far apart on the surface.
+        // The sampler has no mipmaps and no repetition, because both would mix points that are far apart on the
+        // surface.
         let sampler = self
             .glb
             .push("samplers", json!({"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}));
@@ -234,7 +236,7 @@ impl Writer<'_> {
     /// The primitives that replace one: one for each page that it lies on, and one for triangles without a place in the map.
     fn primitives(&mut self, place: &Place<'_>, geometry: &Geometry) -> Result<Vec<Value>> {
         let original = self.original(place);
-        // What is left out and lies behind other faces would flicker through them.
+        // Triangles that were left out because they are hidden behind other faces would flicker through these.
         let hidden = self.source.is_hidden(original["material"].as_u64().map(|m| m as usize));
         let mut groups: Vec<(Option<(u32, u32)>, Group)> = Vec::new();
         let mut group = |key: Option<(u32, u32)>| {
@@ -269,7 +271,7 @@ impl Writer<'_> {
             .collect()
     }
 
-    /// Vertices and coordinates in the map of a triangle, in the order of the file.
+    /// Corners of triangle `t` of the scene with their coordinates in the map, in the order of the file.
     fn corners(
         &self,
         place: &Place<'_>,
@@ -320,7 +322,7 @@ impl Writer<'_> {
             })
             .collect();
         let accessor = self.glb.vectors(&uv, false);
-        // Sets are numbered without gaps. If the file lacks earlier sets, they get the coordinates of this one.
+        // Sets must be numbered without gaps. If the file lacks earlier sets, they get the coordinates of this set.
         for set in 0..=self.set {
             let name = format!("TEXCOORD_{set}");
             if set == self.set || primitive["attributes"].get(&name).is_none() {
@@ -360,18 +362,20 @@ impl Writer<'_> {
             let bound = |of: fn(f64, f64) -> f64| {
                 elements.clone().reduce(|a, b| std::array::from_fn(|c| of(a[c], b[c])))
             };
-            // Bounds of single precision are written as such, because validators compare them with the values.
-            let told = |bound: Option<[f64; 3]>| match raw.component_type {
+            // Bounds of single-precision values are written in single precision, because validators compare them with
+            // the values.
+            let bound_json = |bound: Option<[f64; 3]>| match raw.component_type {
                 5126 => json!(bound.unwrap_or_default().map(|x| x as f32)),
                 _ => json!(bound.unwrap_or_default().map(|x| x as i64)),
             };
-            accessor["min"] = told(bound(f64::min));
-            accessor["max"] = told(bound(f64::max));
+            accessor["min"] = bound_json(bound(f64::min));
+            accessor["max"] = bound_json(bound(f64::max));
         }
         self.glb.push("accessors", accessor)
     }
 
-    /// The material that shows a page in place of one of the file; `None` where the material of the file stays.
+    /// The index of the new material that shows a page instead of a material of the file. `None` if that material
+    /// stays.
     fn material(&mut self, original: Option<usize>, page: u32, material: u32) -> Option<usize> {
         let plain = match self.show {
             Show::Emissive { plain, .. } => plain[material as usize],
@@ -411,7 +415,7 @@ impl Writer<'_> {
                 made[key] = value.clone();
             }
         }
-        // Holes are in the alpha of the texture of the base colour. Its colours have no effect, as their factor is black.
+        // The alpha of the base colour texture marks holes. Its colours have no effect, because their factor is black.
         if of["alphaMode"].as_str().is_some_and(|mode| mode != "OPAQUE")
             && let Some(texture) = of["pbrMetallicRoughness"].get("baseColorTexture")
         {
@@ -447,7 +451,7 @@ impl Writer<'_> {
         made
     }
 
-    /// Gives each node its meshes. Copies that EXT_mesh_gpu_instancing made become children of the node.
+    /// Gives each node its meshes. Instances of EXT_mesh_gpu_instancing become children of the node.
     fn place_meshes(&mut self) -> Result<()> {
         let nodes = self.source.document.nodes()?;
         let meshes = std::mem::take(&mut self.meshes);
@@ -465,7 +469,7 @@ impl Writer<'_> {
             }
             let mut mesh = self.glb.json["meshes"][instance.mesh].clone();
             mesh["primitives"] = primitives.into();
-            // The first that shows a mesh takes its place, so that meshes keep their numbers.
+            // The first instance replaces the original mesh, so that meshes keep their indices.
             let first = !std::mem::replace(&mut shown[instance.mesh], true);
             let index = if first {
                 self.glb.json["meshes"][instance.mesh] = mesh;
@@ -521,7 +525,7 @@ impl Writer<'_> {
     }
 
     /// Adds to the extras at the top level. Extras that are not an object are replaced.
-    fn say(&mut self, extras: Value) {
+    fn add_extras(&mut self, extras: Value) {
         let mut extras = extras;
         extras["texCoord"] = self.set.into();
         let top = match self.glb.json.get("extras") {
@@ -551,7 +555,8 @@ impl Document {
             let all: Vec<(String, Raw)> = all.collect::<Result<_>>()?;
             match all.iter().find(|(_, raw)| raw.count() < count) {
                 Some((name, raw)) => {
-                    Err(self.error(format!("{name}: {} of {count} vertices have it", raw.count())))
+                    Err(self
+                        .error(format!("only {} of {count} vertices have the attribute {name}", raw.count())))
                 }
                 None => Ok(all),
             }
@@ -570,7 +575,7 @@ fn between(of: [u32; 3], [a, b, c]: [DVec3; 3], p: DVec3) -> Corner {
     let square = normal.length_squared();
     let [v, w] = [(p - a).cross(f), e.cross(p - a)].map(|x| (x.dot(normal) / square).clamp(0.0, 1.0));
     let weights = [(1.0 - v - w).max(0.0), v, w];
-    // Positions have single precision at best. A point that is nearer to a vertex than that is the vertex.
+    // Positions have single precision at best, so a point this close to a vertex is the vertex.
     match (0..3).find(|&k| weights[k] > 1.0 - 1e-6) {
         Some(k) => Corner::Vertex(of[k]),
         None if square > 0.0 => Corner::Between(of, weights),

@@ -12,5 +12,5 @@ pub mod vertex_colours;
 pub use glb::Glb;
 pub use source::Source;
 
-/// Written to `asset.generator`.
+/// The value of `asset.generator`.
 pub const GENERATOR: &str = concat!("radiosity ", env!("CARGO_PKG_VERSION"));

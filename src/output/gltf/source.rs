@@ -1,4 +1,4 @@
-//! The glTF file that a lightmap is added to, with the triangles of the scene that its triangles became.
+//! The glTF file that a lightmap is added to, and the triangles of the scene for each of its triangles.
 
 use std::{collections::HashMap, io::Cursor, path::Path};
 
@@ -11,12 +11,12 @@ use crate::{
     scene::{Material, Scene, Texture, TextureMap, gltf::container::Document},
 };
 
-/// A glTF file and the triangles of the scene that each of its triangles became, in the order of the file.
+/// A glTF file, and for each of its triangles in file order the corresponding triangles of the scene.
 pub struct Source {
     pub(super) document: Document,
-    /// For each triangle of the file its triangles in the scene: none where it was left out, several where it was cut.
+    /// For each triangle of the file, its triangles in the scene: none if it was left out, several if it was cut.
     pub(super) triangles: Vec<Vec<u32>>,
-    /// Materials with surface that lies behind other faces in one plane.
+    /// Names of materials of surfaces that are hidden behind other faces in the same plane.
     hidden: Vec<String>,
 }
 
@@ -24,7 +24,7 @@ impl Source {
     /// Reads the file of the scene again, or makes a new file if the scene has another format.
     ///
     /// # Errors
-    /// Errors of [`Scene::load`], and [`Error::Input`](crate::Error::Input) when the file has changed since the scene was
+    /// Errors of [`Scene::load`], and [`Error::Input`](crate::Error::Input) if the file has changed since the scene was
     /// read.
     pub fn of(scene: &Scene, path: &Path) -> Result<Source> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
@@ -49,7 +49,7 @@ impl Source {
         Ok(Source { document, triangles, hidden })
     }
 
-    /// Whether triangles of the file's material that are not in the scene lie behind others.
+    /// Whether triangles of a material of the file that are missing from the scene are hidden behind other faces.
     pub(super) fn is_hidden(&self, material: Option<usize>) -> bool {
         let name = material.map(|m| (m, self.document.root.materials.get(m).and_then(|m| m.name.clone())));
         let name = match name {
@@ -59,7 +59,7 @@ impl Source {
         self.hidden.contains(&name)
     }
 
-    /// A file with one mesh that has a primitive for each material.
+    /// Makes a file with one mesh that has a primitive for each material.
     fn made_of(scene: &Scene) -> Result<Source> {
         let mut glb = Glb::new(json!({
             "asset": {"version": "2.0", "generator": GENERATOR}, "scene": 0, "scenes": [{"nodes": [0]}],
@@ -86,7 +86,7 @@ impl Source {
     }
 }
 
-/// The vertices of some triangles. Corners with the same position, texture coordinates and colour share one.
+/// The primitive of some triangles. Corners with the same position, texture coordinates and colour share one vertex.
 fn primitive(glb: &mut Glb, scene: &Scene, triangles: &[usize]) -> Value {
     let mut known = HashMap::new();
     let (mut positions, mut texcoords, mut colours, mut corners) =
@@ -172,7 +172,7 @@ fn look_up(glb: &mut Glb, map: &TextureMap, textures: &[usize]) -> Value {
     info
 }
 
-/// The kind of an image file by its first bytes, if glTF allows this kind.
+/// The MIME type of an image file by its first bytes; `None` if glTF does not allow this type.
 pub(super) fn mime(bytes: &[u8]) -> Option<&'static str> {
     match image::ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?.format()? {
         image::ImageFormat::Png => Some("image/png"),

@@ -25,13 +25,13 @@ use crate::{
     tone::{Exposure, rgb},
 };
 
-/// Writes the patches, a primitive for each material.
+/// Writes the patches, with a primitive for each material.
 ///
 /// # Errors
 /// Errors of writing to `out`.
 ///
 /// # Panics
-/// When the sizes disagree.
+/// If the sizes disagree.
 pub fn encode(
     out: &mut dyn Write,
     scene: &Scene,
