@@ -1,8 +1,8 @@
 //! Bias of the pooled solution.
 //!
-//! Ratios and products of estimates have a bias of about c/n after n rays. The mean of the two solutions with half of the rays
-//! each has a bias of 2c/n. The difference from the whole solution is therefore an estimate of the bias. This is the
-//! jackknife in its simplest form (Quenouille, "Notes on Bias in Estimation", Biometrika 43, 1956).
+//! Ratios and products of estimates have a bias of about c/n after n rays. The mean of the two solutions with half of
+//! the rays each has a bias of 2c/n. The difference from the whole solution is therefore an estimate of the bias. This
+//! is the jackknife in its simplest form (Quenouille, "Notes on Bias in Estimation", Biometrika 43, 1956).
 
 use crate::{
     Progress, Result,

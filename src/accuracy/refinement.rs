@@ -22,7 +22,8 @@ use crate::{
 pub const FIRST_RAYS: f64 = 64.0;
 /// A round has at most this many times the rays of the previous one.
 const MOST_GROWTH: f64 = 4.0;
-/// A round has at least this many times the rays of the previous one, because each assembles and solves everything again.
+/// A round has at least this many times the rays of the previous one, because each assembles and solves everything
+/// again.
 const LEAST_GROWTH: f64 = 1.2;
 /// The plan aims at this share of the target error, so that chance does not cause one more round.
 const AIM: f64 = 0.97;

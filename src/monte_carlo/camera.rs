@@ -221,8 +221,8 @@ impl Lens {
         (self.forward + self.right * h + self.up * v).as_vec3a()
     }
 
-    /// The position in the picture, in pixels, at which a point is seen, and the cosine of the angle to the optical axis. `None` for a
-    /// point behind the camera. The position may lie outside of the picture.
+    /// The position in the picture, in pixels, at which a point is seen, and the cosine of the angle to the optical
+    /// axis. `None` for a point behind the camera. The position may lie outside of the picture.
     #[inline]
     pub fn project(&self, point: Vec3A) -> Option<(f64, f64, f64)> {
         let to = (point - self.eye).as_dvec3();

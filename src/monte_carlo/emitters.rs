@@ -205,8 +205,8 @@ impl Ord for Part {
     }
 }
 
-/// Cuts a triangle into at most `most` + 2 parts, in the order of the quadtree. It repeatedly cuts the part with the most
-/// power, down to the size of a texel. Parts that emit nothing are left out.
+/// Cuts a triangle into at most `most` + 2 parts, in the order of the quadtree. It repeatedly cuts the part with the
+/// most power, down to the size of a texel. Parts that emit nothing are left out.
 fn parts(scene: &Scene, t: usize, most: usize) -> Vec<Part> {
     let texels = scene.emission_texels(t);
     let mut open = BinaryHeap::from([Part::new(scene, t, 0, 0)]);

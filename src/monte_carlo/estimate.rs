@@ -72,8 +72,8 @@ pub struct Effort {
     /// Samples per estimate, rounded up to a multiple of `replicates`. Default 4096. Sobol sequences are most accurate
     /// with powers of two.
     pub samples: u32,
-    /// Number of replicates, which are independent scrambles of the sequence. Their spread gives the standard error, which has a
-    /// relative uncertainty of about 1/√(2·replicates). Default 16.
+    /// Number of replicates, which are independent scrambles of the sequence. Their spread gives the standard error,
+    /// which has a relative uncertainty of about 1/√(2·replicates). Default 16.
     pub replicates: u32,
     /// Seed of all random numbers. Default 1.
     pub seed: u64,
@@ -111,8 +111,8 @@ impl Effort {
 
     /// Means of the replicates of `count` quantities, quantity by quantity.
     ///
-    /// Replicates are the unit of parallel work, so that a single quantity keeps several threads busy. Each replicate is summed in
-    /// order by one thread, so that the result does not depend on the number of threads.
+    /// Replicates are the unit of parallel work, so that a single quantity keeps several threads busy. Each replicate
+    /// is summed in order by one thread, so that the result does not depend on the number of threads.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped).

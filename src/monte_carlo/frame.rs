@@ -38,8 +38,8 @@ enum Kind {
 }
 
 impl Camera {
-    /// A camera that shows the whole scene. It looks at a room with a missing side through the opening, at a closed room from one
-    /// of its corners, and at anything else diagonally from outside.
+    /// A camera that shows the whole scene. It looks at a room with a missing side through the opening, at a closed
+    /// room from one of its corners, and at anything else diagonally from outside.
     ///
     /// The up direction is +y, except for a room that is open along y.
     ///

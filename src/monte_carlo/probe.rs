@@ -1,4 +1,4 @@
-//! Points at which the user wants the irradiance, and their files.
+//! Points at which the irradiance is to be computed, and their files.
 
 use std::{io::Write, path::Path};
 
@@ -16,9 +16,9 @@ pub struct Probe {
     pub normal: DVec3,
 }
 
-/// Reads a file of probes. Each line is `x y z nx ny nz`, with blanks, tabs, commas or semicolons between the numbers. Where
-/// semicolons or tabs part six numbers, a comma is a decimal point, as spreadsheets of many languages write it. Blank lines and
-/// everything after `#` are ignored. A table may begin with one line of names without a number.
+/// Reads a file of probes. Each line is `x y z nx ny nz`, with blanks, tabs, commas or semicolons between the numbers.
+/// If semicolons or tabs separate six numbers, a comma is a decimal point, as in spreadsheets of many languages.
+/// Blank lines and everything after `#` are ignored. A table may begin with one line of names without a number.
 ///
 /// # Errors
 /// [`Error::Io`] if the file cannot be read; [`Error::Input`] with the number of a line that is not understood.
@@ -44,12 +44,12 @@ pub fn read_probes(path: &Path) -> Result<Vec<Probe>> {
     Ok(probes)
 }
 
-/// The words of a line. A comma or semicolon ends a word, blanks beside it do not count.
+/// The words of a line, separated by commas, semicolons or blanks.
 fn words(line: &str) -> impl Iterator<Item = &str> {
     line.split(|c: char| c.is_whitespace() || matches!(c, ',' | ';')).filter(|word| !word.is_empty())
 }
 
-/// The words of a line that has decimal commas: six numbers between semicolons or tabs.
+/// The words of a line with decimal commas: six numbers between semicolons or tabs. `None` for other lines.
 fn with_decimal_commas(line: &str) -> Option<Vec<String>> {
     let separator = if line.contains(';') { ';' } else { '\t' };
     let words: Vec<String> = line.split(separator).map(|word| word.trim().replace(',', ".")).collect();
@@ -57,7 +57,7 @@ fn with_decimal_commas(line: &str) -> Option<Vec<String>> {
     (line.contains(',') && are_numbers).then_some(words)
 }
 
-/// Whether a line names columns: it has as many words as columns at least, and none is a number.
+/// Whether a line names columns: it has at least as many words as there are columns, and none of them is a number.
 fn is_header(line: &str) -> bool {
     words(line).count() >= 6 && words(line).all(|word| word.trim_matches('"').parse::<f64>().is_err())
 }
@@ -129,7 +129,7 @@ mod tests {
         {
             assert_eq!(read(table).unwrap(), halves, "{table}");
         }
-        // Commas part numbers where semicolons or tabs do not part six.
+        // Commas separate numbers if semicolons or tabs do not separate six of them.
         assert_eq!(read("1,2,3;0,0,1\n4,5,6;0,1,0").unwrap(), wanted);
         // Only the first line may hold names, and a broken number is not a name.
         for (wrong, line) in [("1 2 3 0 0 1\nx y z nx ny nz", 2), ("1,x,3,0,0,1", 1), ("a b c", 1)] {

@@ -1,7 +1,7 @@
 //! The files that the program writes: coloured meshes, pictures, tables and reports.
 //!
-//! A file is written whole or not at all ([`mod@file`]). All numbers in it are finite. A figure that is not known is NaN
-//! in a PLY and `null` in a report.
+//! A file is written whole or not at all ([`mod@file`]). All numbers in it are finite. A figure that is not known is
+//! NaN in a PLY and `null` in a report.
 
 pub mod daylight;
 pub mod exchange;

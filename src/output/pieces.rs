@@ -92,7 +92,8 @@ fn bisect(positions: &[DVec3], whole: Piece, edges: [Chain; 3], pieces: &mut Vec
     let nearest = (0..on.len()).reduce(|m, n| if off(n) < off(m) { n } else { m }).expect("it has vertices");
     let (vertex, fraction) = on[nearest];
     let share = (fraction - start) / (end - start);
-    // The first part loses the end of edge `k`, and with it the edge that starts there. The second part loses the start.
+    // The first part loses the end of edge `k`, and with it the edge that starts there. The second part loses the
+    // start.
     let (mut first, mut second) = (whole, whole);
     (first.corners[next], first.share) = (vertex, whole.share * share);
     (second.corners[k], second.share) = (vertex, whole.share * (1.0 - share));

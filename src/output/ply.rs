@@ -3,12 +3,10 @@
 //! - `vertex`: `x y z` float in scene units; `red green blue` uchar, exposed and sRGB-encoded; `radiosity_r radiosity_g
 //!   radiosity_b` float, linear, W/m².
 //! - `face`, one per patch: `vertex_indices`; `triangle` int, the triangle of the file; `side` uchar, 0 for the front
-//!   and 1 for
-//!   the back; `area` double; `irradiance_*`, `radiosity_*` and `error_*` float. `error_*` is the standard error of the
-//!   irradiance, or NaN if it is unknown.
+//!   and 1 for the back; `area` double; `irradiance_*`, `radiosity_*` and `error_*` float. `error_*` is the standard
+//!   error of the irradiance, or NaN if it is unknown.
 //! - Further float values of a face, if they were computed: `discretisation_*`, the change of the irradiance if patches
-//!   were
-//!   twice as large; `lambert_*`, irradiance with the given materials minus irradiance with Lambertian ones, and
+//!   were twice as large; `lambert_*`, irradiance with the given materials minus irradiance with Lambertian ones, and
 //!   `lambert_error_*`, its standard error. The last two are NaN on backs.
 //!
 //! A face shows the side of its patch that has more light, and faces never lie on each other. So viewers that draw both

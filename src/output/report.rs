@@ -115,8 +115,8 @@ pub struct SolverReport {
     /// Bound on the difference of any patch's radiosity from the exact solution of the system; `null` if there is no
     /// bound.
     pub error_bound: Option<f64>,
-    /// Whether the tolerance was reached. Without a linear system: whether the energy imbalance of the rays is
-    /// consistent with its standard error.
+    /// Whether the tolerance was reached. Without a linear system: whether the energy imbalance of the rays is explained by
+    /// its standard error and the sampling error.
     pub converged: bool,
 }
 

@@ -51,8 +51,8 @@ type Legend = Vec<(RGBColor, Mark, String)>;
 
 /// The drawing as SVG.
 ///
-/// The left chart shows the error over the time of everything: a line for each patch size, path tracing, the presets and
-/// the estimators. The right chart shows the error over the time of the solver alone.
+/// The left chart shows the error over the time of everything: a line for each patch size, path tracing, the presets
+/// and the estimators. The right chart shows the error over the time of the solver alone.
 pub fn svg(file: &str, tradeoff: &Tradeoff) -> String {
     let of_solver = |p: &&Point| p.series == Series::Solver;
     let (right, left): (Vec<&Point>, Vec<&Point>) = tradeoff.points.iter().partition(of_solver);

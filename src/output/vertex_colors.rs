@@ -1,9 +1,9 @@
 //! Radiosity at vertices, for viewers that shade smoothly.
 //!
 //! The value at a vertex is a mean over the patches of its surface that meet there, weighted by their angles at the
-//! vertex. Cohen and Wallace ("Radiosity and Realistic Image Synthesis", 1993, chapter 9) use equal weights. With angles
-//! as weights the result does not depend on how a flat surface was cut into triangles, and radiosity that varies linearly
-//! over a regular mesh is reproduced. Linear light of a patch counts with its value at the vertex.
+//! vertex. Cohen and Wallace ("Radiosity and Realistic Image Synthesis", 1993, chapter 9) use equal weights. With
+//! angles as weights the result does not depend on how a flat surface was cut into triangles, and radiosity that varies
+//! linearly over a regular mesh is reproduced. Linear light of a patch counts with its value at the vertex.
 
 use rayon::prelude::*;
 

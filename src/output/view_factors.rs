@@ -82,7 +82,8 @@ impl Table<'_> {
         self.found.areas().get(i).copied().unwrap_or(f64::INFINITY)
     }
 
-    /// The share of a row that reaches no surface. If sky or ground are surfaces, light that reaches them does not count.
+    /// The share of a row that reaches no surface. If sky or ground are surfaces, light that reaches them does not
+    /// count.
     pub fn escaped(&self, i: usize) -> Share {
         let Some(lost) = self.found.lost.get(i) else { return Share::default() };
         match (self.sky, self.ground) {
@@ -93,8 +94,8 @@ impl Table<'_> {
         }
     }
 
-    /// Columns, view factors and standard errors of a row, in the order of columns. Includes view factors that are zero with
-    /// a standard error.
+    /// Columns, view factors and standard errors of a row, in the order of columns. Includes view factors that are zero
+    /// with a standard error.
     fn entries(&self, i: usize) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
         let own = (i < self.found.len()).then(|| self.found.entries(i)).into_iter().flatten();
         let lost = self.found.lost.get(i).copied().unwrap_or_default();
@@ -174,8 +175,8 @@ impl Table<'_> {
     }
 }
 
-/// The sum of two parts of the escaped share. Its error is that of independent parts: an upper estimate, because the
-/// parts of a known sum are negatively correlated.
+/// The sum of two parts of the escaped share. Its error is that of independent parts: an upper estimate, because shares
+/// of the same rays are negatively correlated.
 fn sum(a: Share, b: Share) -> Share {
     Share { value: a.value + b.value, error: a.error.hypot(b.error) }
 }

@@ -7,8 +7,8 @@ use glam::DVec3;
 use super::{Brdf, Lobe, spherical};
 use crate::trace::sampling::sobol_4d;
 
-/// Number of directions. A (t, m, s)-net of this size gives the albedo of all models to 10⁻³ at roughnesses from 0.1 to 1. A
-/// square grid of the same size had errors of up to 8·10⁻³ where a part of the lobe is below the surface.
+/// Number of directions. A (t, m, s)-net of this size gives the albedo of all models to 10⁻³ at roughnesses from 0.1
+/// to 1. A square grid of the same size had errors of up to 8·10⁻³ where a part of the lobe is below the surface.
 const DIRECTIONS: u32 = 1 << 11;
 
 /// The directional albedo ∫ f cos θi dωi of a lobe, per channel, with directions ωi sampled from the lobe. It is the

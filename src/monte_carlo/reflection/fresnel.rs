@@ -26,8 +26,8 @@ impl Fresnel {
     }
 }
 
-/// Unpolarised light on a conductor in vacuum: mean of the squares of Fresnel's coefficients (Born and Wolf, *Principles of
-/// Optics*, section 14.2).
+/// Unpolarised light on a conductor in vacuum: mean of the squares of Fresnel's coefficients (Born and Wolf,
+/// *Principles of Optics*, section 14.2).
 fn conductor(cos: f64, eta: f64, kappa: f64) -> f64 {
     let (cos2, sin2) = (cos * cos, (1.0 - cos * cos).max(0.0));
     // a² - b² and a² + b², where a + ib describes the refracted wave.

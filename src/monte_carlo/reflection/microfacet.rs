@@ -5,9 +5,9 @@ use glam::DVec3;
 use super::{Brdf, above, beckmann, ggx, reflect};
 use crate::scene::{Distribution, Fresnel, LEAST_ALPHA, Shadowing};
 
-/// f = F D G2/(4 cos θi cos θo) (Cook and Torrance, "A Reflectance Model for Computer Graphics", ACM TOG 1(1), 1982, with
-/// the 4 of Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, equation 20). Light that is
-/// reflected by more than one facet is lost.
+/// f = F D G2/(4 cos θi cos θo) (Cook and Torrance, "A Reflectance Model for Computer Graphics", ACM TOG 1(1), 1982,
+/// with the 4 of Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, equation 20).
+/// Light that is reflected by more than one facet is lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Microfacet {
     distribution: Distribution,

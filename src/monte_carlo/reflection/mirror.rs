@@ -5,8 +5,8 @@ use glam::DVec3;
 use super::Brdf;
 use crate::scene::Fresnel;
 
-/// f = F δ(ωi - ωr)/cos θ, where ωr is the mirror image of ωo. It is infinite where it is not 0, so [`Brdf::evaluate`] and
-/// [`Brdf::density`] return 0. The weight of the sampled direction is F.
+/// f = F δ(ωi - ωr)/cos θ, where ωr is the mirror image of ωo. It is infinite where it is not 0, so [`Brdf::evaluate`]
+/// and [`Brdf::density`] return 0. The weight of the sampled direction is F.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mirror {
     /// The reflectance F.

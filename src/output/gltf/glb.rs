@@ -65,7 +65,8 @@ impl Glb {
         self.push("bufferViews", view)
     }
 
-    /// Adds vectors of single precision, one per vertex, and returns the index of the accessor. Positions need `bounds`.
+    /// Adds vectors of single precision, one per vertex, and returns the index of the accessor. Positions need
+    /// `bounds`.
     pub fn vectors<const N: usize>(&mut self, values: &[[f32; N]], bounds: bool) -> usize {
         let bytes: Vec<u8> = values.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
         let view = self.view(&bytes, Target::Vertices(4 * N));

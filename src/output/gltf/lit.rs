@@ -233,7 +233,8 @@ impl Writer<'_> {
         self.glb.json["meshes"][place.instance.mesh]["primitives"][place.primitive].clone()
     }
 
-    /// The primitives that replace one: one for each page that it lies on, and one for triangles without a place in the map.
+    /// The primitives that replace one: one for each page that it lies on, and one for triangles without a place in the
+    /// map.
     fn primitives(&mut self, place: &Place<'_>, geometry: &Geometry) -> Result<Vec<Value>> {
         let original = self.original(place);
         // Triangles that were left out because they are hidden behind other faces would flicker through these.

@@ -1,8 +1,8 @@
 //! The patches of a solution as glTF, with radiosity as vertex colours.
 //!
 //! Materials are unlit (KHR_materials_unlit) and white, so that a viewer shows COLOR_0 without any shading. The
-//! specification limits colours to 1, so everything brighter than white is white. A face shows the side of its patch that
-//! has more light.
+//! specification limits colours to 1, so everything brighter than white is white. A face shows the side of its patch
+//! that has more light.
 
 use std::{
     collections::HashMap,
