@@ -19,7 +19,7 @@ pub(super) struct Facet {
     pub triangle: u32,
     /// Barycentric coordinates of its corners in that triangle.
     pub corners: [[f64; 3]; 3],
-    /// Whether it is a second copy, wound the other way round, for the back.
+    /// Whether it is a second copy, with opposite winding, for the back.
     pub turned: bool,
 }
 

@@ -154,7 +154,7 @@ impl Camera {
     /// Checks whether the picture can show anything. The sentence is a warning for the user.
     ///
     /// # Errors
-    /// [`Error::Setting`] when no ray of a grid over the picture meets the scene.
+    /// [`Error::Setting`] if no ray of a grid over the picture hits the scene.
     pub fn check(&self, tracer: &Tracer) -> Result<Option<String>> {
         let lens = self.lens(tracer);
         let (mut met, mut backs, mut near) = (0, 0, 0);
