@@ -1,7 +1,7 @@
 //! Lightmaps: the irradiance of a scene's surface as an image.
 //!
 //! [`Atlas`] is the layout: the place of each triangle in the map. [`Coverage`] lists the pieces of triangles that lie
-//! in each texel. [`bake`] computes the mean irradiance of the surface in every texel, either exactly from the patches
+//! in each texel. [`bake()`] computes the mean irradiance of the surface in every texel, either exactly from the patches
 //! or more sharply by a final gather. Then it prepares the map for bilinear sampling: it removes noise, fills texels
 //! without surface and closes seams. Each of these steps can be left out, and each reports how it changed the energy.
 //!
@@ -45,7 +45,7 @@ use crate::{
     trace::Hit,
 };
 
-/// Options of [`bake`].
+/// Options of [`bake()`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct BakeOptions {
@@ -90,7 +90,7 @@ pub enum Texel {
     Dilated,
 }
 
-/// The effect of one step of [`bake`] on the flux of the map.
+/// The effect of one step of [`bake()`] on the flux of the map.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Step {

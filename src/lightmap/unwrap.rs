@@ -257,7 +257,7 @@ impl<'a> Unwrapper<'a> {
             Some((_, atlas)) => Ok(atlas),
             None => Err(self
                 .pages(length, Some(page), page)
-                .map_or_else(|error| error, |_| unreachable!("what was made is the best"))),
+                .map_or_else(|error| error, |_| unreachable!("a layout that was made is the best one"))),
         }
     }
 

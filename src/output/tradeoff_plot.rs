@@ -61,7 +61,7 @@ pub fn svg(file: &str, tradeoff: &Tradeoff) -> String {
     let height = HEADER + CHARTS + LEGEND_LINE * (lines + 1);
     let mut out = String::new();
     let root = SVGBackend::with_string(&mut out, (WIDTH, height)).into_drawing_area();
-    draw(&root, file, tradeoff, [&left, &right], legends).expect("memory takes what is drawn");
+    draw(&root, file, tradeoff, [&left, &right], legends).expect("drawing into memory does not fail");
     drop(root);
     out
 }
