@@ -103,8 +103,7 @@ impl Coverage {
     }
 }
 
-/// A convex part of a triangle. Each of its corners is given by the barycentric weights of the triangle's corners 0 and
-/// 1.
+/// A convex part of a triangle. Each of its corners is given by the weights of the triangle's first two corners.
 #[derive(Debug, Clone, Copy)]
 pub struct Barycentric(Polygon);
 

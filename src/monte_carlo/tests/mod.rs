@@ -72,8 +72,8 @@ fn sphere(rows: usize, columns: usize, material: impl Fn(f64) -> u32) -> Faces {
     faces
 }
 
-/// A coloured room of 4 × 3 × 5 with a box and a lamp under its ceiling (the last two triangles). It can be open at z =
-/// 5.
+/// A coloured room of 4 × 3 × 5 with a box and a lamp under its ceiling (the last two triangles). An `open` room has
+/// no wall at z = 5.
 fn room(open: bool) -> Scene {
     let mut faces = box_walls(DVec3::ZERO, dvec3(4.0, 3.0, 5.0), true);
     for (i, (_, material)) in faces.iter_mut().enumerate() {
