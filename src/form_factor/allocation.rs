@@ -1,9 +1,9 @@
-//! Which patch casts how many rays.
+//! Number of rays that each patch casts.
 //!
-//! The area-weighted mean square error of irradiance is Σ A_i (V_i / R_i + W_i / N_i), with V_i the variance that one
-//! hemisphere ray of patch i has, and W_i that of a shadow ray. For a given sum of all rays it is least with R_i in
-//! proportion to sqrt(A_i V_i), and N_i to sqrt(A_i W_i) (Neyman, "On the Two Different Aspects of the Representative
-//! Method", JRSS 97, 1934). A part of the rays is cast evenly first and tells the variances.
+//! The area-weighted mean square error of irradiance is Σ A_i (V_i / R_i + W_i / N_i), where V_i is the variance of one
+//! hemisphere ray of patch i and W_i that of one shadow ray. For a given total number of rays it is least with R_i
+//! proportional to sqrt(A_i V_i), and N_i to sqrt(A_i W_i) (Neyman, "On the Two Different Aspects of the Representative
+//! Method", JRSS 97, 1934). A first part of the rays is cast evenly and estimates the variances.
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::{CastOptions, SHORT, ordered_sum, rays::REPLICATES};
 
-/// How many rays leave a patch.
+/// Numbers of rays of a patch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Share {
     pub(super) hemisphere: u32,
@@ -20,25 +20,26 @@ pub(super) struct Share {
 
 /// Share of the rays that are cast evenly.
 pub(super) const PILOT: f64 = 0.5;
-/// Share of a variance that is taken to be the mean of all, since that of a few patches may miss what is rare. RMS errors at
-/// 64 rays a patch on three rooms with 0.5, 0.25 and 0.1: 4.3, 4.1, 4.0; 3.5, 3.4, 3.4; 3.0, 2.9, 2.7 %.
+/// Weight of the mean variance of all patches in the variance of each, because the estimate of a few patches may miss
+/// rare light. RMS errors at 64 rays a patch on three rooms with 0.5, 0.25 and 0.1: 4.3, 4.1, 4.0; 3.5, 3.4, 3.4; 3.0,
+/// 2.9, 2.7 %.
 const COMMON: f64 = 0.1;
-/// A patch gets at most this many times as many rays of a kind as it has. On a block in the open at 256 rays, 4 left 0.68 %
-/// and 8 leave 0.50 %.
+/// The number of rays of a kind may grow by at most this factor. On a block in the open at 256 rays, 4 gives an error
+/// of 0.68 % and 8 of 0.50 %.
 const MOST_GROWTH: f64 = 8.0;
 
-/// Halvings of the range of a logarithm, 120, in which the level is looked for: to a tenth of a ray in a thousand.
+/// Bisections of the logarithm of the level, over a range of 120. They give numbers of rays to a ten-thousandth.
 const HALVINGS: usize = 20;
 
-/// Runs of siblings are put together until they are so many at least.
+/// Small runs of siblings are joined until they have this many patches.
 const NEIGHBOURS: usize = 4;
 
-/// Whole numbers of rays for every replicate. Parts of one and of two rays would tell more variance than the whole has, by an
-/// eighth where they are equally many: on five scenes at 64 rays a patch error bars were a tenth to a fifth too long. Nets
-/// are better stratified too.
+/// Numbers of rays are multiples of this, so that replicates have equally many. Replicates of one and of two rays would
+/// overestimate the variance of the whole by an eighth, where both are equally frequent: on five scenes at 64 rays a
+/// patch error bars were a tenth to a fifth too long. Nets are also better stratified.
 const STEP: u32 = REPLICATES as u32;
 
-/// The same for all patches. Where variances decide on more rays, so many that each replicate has as many.
+/// The same number of rays for all patches. If variances distribute more rays later, replicates have equally many.
 pub(super) fn even(options: &CastOptions, rays: f64, lamps: bool) -> Share {
     let shadow = if lamps { options.shadow_share } else { 0.0 };
     let whole = |rays: f64| {
@@ -49,13 +50,13 @@ pub(super) fn even(options: &CastOptions, rays: f64, lamps: bool) -> Share {
     Share { hemisphere, shadow: if shadow > 0.0 { whole(rays * shadow) } else { 0 } }
 }
 
-/// Shares of `rays` in all for every patch, given those that were cast and the variances (V_i / R_i, W_i / N_i) that its
-/// irradiance has with them.
+/// Distributes `rays` over all patches, given the rays already cast and the variances (V_i / R_i, W_i / N_i) of each
+/// patch's irradiance with these.
 ///
-/// The variance of a patch is taken to be the mean of its neighbours', without its own. Its own would make its estimate biased: a
-/// patch of which a ray met something rare would get more rays, and tell it as rare as it is, and a patch that missed it would get
-/// none and go on to miss it. In a sphere with a port of half a percent a fifth less light than should escaped. Nothing is lost by
-/// it: one patch knows its own variance badly.
+/// The variance of a patch is estimated by the mean of its neighbours, without its own. Its own would make its
+/// irradiance biased: a patch whose ray met a rare light would get more rays and estimate it correctly, and a patch
+/// that missed it would get none and keep missing it. In a sphere with a port of half a percent, a fifth too little
+/// light escaped. Nothing is lost, because a single patch estimates its own variance badly.
 ///
 /// `siblings` are runs of patches that are close to each other and look the same way.
 pub(super) fn by_variance(
@@ -69,7 +70,7 @@ pub(super) fn by_variance(
         let Share { hemisphere, shadow } = cast(i);
         [hemisphere, shadow].map(f64::from)
     };
-    // Per ray, and what remains of it where rays are many.
+    // Variance times number of rays: the effective variance of one ray.
     let mut of_ray = Vec::with_capacity(areas.len());
     for run in neighbours(siblings) {
         let own = |i: usize| -> [f64; 2] { std::array::from_fn(|kind| variances[i][kind] * now(i)[kind]) };
@@ -107,7 +108,7 @@ pub(super) fn by_variance(
         if sum(middle.exp() / scale) > rays { high = middle } else { low = middle }
     }
     let level = if scale > 0.0 { low.exp() / scale } else { 0.0 };
-    // What steps leave out or add is made good by the next patches.
+    // Differences from rounding to steps carry over to the next patches.
     let mut owed = [0.0; 2];
     (0..areas.len())
         .map(|i| {
@@ -127,7 +128,7 @@ pub(super) fn by_variance(
         .collect()
 }
 
-/// Runs of siblings, and of several that follow each other where they are small.
+/// Runs of siblings. Small runs that follow each other are joined.
 fn neighbours(siblings: &[Range<usize>]) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     for family in siblings {
@@ -136,7 +137,7 @@ fn neighbours(siblings: &[Range<usize>]) -> Vec<Range<usize>> {
             _ => runs.push(family.clone()),
         }
     }
-    // What is left at the end joins those before.
+    // A small run at the end joins the one before it.
     if runs.len() > 1 && runs[runs.len() - 1].len() < NEIGHBOURS {
         let end = runs.pop().map_or(0, |last| last.end);
         runs.last_mut().expect("there is another").end = end;
@@ -148,13 +149,13 @@ fn neighbours(siblings: &[Range<usize>]) -> Vec<Range<usize>> {
 mod tests {
     use super::*;
 
-    /// Four patches alike, and four others.
+    /// Two groups of four equal patches.
     fn twice<T: Copy>([first, second]: [T; 2]) -> Vec<T> {
         [[first; 4], [second; 4]].concat()
     }
 
-    /// Neyman's formula: one hemisphere ray of the first four has four times the variance of the others', on four times the area, so
-    /// that they get four times as many rays, but for the tenth of a variance that is taken to be the mean of all.
+    /// Neyman's formula: the first four patches have four times the variance per hemisphere ray and four times the area
+    /// of the others. They get four times as many rays, apart from the tenth of each variance that is the mean of all.
     #[test]
     fn rays_go_as_the_root_of_area_and_variance() {
         let cast = |_: usize| Share { hemisphere: 1600, shadow: 0 };
@@ -171,7 +172,7 @@ mod tests {
         assert!(shares.iter().all(|share| share.hemisphere % STEP == 0 && share.shadow == 0));
     }
 
-    /// A kind whose light is certain gets no more rays, and no patch more than eight times what it has.
+    /// A kind of ray without variance gets no more rays, and no patch gets more than eight times its rays.
     #[test]
     fn what_is_certain_gets_nothing_and_nobody_gets_all() {
         let cast = |_: usize| Share { hemisphere: 16, shadow: 16 };
@@ -182,7 +183,7 @@ mod tests {
         assert!(shares.iter().all(|share| share.hemisphere == 128), "{shares:?}");
     }
 
-    /// What its own rays met by chance gets a patch no more of them: its neighbours get them.
+    /// Rare hits of its own rays give a patch no more rays: its neighbours get them.
     #[test]
     fn a_patch_has_no_part_in_its_own_share() {
         let cast = |_: usize| Share { hemisphere: 160, shadow: 0 };
@@ -194,7 +195,7 @@ mod tests {
         assert!([0, 2, 3].iter().all(|&i| rays(i) > 3 * rays(1)), "{shares:?}");
     }
 
-    /// Small runs follow each other until they are four, and what is left at the end joins them.
+    /// Small runs are joined until they have four patches, and a small run at the end joins them.
     #[test]
     fn neighbours_are_four_at_least() {
         assert_eq!(neighbours(&[0..1, 1..3, 3..4, 4..20, 20..21]), [0..4, 4..21]);

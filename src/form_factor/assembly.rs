@@ -1,4 +1,4 @@
-//! From rays to form factors.
+//! Turns rays into form factors.
 
 use rayon::prelude::*;
 
@@ -18,17 +18,17 @@ use super::{
 };
 use crate::{direct::ShadowRays, patch::Patches, trace::Tracer};
 
-/// Patches smaller than this share of the mean patch count as that large: exchange areas would leave the range of single
-/// precision otherwise, and what that adds to the energy does not show in double precision.
+/// Patches smaller than this share of the mean area are given that area. Otherwise their exchange areas would leave the
+/// range of single precision. The energy this adds is below the rounding of double precision.
 const LEAST_AREA: f64 = 1e-20;
 
-/// What rows may be off by in form factors that only tell how large an error is.
+/// Precision of rows in form factors that only serve to estimate errors.
 const ROUGH: f64 = 1e-4;
 
 impl FormFactors {
-    /// Form factors from a symmetric matrix of exchange areas A_i F_ij, in any one unit of area, the patches' areas in
-    /// the same unit, and the share of each patch's light that leaves the scene. Closes the rows. Of the matrix the upper
-    /// triangle is read; the lower one is taken to be the same.
+    /// Builds form factors from a symmetric matrix of exchange areas A_i F_ij in any unit, the areas of the patches in
+    /// the same unit, and the share of each patch's light that leaves the scene. Closes the rows. Reads only the upper
+    /// triangle of the matrix.
     ///
     /// # Panics
     /// When the sizes disagree.
@@ -51,7 +51,7 @@ impl FormFactors {
             row_sum_deviation: BeforeAfter { before: closed.deviation_before, after: 0.0 },
             reciprocity_deviation: BeforeAfter::default(),
         };
-        // Nobody asks it of what only tells how large an error is.
+        // Form factors of low precision only estimate errors and need no report.
         if precision <= closure::EXACT {
             form_factors.row_sum_deviation.after =
                 closure::deviation(form_factors.row_sums().into_iter(), &form_factors.escaped);
@@ -61,7 +61,8 @@ impl FormFactors {
         form_factors
     }
 
-    /// The form factors from the first or second half of every patch's rays; `None` when they are too few or unknown.
+    /// The form factors from the first or second half of every patch's rays. `None` if there are too few rays, or if
+    /// the form factors were not cast from rays.
     pub(crate) fn half(&self, half: usize, tracer: &Tracer, patches: &Patches) -> Option<FormFactors> {
         let samples = self.samples.as_ref()?;
         let (rays, shadow) = (samples.rays.half(half)?, samples.shadow.half(half)?);
@@ -76,9 +77,11 @@ impl FormFactors {
         }))
     }
 
-    /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j), by visiting every pair.
+    /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) over all pairs.
     fn measure_reciprocity(&self) -> f64 {
-        let Stored::Symmetric(matrix) = &self.stored else { unreachable!("only of pooled form factors") };
+        let Stored::Symmetric(matrix) = &self.stored else {
+            unreachable!("pooled form factors are stored symmetrically")
+        };
         let exchange =
             |i: usize, s: f32, j: usize| self.areas[i] * self.left[i] * f64::from(s) * self.right[j];
         let defect = |(i, j, s): (usize, usize, f32)| {
@@ -88,7 +91,7 @@ impl FormFactors {
     }
 }
 
-/// Rays on their way to form factors.
+/// Rays and pooled exchange areas, before calibration and closure.
 pub(super) struct Assembled {
     samples: Samples,
     areas: Vec<f64>,
@@ -100,7 +103,7 @@ pub(super) struct Assembled {
 }
 
 impl Assembled {
-    /// `start` is the radiosity, but for what lamps emit, that fewer or more rays told, or empty.
+    /// `start` is a radiosity without the emission of lamps, from another number of rays, or empty.
     pub(super) fn new(
         (mut rays, mut shadow, mut sky): (RaySet, ShadowRays, Option<SkyLight>),
         tracer: &Tracer,
@@ -110,7 +113,7 @@ impl Assembled {
     ) -> Assembled {
         let mut areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
         let n = areas.len();
-        // In units of the mean area no exchange area leaves the range of single precision.
+        // In units of the mean area all exchange areas are in the range of single precision.
         let mean = areas.iter().sum::<f64>() / n as f64;
         areas.iter_mut().for_each(|a| *a = a.max(LEAST_AREA * mean));
         let relative: Vec<f64> = areas.iter().map(|a| a / mean).collect();
@@ -146,7 +149,7 @@ impl Assembled {
         Assembled { samples, areas, buckets, pooled, row_sum_deviation, one_way_deviation }
     }
 
-    /// The form factors, as the options say.
+    /// The form factors by the estimator that the options name.
     pub(super) fn finish(self, patches: &Patches) -> FormFactors {
         let form_factors = match self.samples.options.estimator {
             Estimator::OneWay => self.one_way(),
@@ -156,8 +159,8 @@ impl Assembled {
         form_factors
     }
 
-    /// What each patch sends before form factors carry light, in the unit of emission: what it emits, but for lamps, and what it
-    /// reflects of these.
+    /// Light that each patch sends before form factors carry light, in the unit of emission: its emission unless it is
+    /// a lamp, and the reflected direct light.
     fn source(&self, patches: &Patches) -> Vec<f32> {
         match patches.channels() {
             1 => self.source_of::<1>(patches),
@@ -191,7 +194,7 @@ impl Assembled {
         }
     }
 
-    /// No more than tells the variances.
+    /// Keeps only the samples that variances need.
     pub(super) fn into_samples(mut self, patches: &Patches) -> Samples {
         let start = std::mem::take(&mut self.samples.radiosity);
         let source = self.source(patches);

@@ -1,27 +1,27 @@
-//! Patches in blocks, and who works on which two of them when.
+//! Patches in blocks, and the order in which threads work on pairs of blocks.
 //!
-//! Each block works through its tiles, the pairs that it is in, in the order of a tournament in which everyone meets everyone
-//! (the circle method; Kirkman, 1847), so that many tiles that share no block can be worked on at a time: no two threads write
-//! to the same place, and every sum has one order, whatever the number of threads.
+//! Each block takes part in its tiles (pairs of blocks) in the order of a tournament in which everyone meets everyone
+//! (the circle method; Kirkman, 1847). Many tiles that share no block run at the same time, no two threads write to the
+//! same place, and every sum has the same order for any number of threads.
 
 use std::{ops::Range, sync::Mutex};
 
-/// Rows of a block at most. With fewer what a product reads and writes of a tile is nearer, but at a million patches a tile
-/// has then no more entries than rows, and reading those takes all the time.
+/// Most rows of a block. Smaller blocks keep the memory of a product closer together. But at a million patches their
+/// tiles would have no more entries than rows, and reading the rows would take all the time.
 const MOST_ROWS: usize = 1 << PLACE;
 /// Bits of a place within a block.
 pub(super) const PLACE: u32 = u16::BITS;
-/// Rows of a block at least: smaller tiles are not worth a task.
+/// Fewest rows of a block: smaller tiles are not worth a task.
 const LEAST_ROWS: usize = 1 << 9;
-/// Blocks that there should be at least, for threads to share: two at a time. Tiles differ much in what is in them: with half as
-/// many blocks, two threads would wait up to a third of their time.
+/// Fewest blocks, for threads to share: each tile occupies two. Tiles differ much in their number of entries. With half
+/// as many blocks, two threads would wait up to a third of their time.
 const ENOUGH_BLOCKS: usize = 16;
 
 /// How patches are divided into blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Blocks {
     len: usize,
-    /// Logarithm of the rows of each.
+    /// Logarithm of the number of rows of a block.
     bits: u32,
 }
 
@@ -30,23 +30,23 @@ impl Blocks {
         Self::of_rows(len, LEAST_ROWS, MOST_ROWS)
     }
 
-    /// With at least and at most so many rows each, as a power of two, and enough blocks if that leaves them.
+    /// Blocks of between `least` and `most` rows, as a power of two, and enough of them if these bounds permit.
     pub(super) fn of_rows(len: usize, least: usize, most: usize) -> Blocks {
         assert!(most <= MOST_ROWS, "places have {PLACE} bits");
         Blocks { len, bits: (len / ENOUGH_BLOCKS).clamp(least, most).ilog2() }
     }
 
-    /// Of so many patches.
+    /// Number of patches.
     pub(super) fn len(self) -> usize {
         self.len
     }
 
-    /// How many there are.
+    /// Number of blocks.
     pub(super) fn count(self) -> usize {
         self.len.div_ceil(self.rows())
     }
 
-    /// Rows of each but the last.
+    /// Number of rows of each block but the last.
     pub(super) fn rows(self) -> usize {
         1 << self.bits
     }
@@ -56,7 +56,7 @@ impl Blocks {
         block * self.rows()..((block + 1) * self.rows()).min(self.len)
     }
 
-    /// The block that a patch is in, and its place there.
+    /// The block of a patch, and its place there.
     #[inline]
     pub(super) fn of(self, i: usize) -> (usize, u32) {
         (i >> self.bits, (i & (self.rows() - 1)) as u32)
@@ -67,7 +67,7 @@ impl Blocks {
         (0..self.count()).flat_map(|a| (a..self.count()).map(move |b| (a, b))).collect()
     }
 
-    /// Where a tile is in their order.
+    /// Index of a tile in the order of [`Blocks::tiles`].
     pub(super) fn tile(self, (a, b): (usize, usize)) -> usize {
         a * (2 * self.count() - a + 1) / 2 + b - a
     }
@@ -90,8 +90,8 @@ impl Blocks {
         std::iter::once((0..count).map(|a| (a, a)).collect()).chain((0..last).map(round))
     }
 
-    /// Calls `work(a, b, part a of values, part b)` for all tiles, where the second part is `None` on the diagonal. Each
-    /// value is worked on in one order, whatever the number of threads.
+    /// Calls `work((a, b), part a of values, part b)` for all tiles. The second part is `None` on the diagonal. Each
+    /// value is updated in the same order for any number of threads.
     pub(super) fn meet<Y: Send>(
         self,
         values: &mut [Y],
@@ -99,7 +99,7 @@ impl Blocks {
     ) {
         assert_eq!(values.len(), self.len, "sizes disagree");
         let parts: Vec<Mutex<&mut [Y]>> = values.chunks_mut(self.rows()).map(Mutex::new).collect();
-        // Nobody else holds these locks: they only tell the compiler so.
+        // These locks are always free: they only satisfy the borrow checker.
         let part = |k: usize| parts[k].try_lock().expect("a block is in one tile at a time");
         let tournament = Mutex::new(Tournament::new(self));
         let next = || tournament.lock().expect("nobody panics while choosing").next();
@@ -107,7 +107,7 @@ impl Blocks {
             loop {
                 match next() {
                     Next::Over => return,
-                    // Whoever has what is missing may have lost its processor for a while.
+                    // The thread that holds a missing block may have lost its processor for a while.
                     Next::Wait => std::thread::yield_now(),
                     Next::Tile((a, b)) => {
                         if a == b {
@@ -129,15 +129,15 @@ impl Blocks {
     }
 }
 
-/// Which tiles were worked on. A tile is next when both of its blocks have done all that comes before: there is no need to
-/// wait for whole rounds.
+/// The tiles already begun and done. A tile is next when both of its blocks have done all their earlier tiles, so that
+/// no thread waits for a whole round.
 struct Tournament {
-    /// The tiles round by round, each with its number in the order of its first and of its second block.
+    /// The tiles round by round, each with its position in the order of its first and of its second block.
     tiles: Vec<((usize, usize), [usize; 2])>,
     begun: Vec<bool>,
-    /// All tiles before this one were begun.
+    /// All tiles before this one have begun.
     first: usize,
-    /// How many tiles each block has done.
+    /// Number of tiles that each block has done.
     done: Vec<usize>,
 }
 

@@ -1,22 +1,24 @@
-//! Which patches shine brighter than what is around them, so that their light is worth rays of its own.
+//! Finds patches that emit more than their surroundings, so that their light is worth shadow rays.
 //!
-//! The light of the others goes the way of reflected light. In a furnace, where all surfaces emit and reflect as much in sum, so all
-//! light does, and is exact; to send rays to large, dim lamps would only take them from elsewhere.
+//! The light of other emitters is treated like reflected light. In a furnace, where emitted and reflected light add up
+//! to the same everywhere, all light is treated that way and is exact. Shadow rays to large, dim lamps would only be
+//! missing elsewhere.
 
 use rayon::prelude::*;
 
 use super::rays::{ESCAPED, RaySet};
 use crate::{parallel::ordered_sum, patch::Patches};
 
-/// Light bounces until its mean grows by less than this share, and so often at most.
+/// Light bounces until the total power grows by less than this share, at most `MOST_BOUNCES` times.
 const ENOUGH: f64 = 1e-3;
 const MOST_BOUNCES: usize = 200;
-/// Rays of each patch that are asked.
+/// Number of rays of each patch that are used.
 const ASKED: usize = 32;
-/// What is brighter by less than this is not worth rays: in a furnace nothing is brighter than what it sees, but that is not known exactly.
+/// An emitter must exceed what it sees by this factor to be worth shadow rays. In a furnace nothing is brighter than
+/// what it sees, but the estimates have errors.
 const BRIGHTER: f64 = 1.25;
 
-/// The radiosity at equilibrium as some rays alone tell it, interleaved channels, in the unit of emission.
+/// Estimates the radiosity at equilibrium from some rays alone, interleaved channels, in the unit of emission.
 pub(super) fn radiosity(rays: &RaySet, patches: &Patches) -> Vec<f64> {
     let channels = patches.channels();
     let mut radiosity = patches.emission().to_vec();
@@ -46,15 +48,15 @@ pub(super) fn radiosity(rays: &RaySet, patches: &Patches) -> Vec<f64> {
     radiosity
 }
 
-/// The power that leaves all patches, all channels together.
+/// The power that leaves all patches, summed over channels.
 fn total(patches: &Patches, radiosity: &[f64]) -> f64 {
     let channels = patches.channels();
     let power = |i: usize| patches.area(i) * radiosity[i * channels..][..channels].iter().sum::<f64>();
     ordered_sum(patches.len(), power)
 }
 
-/// Whether each front patch emits more than what its triangle sees, in the mean of what its rays meet, all channels together. What
-/// is bright elsewhere does not matter: a dim lamp may be the only one behind a door.
+/// Whether each front patch emits more than what its triangle sees on average, summed over channels. Bright emitters
+/// elsewhere do not matter: a dim lamp may be the only one behind a door.
 pub(super) fn above_what_is_seen(rays: &RaySet, patches: &Patches) -> Vec<bool> {
     let channels = patches.channels();
     let brightness = |b: &[f64], i: usize| b[i * channels..][..channels].iter().sum::<f64>();
@@ -77,7 +79,7 @@ pub(super) fn above_what_is_seen(rays: &RaySet, patches: &Patches) -> Vec<bool> 
     shines
 }
 
-/// The share of what leaves all patches that leaves the scene, as rays alone tell it.
+/// Estimates the share of all light leaving patches that leaves the scene, from rays alone.
 pub(super) fn escaping(rays: &RaySet, patches: &Patches, escaped: &[f64]) -> f64 {
     let channels = patches.channels();
     let radiosity = radiosity(rays, patches);

@@ -1,19 +1,19 @@
 //! Calibration: a reciprocal matrix whose rows are as good as one-sided estimates.
 //!
-//! Both directions of a pair, pooled, give a symmetric matrix. But the rays that leave a patch are well stratified, and those
-//! that happen to come in are not, so that a row estimated from its own rays mostly tells a patch's irradiance better:
-//! on a Cornell box with 512 hemisphere rays a patch, 1.1 % off against 1.4 %. A symmetric matrix cannot hold one-sided
-//! estimates entry by entry; it can agree with them in what matters. For functions g of the patches (one, and the
-//! radiosity after some bounces) every pooled S_ij is multiplied by
+//! Pooling both directions of a pair gives a symmetric matrix. But the rays that leave a patch are well stratified, and
+//! the rays that arrive from other patches are not. A row estimated mostly from its own rays therefore gives a better
+//! irradiance: on a Cornell box with 512 hemisphere rays a patch, the error is 1.1 % instead of 1.4 %. A symmetric
+//! matrix cannot reproduce one-sided estimates entry by entry, but it can reproduce weighted row sums. For functions g
+//! of the patches (the constant 1, and the radiosity after some bounces) every pooled S_ij is multiplied by
 //!
 //!   1 + λ_i · g_j + λ_j · g_i,
 //!
-//! symmetric like S, with the λ for which each row's sums Σ_j S_ij g_j are those of its one-sided estimate. It is the
-//! calibration of survey sampling (Deville and Särndal, "Calibration Estimators in Survey Sampling", JASA 87, 1992), with
-//! weights that belong to two rows each. The function 1 makes it a closure as well; what is left of that, the
-//! [closure](super::closure) takes away.
+//! which is symmetric like S. The λ are chosen so that the sums Σ_j S_ij g_j of each row equal those of its one-sided
+//! estimate. This is the calibration of survey sampling (Deville and Särndal, "Calibration Estimators in Survey
+//! Sampling", JASA 87, 1992), with weights that belong to two rows each. The function 1 makes it a closure as well. The
+//! [closure](super::closure) removes the remaining deviation.
 //!
-//! What escapes is as each patch's own rays say.
+//! Escaped shares are estimated by each patch's own rays alone.
 
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
@@ -27,36 +27,38 @@ use super::{
 };
 use crate::patch::Patches;
 
-/// How many times as much as a ray that comes in a patch's own ray counts. RMS errors of irradiance on two Cornell boxes
-/// at 64 rays a patch, with 1, 4 and 16: 6.5, 6.4, 6.7 and 5.4, 5.5, 6.2 %; at 1024: 1.35, 1.17, 1.21 and 1.18, 0.99, 1.08 %.
+/// Weight of a patch's own ray relative to a ray that arrives from another patch. RMS errors of irradiance on two
+/// Cornell boxes at 64 rays a patch, with weights 1, 4 and 16: 6.5, 6.4, 6.7 and 5.4, 5.5, 6.2 %; at 1024 rays: 1.35,
+/// 1.17, 1.21 and 1.18, 0.99, 1.08 %.
 pub(super) const TRUST: f64 = 4.0;
-/// Bounces after which the radiosity serves as a function to calibrate with. Any function does; the nearer it is to the
-/// solution, the better; more of them, up to 8, were worth nothing.
+/// Number of bounces for the radiosity that calibrates. Any function is valid. A function nearer to the solution is
+/// better. More functions, up to 8, brought no gain.
 const BOUNCES: usize = 4;
-/// Bounces after what fewer rays told.
+/// Number of bounces if the start is a radiosity from fewer rays.
 const MORE_BOUNCES: usize = 2;
-/// Radiosities further from the mean than this many standard deviations count as that far, lest factors grow large.
+/// Radiosities further from the mean than this many standard deviations are clamped, which bounds the factors.
 const FURTHEST: f64 = 4.0;
-/// How much of its own weight each row resists its λ with, times its rays: functions which a row cannot tell apart do no
-/// harm then, and what few rays say is believed less. RMS errors at 64 rays a patch with 1, 6, 12 and 24: 4.04, 4.00, 3.99 and
-/// 3.99 % on the Cornell box, 1.3, 1.23, 1.20 and 1.18 % on a block in the open, 2.69, 2.69, 2.69 and 2.72 % behind a door.
+/// Resistance of each row to its λ, relative to the row's own weight, times the number of its rays. It keeps functions
+/// that a row cannot distinguish from doing harm, and gives estimates from few rays less influence. RMS errors at 64
+/// rays a patch with 1, 6, 12 and 24: 4.04, 4.00, 3.99 and 3.99 % on the Cornell box, 1.3, 1.23, 1.20 and 1.18 % on a
+/// block in the open, 2.69, 2.69, 2.69 and 2.72 % behind a door.
 pub(super) const RESISTANCE: f64 = 12.0;
 /// The least and greatest factor.
 const FACTORS: (f64, f64) = (0.05, 20.0);
 
-/// What the rays have measured.
+/// Measurements of the rays.
 pub(super) struct Measured<'a> {
     pub(super) rays: &'a RaySet,
     pub(super) densities: &'a Densities,
     pub(super) areas: &'a [f64],
-    /// The shares of light that leave the scene.
+    /// The escaped share of each patch.
     pub(super) escaped: &'a [f64],
-    /// What each patch sends before anything is reflected twice, in any unit: what it emits, but for lamps, and what it reflects of
-    /// their direct light. Interleaved channels.
+    /// Light that each patch sends before any second reflection, in any unit: its emission unless it is a lamp, and the
+    /// reflected direct light. Interleaved channels.
     pub(super) source: &'a [f32],
 }
 
-/// Calibrates the pooled exchange areas. Returns the radiosity that it calibrated with.
+/// Calibrates the pooled exchange areas. Returns the radiosity that it used.
 pub(super) fn calibrate(
     plain: &mut Symmetric,
     buckets: Buckets,
@@ -70,8 +72,8 @@ pub(super) fn calibrate(
     }
 }
 
-/// The radiosity after some bounces but for what lamps emit, interleaved channels: from what it was with fewer rays, or from the
-/// source.
+/// The radiosity after some bounces, without the emission of lamps, interleaved channels. Starts from the radiosity
+/// that fewer rays gave, or from the source if `start` is empty.
 pub(super) fn radiosity(
     plain: &Symmetric,
     measured: &Measured<'_>,
@@ -106,7 +108,7 @@ impl Measured<'_> {
         radiosity.into_flattened()
     }
 
-    /// The radiosity after some bounces but for what lamps emit, each row scaled to its sum.
+    /// The radiosity after some bounces, without the emission of lamps. Each row is divided by its sum.
     fn radiosity<const C: usize, const M: usize>(
         &self,
         plain: &Symmetric,
@@ -115,7 +117,7 @@ impl Measured<'_> {
     ) -> Vec<[f32; C]> {
         let source = self.source.as_chunks::<C>().0;
         let reflectance = patches.reflectance().as_chunks::<C>().0;
-        // What sends one to all tells the sums of the rows.
+        // The last channel is 1, so that its product gives the row sums.
         let with_one = |b: [f32; C]| -> [f32; M] { std::array::from_fn(|m| if m < C { b[m] } else { 1.0 }) };
         let (known, bounces) =
             (start.as_chunks::<C>().0, if start.is_empty() { BOUNCES } else { MORE_BOUNCES });
@@ -136,7 +138,7 @@ impl Measured<'_> {
         radiosity.iter().map(|b| std::array::from_fn(|c| b[c])).collect()
     }
 
-    /// One, and the radiosities in standard deviations from their mean.
+    /// The functions: 1, and the radiosities in standard deviations from their mean.
     fn functions<const C: usize, const M: usize>(&self, radiosity: &[[f32; C]]) -> Vec<SVector<f64, M>> {
         let area: f64 = self.areas.iter().sum();
         let mean =
@@ -186,7 +188,7 @@ impl Measured<'_> {
         sums
     }
 
-    /// Σ_j S_ij g_j g_jᵀ, and by how much Σ_j S_ij g_j is to grow, of every row.
+    /// For every row, Σ_j S_ij g_j g_jᵀ and the change wanted of Σ_j S_ij g_j.
     fn equations<const M: usize, const K: usize>(
         &self,
         plain: &Symmetric,
@@ -215,7 +217,8 @@ impl Measured<'_> {
                 let (p, q) = (p.min(q), p.max(q));
                 f64::from(sums[i][p * M - p * (p + 1) / 2 + q])
             });
-            // Functions that all patches share have nothing to tell; some resistance keeps the block regular.
+            // A function that is equal on all patches seen adds no information. Some resistance keeps the block
+            // regular.
             let trace = block.trace();
             let resistance = RESISTANCE / f64::from(self.rays.rays_of(i));
             let resisting = block * (1.0 + resistance) + SMatrix::identity() * (1e-3 * trace);
@@ -226,10 +229,10 @@ impl Measured<'_> {
     }
 }
 
-/// The λ, by two steps of Richardson's iteration, preconditioned with the rows' own blocks M. Each row's λ answers twice, for
-/// itself and in the rows of others: what sampling errors differ in from row to row these do not notice, so that M⁻¹A is about one
-/// for it, and two for what all rows share. Steps of one and of a half leave nothing of either, and in between, up to two, an
-/// eighth at most.
+/// The λ, by two steps of Richardson's iteration, preconditioned by the diagonal blocks M of the rows. Each λ acts in
+/// its own row and in the rows of all other patches. Errors that differ from row to row average out in the other rows,
+/// so that M⁻¹A is about one for them. For errors that all rows share it is about two. Steps of length one and one half
+/// remove both kinds completely, and leave at most an eighth of everything in between.
 fn solve<const M: usize>(
     plain: &Symmetric,
     g: &[SVector<f64, M>],
@@ -239,7 +242,7 @@ fn solve<const M: usize>(
     let rows = || (0..g.len()).into_par_iter().with_min_len(128);
     let inverses: Vec<SMatrix<f64, M, M>> =
         rows().map(|i| blocks[i].try_inverse().unwrap_or_else(SMatrix::zeros)).collect();
-    // The product in single precision: the λ need no more.
+    // The product runs in single precision, which is enough for the λ.
     let single = |v: &SVector<f64, M>| -> [f32; M] { std::array::from_fn(|p| v[p] as f32) };
     let ends: Vec<[[f32; M]; 2]> =
         rows().map(|i| [single(&g[i]), single(&(inverses[i] * wanted[i]))]).collect();
@@ -252,7 +255,7 @@ fn solve<const M: usize>(
             at_j[p] += to_j * g_i[p];
         }
     });
-    // Of the blocks' part in A nothing is left after the first step.
+    // The first step solves the diagonal blocks exactly, so that only the other entries contribute here.
     let answer = |i: usize| inverses[i] * (wanted[i] - SVector::from(sums[i].map(f64::from)) * 0.5);
     rows().map(answer).collect()
 }

@@ -1,22 +1,24 @@
-//! Closure: what leaves a patch arrives somewhere or escapes.
+//! Closure: all light that leaves a patch arrives somewhere or escapes.
 //!
-//! Pooling makes the exchange areas S reciprocal, and thereby spoils the row sums that one-way hits have for free. A
+//! Pooling makes the exchange areas S reciprocal, but spoils the row sums, which one-way estimates keep exactly. A
 //! positive diagonal D with
 //!
 //!   d_i Σ_j S_ij d_j + X_i d_i^ε = A_i
 //!
-//! restores them, where X_i = A_i e_i is the exchange area with the outside. The scaling keeps symmetry, zeros and positivity.
+//! restores them. X_i = A_i e_i is the exchange area with the outside. The scaling keeps symmetry, zeros and positive
+//! signs.
 //!
-//! The share e_i is what a patch's own rays measured. It is unbiased, and should stay: with ε = 1 it would close with the rest,
-//! and the rows of which no ray happened to escape could not give back what the others lose. But ε = 0 has no solution where two
-//! objects see only each other and the outside: what leaves one for the other is A - X summed over its patches, and the two sums
-//! differ by noise. A small ε lets what escapes yield there, and moves it by a few percent of the noise elsewhere.
+//! A patch's own rays measure its escaped share e_i. This estimate is unbiased and should stay. With ε = 1 the escaped
+//! shares would be scaled like all other entries, and rows without an escaping ray could not return the light that
+//! other rows lose. But ε = 0 has no solution if two objects see only each other and the outside: each object sends the
+//! sum of A - X over its patches to the other, and the two sums differ by noise. A small ε lets the escaped shares
+//! yield in that case. Elsewhere it moves them by a few percent of the noise.
 
 use rayon::prelude::*;
 
 use super::{SHORT, ordered_sum, symmetric::Symmetric};
 
-/// The scaling and what it repaired.
+/// The scaling, and the deviation that it repaired.
 pub(super) struct Closed {
     pub(super) scale: Vec<f64>,
     /// The exchange areas with the outside.
@@ -24,41 +26,43 @@ pub(super) struct Closed {
     pub(super) deviation_before: f64,
 }
 
-/// As close as rounding of the longest row sums allows.
+/// Precision that the rounding of the longest row sums allows.
 pub(super) const EXACT: f64 = 1e-13;
 
-/// Rounds after which a matrix that cannot be closed is given up; what remains is reported.
+/// Rounds after which an unclosable matrix is given up. The remaining deviation is reported.
 const MOST_ROUNDS: usize = 500;
 
-/// Rounds after which rows that are still off by more than [`CONTRADICTION`] yield.
+/// Rounds after which rows that still deviate by more than [`CONTRADICTION`] keep the missing light on the diagonal.
 const PATIENCE: usize = 100;
 const CONTRADICTION: f64 = 1e-3;
 
-/// The power ε of d with which what escapes yields.
+/// The power ε of d that scales the exchange areas with the outside.
 const YIELD: f64 = 0.1;
-/// A row's sum shrinks to this share of itself at most: rays of others met a patch none of whose own rays met anything.
+/// A row sum is scaled down to this share of itself at most. It matters if all own rays of a patch escape although rays
+/// of other patches hit it.
 pub(super) const LEAST_LANDING: f64 = 1e-3;
 
-/// Newton's method takes over where no row is off by more than this, as long as each step
+/// Newton's method starts when no row deviates by more than this. It continues as long as each step
 const NEAR: f64 = 0.1;
-/// leaves at most this share.
+/// leaves at most this share of the deviation.
 const PROGRESS: f64 = 0.5;
-/// A step is solved for to this share of what is missing at least: some hundred times the rounding of single precision.
+/// Smallest share of the residual to which a Newton step is solved: some hundred times the rounding of single
+/// precision.
 const LEAST_STEP: f64 = 1e-5;
 
-/// Finds the scaling to `precision`, the largest |row sum + escaped share - 1|.
+/// Finds the scaling. `precision` bounds the largest |row sum + escaped share - 1|.
 ///
-/// Far from it by the fixed point d ← sqrt(d A / (S d + X)), which converges for all scenes that are not nearly bipartite,
-/// though slowly; near it by Newton's method (as Knight and Ruiz, "A fast algorithm for matrix balancing", IMA Journal of
-/// Numerical Analysis 33, 2013), which needs a third of the products.
+/// Far from the solution it iterates the fixed point d ← sqrt(d A / (S d + X)). That converges, though slowly, for all
+/// scenes that are not nearly bipartite. Near the solution it uses Newton's method (like Knight and Ruiz, "A fast
+/// algorithm for matrix balancing", IMA Journal of Numerical Analysis 33, 2013), which needs a third of the products.
 ///
-/// Patches that see hardly more than each other may have been told by few rays that all of what one sends arrives at the
-/// other, whose area is too small for it. No scaling closes them. After some rounds, what they miss stays where it is, on the
-/// diagonal; and so does, from the start, what rays of a patch met of which its row knows nothing.
+/// If two patches see hardly anything but each other, few rays may show that all light of one arrives at the other,
+/// whose area is too small for it. No scaling closes such rows. After some rounds their missing light is kept on the
+/// diagonal. Rows without any entry keep all light that does not escape on the diagonal from the start.
 pub(super) fn close(matrix: &mut Symmetric, areas: &[f64], escaped: &[f64], precision: f64) -> Closed {
     let n = areas.len();
     let sums = matrix.row_sums();
-    // Rays of others met a patch none of whose own rays met anything.
+    // Not zero if all own rays of a patch escape although rays of other patches may hit it.
     let least = |i: usize| if escaped[i] < 1.0 { 0.0 } else { LEAST_LANDING * sums[i].min(areas[i]) };
     let measured: Vec<f64> = (0..n).map(|i| areas[i] * escaped[i] - least(i)).collect();
     if (0..n).any(|i| sums[i] <= 0.0 && escaped[i] < 1.0) {
@@ -88,7 +92,7 @@ pub(super) fn close(matrix: &mut Symmetric, areas: &[f64], escaped: &[f64], prec
             break;
         }
         if round % PATIENCE == 0 && deviation > CONTRADICTION {
-            // No row more than its area; and what it misses stays where it is.
+            // No row may exceed its area. The missing light stays on the diagonal.
             for i in 0..n {
                 scale[i] *= (areas[i] / sums[i]).min(1.0);
             }
@@ -105,7 +109,7 @@ pub(super) fn close(matrix: &mut Symmetric, areas: &[f64], escaped: &[f64], prec
                 None
             };
             if let Some(share) = taken {
-                // A part of a step need not gain much.
+                // A shortened step need not reduce the deviation much.
                 before = if share == 1.0 { deviation } else { f64::INFINITY };
                 continue;
             }
@@ -117,8 +121,9 @@ pub(super) fn close(matrix: &mut Symmetric, areas: &[f64], escaped: &[f64], prec
     Closed { scale, escaping, deviation_before: deviation_before.unwrap_or(0.0) }
 }
 
-/// A step of Newton's method in ln d: the δ of (diag(R - (1 - ε) X) + D S D) δ = A - R with the rows' sums R, by conjugate gradients in
-/// single precision. Scales by it, or by a share of it if it goes far, and returns that share; `None` where it is no number.
+/// A step of Newton's method in ln d. It solves (diag(R - (1 - ε) X) + D S D) δ = A - R for δ by conjugate gradients in
+/// single precision, where R are the row sums. Scales d by exp(δ), or by a share of δ if that is large, and returns the
+/// share. Returns `None` if δ is not finite.
 fn step(
     matrix: &Symmetric,
     areas: &[f64],
@@ -128,12 +133,12 @@ fn step(
     precision: f64,
 ) -> Option<f32> {
     const MOST: usize = 40;
-    // Of the logarithm of a scale.
+    // Largest change of the logarithm of a scale.
     const MOST_STEP: f32 = 0.5;
     let n = areas.len();
     let patches = || (0..n).into_par_iter().with_min_len(SHORT);
     let rows: Vec<f32> = patches().map(|i| (sums[i] - (1.0 - YIELD) * escaping[i]) as f32).collect();
-    // In a unit in which single precision holds it.
+    // In units of the deviation the residual fits single precision.
     let mut residual: Vec<f32> = patches().map(|i| ((areas[i] - sums[i]) / deviation) as f32).collect();
     let mut step = vec![[0f32]; n];
     let inverse = |i: usize, residual: f32| if rows[i] > 0.0 { residual / rows[i] } else { 0.0 };
@@ -142,10 +147,11 @@ fn step(
     let dot =
         |a: &[f32], b: &(dyn Fn(usize) -> f32 + Sync)| ordered_sum(n, |i| f64::from(a[i]) * f64::from(b(i)));
     let mut size = dot(&residual, &|i| direction[i]);
-    // No more than a step of Newton's method gains, or single precision can, or is asked for.
+    // More precision is useless: limited by the gain of the Newton step, by single precision, and by the precision
+    // wanted.
     let enough = deviation.max(0.1 * precision / deviation).clamp(LEAST_STEP, 1e-1).powi(2) * size;
     for _ in 0..MOST {
-        // Negated, so that NaN ends it too.
+        // Negated, so that NaN ends the loop too.
         if !(size > enough) {
             break;
         }
@@ -210,7 +216,8 @@ mod tests {
         }
     }
 
-    /// Three flat or convex surfaces that enclose a room exchange (A_i + A_j - A_k) / 2, whatever was measured (Hottel's rule).
+    /// Three flat or convex surfaces that enclose a room exchange (A_i + A_j - A_k) / 2 for any estimates (Hottel's
+    /// rule).
     #[test]
     fn three_surfaces_close_to_their_only_solution() {
         let found = closed(&[(0, 1, 1.0), (0, 2, 3.0), (1, 2, 2.0)], &[3.0, 4.0, 5.0], &[0.0; 3]);
@@ -219,7 +226,8 @@ mod tests {
         assert_near(&found, &wanted);
     }
 
-    /// Two alike that exchange s = 0.5 and lose x = 0.4: d² s = 0.6, but for the little by which what escapes yields.
+    /// Two equal patches exchange s = 0.5 and lose x = 0.4. So d² s = 0.6, except for the small change of the escaped
+    /// share.
     #[test]
     fn what_escapes_stays_as_it_was_measured() {
         let [first, second]: [Vec<f64>; 2] = closed(&[(0, 1, 0.5)], &[1.0; 2], &[0.4; 2]).try_into().unwrap();
@@ -230,8 +238,8 @@ mod tests {
         assert!((first[1] + first[2] - 1.0).abs() < 1e-12 && first[1] == second[0], "{first:?}");
     }
 
-    /// Two objects see only each other, and their rays disagree about what escapes: 0.44 of the one, 0.36 of the other.
-    /// The difference is shared out, and nothing stays where it is.
+    /// Two objects see only each other, but their rays give different escaped shares: 0.44 and 0.36. The closure shares
+    /// the difference between them, and the diagonal stays zero.
     #[test]
     fn objects_that_see_only_each_other_agree() {
         let pairs = [(0, 2, 0.3), (0, 3, 0.3), (1, 2, 0.3), (1, 3, 0.3)];
@@ -243,7 +251,8 @@ mod tests {
         }
     }
 
-    /// A patch that sees but a smaller one, and is all it sees: no scaling closes both, and what the larger one misses stays there.
+    /// A large and a small patch see only each other. No scaling closes both rows. The missing light of the larger one
+    /// stays on the diagonal.
     #[test]
     fn what_no_scaling_closes_stays_where_it_is() {
         let found = closed(&[(0, 1, 1.2)], &[2.0, 1.0], &[0.0; 2]);
@@ -254,7 +263,7 @@ mod tests {
             );
         }
         assert!(found[0][0] > 0.4 && (found[0][1] * 2.0 - found[1][0]).abs() < 1e-12, "{found:?}");
-        // Nothing is known of a patch that only met itself.
+        // A patch whose rays only met itself keeps all light on the diagonal.
         assert_near(
             &closed(&[(1, 2, 1.0)], &[1.0; 3], &[0.0; 3]),
             &[&[1.0, 0.0, 0.0, 0.0], &[0.0, 0.0, 1.0, 0.0]],

@@ -1,10 +1,10 @@
 //! Form factors F_ij: the share of the light leaving patch i that arrives at patch j.
 //!
-//! [Hemisphere rays](rays) measure them, both directions of a pair are pooled into one symmetric exchange area
-//! S_ij = A_i F_ij (`pooling`), fitted to what each patch's own rays say (`calibration`), and scaled so that every row sums to one
-//! ([`closure`]). The light of lamps is no part of it: `direct` brings it. [`exact`] holds the closed forms that all of it
-//! is tested against. View factors of single surfaces, each accurate by itself, are in
-//! [`view_factor`](crate::view_factor).
+//! [Hemisphere rays](rays) estimate the form factors. `pooling` combines both directions of a pair into one symmetric
+//! exchange area S_ij = A_i F_ij. `calibration` fits the exchange areas to the estimates from each patch's own rays.
+//! The [`closure`] scales them so that every row sums to one. The direct light of lamps does not use form factors:
+//! module `direct` computes it. [`exact`] has the closed forms that test all of this.
+//! [`view_factor`](crate::view_factor) computes view factors of single surfaces, each to its own accuracy.
 
 mod allocation;
 mod assembly;
@@ -54,25 +54,25 @@ pub(crate) use crate::{
 };
 pub use checkpoint::Checkpoint;
 
-/// Sparse matrix row by row, with 8 bytes a non-zero: single-precision values (their sums run in double), 32-bit columns. To
-/// hand form factors over with, and for solvers that need whole rows.
+/// Sparse matrix by rows, 8 bytes a non-zero: single-precision values (sums run in double precision) and 32-bit
+/// columns. It passes form factors in and out, and serves solvers that need whole rows.
 pub type Matrix = CsMatI<f32, u32, usize>;
 
-/// What a form factor may exceed 1 by: rows are closed to about as much.
+/// Allowed excess of a form factor over 1, about the precision of the closure.
 const ROUNDING: f64 = 1e-12;
 
 /// How hits become form factors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Estimator {
-    /// F_ij = hits / rays, each direction by itself: the baseline. Neither reciprocal nor, therefore, conserving energy
-    /// in a gathered solution.
+    /// F_ij = hits / rays, each direction by itself: the baseline. It is not reciprocal. A gathered solution therefore
+    /// does not conserve energy.
     OneWay,
-    /// Both directions pooled, then closed: reciprocal, rows sum to one, energy is conserved to rounding.
+    /// Both directions are pooled and the rows closed: reciprocal, rows sum to one, energy is conserved to rounding.
     #[default]
     Pooled,
 }
 
-/// What to cast.
+/// Options for casting rays.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CastOptions {
@@ -84,8 +84,8 @@ pub struct CastOptions {
     pub seed: u64,
     /// Share of the rays that are shadow rays to emitters; the rest are hemisphere rays. Only for the pooled estimator.
     pub shadow_share: f64,
-    /// Whether half of the rays are cast evenly, and the other half where those say that they lower the error of
-    /// irradiance most; else all evenly. Only for the pooled estimator.
+    /// If true, half of the rays are cast evenly. Their variances decide where the other half lowers the error of
+    /// irradiance most. If false, all rays are cast evenly. Only for the pooled estimator.
     pub by_variance: bool,
 }
 
@@ -111,7 +111,7 @@ impl Default for CastOptions {
 }
 
 impl CastOptions {
-    /// The same with shadow rays where lights that are no surfaces need them.
+    /// These options with shadow rays switched on if lights that are not surfaces need them.
     fn for_lights(&self, scene: &Scene) -> CastOptions {
         let needed = scene.lights.need_shadow_rays() && !(self.shadow_share > 0.0);
         CastOptions {
@@ -120,19 +120,19 @@ impl CastOptions {
         }
     }
 
-    /// Whether variances decide on a part of the rays.
+    /// Whether variances distribute a part of the rays.
     fn looks_first(&self) -> bool {
         self.estimator == Estimator::Pooled && self.by_variance
     }
 }
 
-/// Powers of direct light, channel by channel.
+/// Powers of direct light, one value per channel.
 pub(crate) struct DirectPowers {
-    /// What arrives from lights that are no surfaces.
+    /// Power that arrives from lights that are not surfaces.
     pub(crate) entered: Vec<f64>,
-    /// What of the lamps' power arrives nowhere.
+    /// Power of lamps that arrives at no patch.
     pub(crate) escaped: Vec<f64>,
-    /// Whether that is more than sampling explains where no ray finds a way out.
+    /// Whether lamps lose more power than sampling error explains in a scene from which no ray escapes.
     pub(crate) leaks: bool,
 }
 
@@ -146,7 +146,7 @@ pub struct BeforeAfter {
     pub after: f64,
 }
 
-/// The sparse s of F_ij = left_i s_ij right_j.
+/// The sparse factor s of F_ij = left_i s_ij right_j.
 #[derive(Debug, Clone)]
 enum Stored {
     /// Pooled exchange areas.
@@ -171,8 +171,8 @@ pub struct FormFactors {
 }
 
 impl FormFactors {
-    /// Casts rays from every patch and estimates all form factors. Backs of surfaces that are hit are added to
-    /// `patches` and cast rays too.
+    /// Casts rays from every patch and estimates all form factors. When a ray hits the back of a surface, patches for
+    /// that back are added to `patches` and cast rays too.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -186,15 +186,16 @@ impl FormFactors {
         Self::cast_checkpointed(scene, tracer, patches, options, None, progress)
     }
 
-    /// As [`FormFactors::cast`], with a file that takes up what rays meet as they are cast, and from which those are taken that
-    /// it holds already. [`FormFactors::cast_more`] goes on with it. The result is the same with a file and without.
+    /// Like [`FormFactors::cast`], with a checkpoint file. Rays that the file holds are read from it, the others are
+    /// cast and added to it. [`FormFactors::cast_more`] continues with the same file. The result is the same with and
+    /// without a file.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so, [`Error::Io`](crate::Error::Io) and
-    /// [`Error::Input`](crate::Error::Input) when the file cannot be read or written; what it holds stays good.
+    /// [`Error::Input`](crate::Error::Input) when the file cannot be read or written. Its contents stay valid.
     ///
     /// # Panics
-    /// When the checkpoint is of another seed.
+    /// When the checkpoint belongs to another seed.
     pub fn cast_checkpointed(
         scene: &Scene,
         tracer: &Tracer,
@@ -218,7 +219,7 @@ impl FormFactors {
             };
             let lamps = Lamps::new(tracer, patches, &scene.lights, |i| shines[i]);
             if share.shadow > 0 && lamps.is_empty() {
-                // None of the rays goes to lamps then.
+                // Without lamps all rays are hemisphere rays.
                 share = allocation::even(options, rays, false);
                 set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
             }
@@ -234,8 +235,8 @@ impl FormFactors {
         })
     }
 
-    /// Casts more rays, until there are `rays` a patch in the mean, as the options that the first were cast with say; those
-    /// that were cast before are kept.
+    /// Casts more rays with the original options, until the mean number of rays a patch is `rays`. The rays cast before
+    /// are kept.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -250,14 +251,14 @@ impl FormFactors {
         rays: f64,
         progress: &Progress,
     ) -> Result<FormFactors> {
-        let samples = self.samples.expect("only what was cast can be cast more of");
-        assert_eq!(samples.rays.len(), patches.len(), "other patches");
-        // Memory for what comes next.
+        let samples = self.samples.expect("these form factors were not cast from rays");
+        assert_eq!(samples.rays.len(), patches.len(), "the form factors belong to other patches");
+        // Frees memory for the new matrix.
         drop(self.stored);
         together(|| Self::continued(samples, scene, tracer, patches, rays, progress))
     }
 
-    /// Casts more rays where these samples say that they lower the error most.
+    /// Casts more rays where the samples show that they lower the error most.
     fn continued(
         samples: Samples,
         scene: &Scene,
@@ -269,7 +270,7 @@ impl FormFactors {
         let options = samples.options;
         let shares = if options.looks_first() { samples.shares(patches, rays) } else { Vec::new() };
         let Samples { rays: mut set, mut shadow, radiosity, .. } = samples;
-        // Where no variance decides, rounds are to give what casting all at once does.
+        // Without variances the result must not depend on the number of rounds: each starts anew.
         let start = if options.looks_first() { radiosity } else { Vec::new() };
         let even = allocation::even(&options, rays, !shadow.lamps.is_empty());
         let share = |i: usize| shares.get(i).copied().unwrap_or(even);
@@ -279,10 +280,10 @@ impl FormFactors {
         Ok(Assembled::new((set, shadow, sky), tracer, patches, &options, start).finish(patches))
     }
 
-    /// The light that comes straight from lamps, which emit what `emission` says over `unit`, and from other lights, over it too.
+    /// Direct light of lamps and other lights, in multiples of `unit`, as `emission` is; `None` if there is none.
     pub(crate) fn direct<const C: usize>(&self, emission: &[[f64; C]], unit: f64) -> Option<DirectLight<C>> {
         let samples = self.samples.as_ref().filter(|samples| samples.has_direct())?;
-        // In relative areas, whose squares are in range.
+        // Samples use relative areas, whose squares stay in range.
         let mut light = samples.direct(emission, unit);
         let area = self.areas.iter().sum::<f64>() / samples.areas.iter().sum::<f64>();
         let powers = light.escaped.iter_mut().chain(&mut light.entered);
@@ -290,18 +291,18 @@ impl FormFactors {
         Some(light)
     }
 
-    /// The [`magnitude`] of all light that is emitted or enters.
+    /// The [`magnitude`] of all light that is emitted or enters the scene.
     pub(crate) fn magnitude(&self, emission: &[f64]) -> f64 {
         self.samples
             .as_ref()
             .map_or_else(|| magnitude(emission), |samples| samples.shadow.lamps.magnitude(emission))
     }
 
-    /// The irradiance of all patches that comes straight from lamps, which emit what `emission` says, and by form factors from
-    /// `radiosity`, that of lamps included: `channels` (1 or 3) interleaved values a patch.
+    /// Irradiance of all patches from `radiosity` and from the direct light of lamps and other lights. `radiosity` and
+    /// `emission` hold `channels` (1 or 3) interleaved values a patch. `radiosity` includes the lamps' own.
     ///
     /// # Panics
-    /// When there are not as many values.
+    /// When the number of values is wrong.
     pub fn light(&self, radiosity: &[f64], emission: &[f64], channels: usize) -> Vec<f64> {
         let of_lamps = |q: usize| if self.is_lamp(q / channels) { emission[q] } else { 0.0 };
         let carried: Vec<f64> = radiosity.iter().enumerate().map(|(q, b)| b - of_lamps(q)).collect();
@@ -314,7 +315,7 @@ impl FormFactors {
         irradiance
     }
 
-    /// What becomes of the power of lamps, which emit what `emission` says, `channels` interleaved values a patch, and of other lights.
+    /// Balance of the power of lamps with this `emission`, `channels` interleaved values a patch, and of other lights.
     pub(crate) fn direct_powers(&self, emission: &[f64], channels: usize) -> DirectPowers {
         fn of<const C: usize>(light: Option<DirectLight<C>>) -> DirectPowers {
             let none = || vec![0.0; C];
@@ -329,22 +330,22 @@ impl FormFactors {
         }
     }
 
-    /// Whether patch `i` is a part of a lamp: what it emits arrives by direct light, not through form factors.
+    /// Whether patch `i` is a part of a lamp. The emission of lamps arrives by direct light, not through form factors.
     pub(crate) fn is_lamp(&self, i: usize) -> bool {
         self.samples.as_ref().is_some_and(|samples| samples.shadow.lamps.contains(i))
     }
 
-    /// Shadow rays that left patch `i`.
+    /// Number of shadow rays that left patch `i`.
     pub fn shadow_rays_of(&self, i: usize) -> u32 {
         self.samples.as_ref().map_or(0, |samples| samples.shadow.count(i))
     }
 
-    /// Neighbours in the plane: runs of up to 16 patches of one triangle's side, in the order of the patches.
+    /// Coplanar neighbours: runs of up to 16 patches, in the order of the patches.
     pub(crate) fn siblings(&self) -> &[Range<usize>] {
         self.samples.as_ref().map_or(&[], |samples| &samples.siblings)
     }
 
-    /// What share of patch `i`'s light is taken to stay there, since no ray told where it goes.
+    /// The share of patch `i`'s light that the closure keeps on the diagonal, because no ray shows where it goes.
     pub(crate) fn unseen(&self, i: usize) -> f64 {
         match &self.stored {
             Stored::Symmetric(_) => self.get(i, i),
@@ -362,7 +363,7 @@ impl FormFactors {
         self.areas.is_empty()
     }
 
-    /// F_ij. Looks for it in a part of the matrix.
+    /// F_ij. Searches a part of the matrix.
     pub fn get(&self, i: usize, j: usize) -> f64 {
         let s = match &self.stored {
             Stored::Symmetric(matrix) => matrix.get(i, j),
@@ -383,7 +384,8 @@ impl FormFactors {
         entries.into_iter().map(move |(j, s)| (j, self.left[i] * f64::from(s) * self.right[j]))
     }
 
-    /// All rows of the s in F_ij = left_i s_ij right_j, compressed: pooled form factors take twice their memory so.
+    /// All rows of s in F_ij = left_i s_ij right_j, compressed. For pooled form factors they take twice the memory of
+    /// the matrix.
     pub(crate) fn rows(&self) -> Cow<'_, Matrix> {
         match &self.stored {
             Stored::Symmetric(matrix) => Cow::Owned(matrix.rows()),
@@ -391,12 +393,12 @@ impl FormFactors {
         }
     }
 
-    /// Area of each patch; at least 10⁻²⁰ of their mean.
+    /// Area of each patch, at least 10⁻²⁰ of the mean area.
     pub fn areas(&self) -> &[f64] {
         &self.areas
     }
 
-    /// Puts areas in another unit; form factors stay.
+    /// Multiplies all areas by `unit`. Form factors do not change.
     pub(crate) fn scale_areas(&mut self, unit: f64) {
         self.areas.iter_mut().for_each(|area| *area *= unit);
     }
@@ -411,23 +413,23 @@ impl FormFactors {
         self.estimator
     }
 
-    /// The radiosity that they were calibrated with, interleaved channels, in a [`magnitude`] of emission: near the solution,
-    /// if that has the same emission. Empty where there is none.
+    /// The radiosity that calibrated the form factors, interleaved channels, in units of the [`magnitude`] of emission.
+    /// It is near the solution for the same emission. Empty if there is none.
     pub(crate) fn expected(&self) -> &[f32] {
         self.samples.as_ref().map_or(&[], |samples| &samples.radiosity)
     }
 
-    /// What every hemisphere ray met, unless the form factors came from elsewhere.
+    /// Targets of all hemisphere rays; `None` if the form factors were not cast from rays.
     pub fn ray_set(&self) -> Option<&RaySet> {
         self.samples.as_ref().map(|samples| &samples.rays)
     }
 
-    /// Rays cast, hemisphere and shadow rays: none where the form factors came from elsewhere.
+    /// Number of hemisphere and shadow rays cast; 0 if the form factors were not cast from rays.
     pub fn rays(&self) -> u64 {
         self.samples.as_ref().map_or(0, |samples| samples.rays.rays() + samples.shadow.rays())
     }
 
-    /// Non-zero form factors.
+    /// Number of non-zero form factors.
     pub fn non_zeros(&self) -> usize {
         match &self.stored {
             Stored::Symmetric(matrix) => matrix.non_zeros(),
@@ -449,8 +451,8 @@ impl FormFactors {
         self.matrix_bytes() + 8 * 4 * self.len() + self.samples.as_ref().map_or(0, samples)
     }
 
-    /// How many form factors, escaped shares included, are no shares: negative, above one by more than rounding, or not
-    /// numbers. None, or there is an error in the program.
+    /// Number of form factors and escaped shares that are negative, exceed one by more than rounding, or are not
+    /// numbers. Any other result than 0 is an error of the program.
     pub fn out_of_range(&self) -> usize {
         let is_share = |x: f64| (0.0..=1.0 + ROUNDING).contains(&x);
         let strays =
@@ -474,18 +476,19 @@ impl FormFactors {
         self.row_sum_deviation
     }
 
-    /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j): before, of the rays as cast; after, of the form factors in use.
+    /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j): `before` for the one-way estimates, `after` for the form factors
+    /// in use.
     pub fn reciprocity_deviation(&self) -> BeforeAfter {
         self.reciprocity_deviation
     }
 
-    /// The left and right of F_ij = left_i s_ij right_j.
+    /// The factors `left` and `right` of F_ij = left_i s_ij right_j.
     pub(crate) fn scaling(&self) -> (&[f64], &[f64]) {
         (&self.left, &self.right)
     }
 }
 
-/// The name of a subdivision in a checkpoint.
+/// Identifies a subdivision in a checkpoint.
 fn digest(patches: &Patches) -> u64 {
     let of_patch = |i: usize| {
         let corners = patches.barycentric_corners(i).map(|b| mix(&b.map(f64::to_bits)));
@@ -495,7 +498,7 @@ fn digest(patches: &Patches) -> u64 {
     mix(&all)
 }
 
-/// Casts shadow rays, those but for which the checkpoint of the hemisphere rays, if there is one, knows.
+/// Casts shadow rays. Those in the checkpoint of the hemisphere rays, if there is one, are read from it.
 fn cast_shadow(
     shadow: &mut ShadowRays,
     set: &RaySet,

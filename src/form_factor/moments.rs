@@ -1,8 +1,8 @@
-//! How light varies over patches, from the hemisphere rays.
+//! Slopes of light over patches, from the hemisphere rays.
 //!
-//! The first moments of the rays over the points that they start from give the slopes of what form factors carry. Cast again with
-//! the light that varies over the patches that they land on, the same rays tell how much more arrives than with constant light.
-//! Where rays start and land is not stored. It is found again from their numbers: a ray is a number and a seed.
+//! The first moments of the rays over their starting points give the slopes of the light that form factors carry. The
+//! same rays are cast again through light that varies over the patches they hit, which gives its difference from
+//! constant light. Start and end points of rays are not stored: a ray is reproduced from its number and the seed.
 
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
@@ -26,28 +26,29 @@ use crate::{
     trace::{Hit, Tracer, sampling::mix},
 };
 
-/// Sample moments whose determinant is below this share of the exact one do not tell two slopes.
+/// If the determinant of the sample moments is below this share of the exact one, the samples cannot determine two
+/// slopes.
 const LEAST_DETERMINANT: f64 = 0.1;
 
-/// Light that varies over each patch, beside the same light as constants.
+/// Light that varies linearly over each patch.
 pub(crate) struct Varying<'a, const C: usize> {
-    /// Irradiance of each patch and its slopes.
+    /// Irradiance of each patch.
     pub(crate) irradiance: &'a [[f64; C]],
     pub(crate) slopes: &'a [Slopes<C>],
-    /// Reflectance of each patch, and whether it varies over the triangle.
+    /// Reflectance of each patch.
     pub(crate) reflectance: &'a [[f64; C]],
     pub(crate) is_mapped: &'a [bool],
 }
 
-/// What linear light brings beside constant light.
+/// Difference between linear and constant light.
 pub(crate) struct Shifted<const C: usize> {
-    /// To each patch.
+    /// Irradiance of each patch.
     pub(crate) irradiance: Vec<[f64; C]>,
-    /// By how much each replicate's deviates.
+    /// Deviation of each replicate of the irradiance.
     pub(crate) deviations: Vec<Deviation<C>>,
-    /// To the slopes of each patch.
+    /// Slopes of each patch.
     pub(crate) slopes: Vec<Slopes<C>>,
-    /// Out of the scene: power.
+    /// Power that leaves the scene.
     pub(crate) escaped: [f64; C],
 }
 
@@ -78,8 +79,8 @@ impl<const C: usize> Sums<C> {
 }
 
 impl FormFactors {
-    /// The slopes of direct light, but for that of the sky; `None` where the form factors were not sampled. Lamps emit what
-    /// `emission` says over `unit`.
+    /// The slopes of direct light, without the sky. Lamps emit `emission`; it and the result are in multiples of
+    /// `unit`. `None` if the form factors were not sampled.
     pub(crate) fn direct_slopes<const C: usize>(
         &self,
         tracer: &Tracer,
@@ -93,7 +94,7 @@ impl FormFactors {
         Some(samples.shadow.slopes(tracer, patches, (emission, unit), samples.options.seed))
     }
 
-    /// The slopes of the light that form factors carry from patches of this radiosity, constant over each; `None` where the form
+    /// The slopes of the light that form factors carry from patches with this constant radiosity; `None` if the form
     /// factors were not sampled.
     pub(crate) fn carried_slopes<const C: usize>(
         &self,
@@ -106,8 +107,8 @@ impl FormFactors {
         Some((0..patches.len()).into_par_iter().with_min_len(64).map(of_patch).collect())
     }
 
-    /// Casts the rays again and returns what varying light brings more than constant light; `None` where the form factors were not
-    /// sampled.
+    /// Casts the rays again and returns the difference between linear and constant light; `None` if the form factors
+    /// were not sampled.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -143,12 +144,12 @@ impl FormFactors {
     }
 }
 
-/// What linear light brings to a patch.
+/// Difference between linear and constant light at a patch.
 struct OfPatch<const C: usize> {
     irradiance: [f64; C],
     deviation: Deviation<C>,
     slopes: Slopes<C>,
-    /// By area.
+    /// Power per area.
     escaped: [f64; C],
 }
 
@@ -240,7 +241,7 @@ impl Samples {
 }
 
 impl<const C: usize> Varying<'_, C> {
-    /// By how much the reflected light where a ray lands on patch `j` exceeds that of the whole patch.
+    /// Reflected light at the point where a ray hits patch `j`, minus the mean of the patch.
     #[inline]
     fn more(&self, scene: &Scene, there: [f64; 3], j: usize, hit: &Hit) -> [f64; C] {
         let (reflectance, slopes) = (&self.reflectance[j], &self.slopes[j]);
@@ -257,7 +258,7 @@ impl<const C: usize> Varying<'_, C> {
     }
 }
 
-/// Slopes by least squares, and the noise of them that replicates tell by their spread.
+/// Fits slopes by least squares. The spread of the replicates gives their noise.
 fn fit<const C: usize>(sums: &[Sums<C>; REPLICATES], products: Matrix2<f64>) -> Measured<C> {
     let many: f64 = sums.iter().map(|sums| sums.many).sum();
     let of_all = |value: &dyn Fn(&Sums<C>) -> f64| sums.iter().map(value).sum::<f64>() / many;
@@ -271,7 +272,7 @@ fn fit<const C: usize>(sums: &[Sums<C>; REPLICATES], products: Matrix2<f64>) -> 
     let mut found = Measured::NONE;
     for c in 0..C {
         let mean = of_all(&|sums| sums.light[c]);
-        // Sums of (φ - its mean) (light - its mean).
+        // Sums of (φ - mean φ) (light - mean light).
         let of_part = |sums: &Sums<C>| {
             let moment = |m: usize| {
                 let (b, l) = (sums.basis[m], sums.light[c]);

@@ -1,8 +1,8 @@
-//! From hits to a reciprocal matrix.
+//! Pools the hits of both directions into a symmetric matrix.
 //!
-//! A ray from i that lands on j measures j → i as well. With h_ij hits from R_i rays, the inverse-variance estimate of
-//! the symmetric exchange area is S_ij = (h_ij + h_ji) / (R_i / A_i + R_j / A_j). The plain mean of A_i F_ij and
-//! A_j F_ji is worse as soon as areas or numbers of rays differ.
+//! A ray from i that lands on j also measures the direction j → i. With h_ij hits from R_i rays, the inverse-variance
+//! estimate of the symmetric exchange area is S_ij = (h_ij + h_ji) / (R_i / A_i + R_j / A_j). The plain mean of A_i
+//! F_ij and A_j F_ji is worse as soon as areas or numbers of rays differ.
 
 use rayon::prelude::*;
 
@@ -13,7 +13,7 @@ use super::{
     symmetric::Symmetric,
 };
 
-/// How densely the rays of each patch sample pairs of points: R_i / A_i.
+/// Sampling density of each patch: R_i / A_i.
 #[derive(Debug, Clone)]
 pub(super) struct Densities(Vec<f64>);
 
@@ -22,14 +22,14 @@ impl Densities {
         Densities(areas.iter().enumerate().map(|(i, area)| f64::from(rays.rays_of(i)) / area).collect())
     }
 
-    /// What a ray that connects two patches adds to their exchange area.
+    /// Exchange area that one ray between two patches contributes.
     #[inline]
     fn hit(&self, i: usize, j: usize) -> f64 {
         1.0 / (self.0[i] + self.0[j])
     }
 
-    /// What a ray of patch `i` that lands on `j` adds to the exchange area, where own rays count `trust` times as much as those that
-    /// come in; and what the same ray, coming in, adds to the estimate of patch `j`.
+    /// Contributions of a ray of patch `i` that lands on `j` to one-sided estimates, in which own rays weigh `trust`
+    /// times as much as arriving rays. The first value is for the row of `i`, the second for the row of `j`.
     #[inline]
     pub(super) fn one_sided(&self, i: usize, j: usize, trust: f64) -> (f64, f64) {
         let (h_i, h_j) = (self.0[i], self.0[j]);
@@ -37,19 +37,18 @@ impl Densities {
     }
 }
 
-/// The rays that connect two patches, by the blocks that these are in: what is near in memory is counted
-/// together.
+/// The rays between patches, sorted by the blocks of both patches, so that values close in memory are counted together.
 #[derive(Default)]
 pub(super) struct Buckets {
     pub(super) blocks: Blocks,
-    /// Of each block, one after the other, what its rays met in each.
+    /// For each block, one after the other, its rays to each block.
     lists: Vec<Bucket>,
 }
 
-/// What the rays of one block met in another.
+/// Rays from one block to another.
 #[derive(Default)]
 struct Bucket {
-    /// Places of the patch and of what it met, part by part, and in each by the patch.
+    /// Places of the origin and of the target, sorted by part and within a part by origin.
     pairs: Vec<u32>,
     /// Where each part ends.
     ends: Vec<u32>,
@@ -60,7 +59,7 @@ impl Buckets {
         Self::in_parts(rays, blocks, 1, |i, _| rays.of(i))
     }
 
-    /// Each replicate by itself.
+    /// One part for each replicate.
     pub(super) fn by_replicates(rays: &RaySet, blocks: Blocks) -> Buckets {
         Self::in_parts(rays, blocks, REPLICATES, |i, replicate| rays.of_replicate(i, replicate))
     }
@@ -100,12 +99,13 @@ impl Buckets {
         &self.lists[from * self.blocks.count() + to]
     }
 
-    /// What rays from one block met in another: place of the patch, place of what it met. Of one part, by the patch.
+    /// Rays from one block to another, as (place of the origin, place of the target). With a single part they are
+    /// sorted by origin.
     pub(super) fn list(&self, from: usize, to: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
         self.bucket(from, to).pairs.iter().map(|&pair| places(pair))
     }
 
-    /// The same of one replicate.
+    /// Rays from one block to another, of one replicate.
     pub(super) fn of_replicate(
         &self,
         from: usize,
@@ -130,14 +130,14 @@ fn key(row: usize, column: usize) -> u32 {
     (row << PLACE | column) as u32
 }
 
-/// The keys of pairs that come by rows, in order.
+/// The sorted keys of pairs that are sorted by row.
 fn sorted(pairs: impl Iterator<Item = (usize, usize)>) -> Vec<u32> {
     let mut keys: Vec<u32> = pairs.map(|(r, c)| key(r, c)).collect();
     keys.chunk_by_mut(|x, y| x >> PLACE == y >> PLACE).for_each(<[u32]>::sort_unstable);
     keys
 }
 
-/// The keys, in order, of pairs that come by columns: each has its place in its row as soon as it is known how many come before.
+/// The sorted keys of pairs that are sorted by column. Counting the entries of each row gives every key its place.
 fn transposed<P: Iterator<Item = (usize, usize)>>(pairs: impl Fn() -> P, blocks: Blocks) -> Vec<u32> {
     let mut next = vec![0u32; blocks.rows() + 1];
     pairs().for_each(|(_, row)| next[row + 1] += 1);
@@ -152,8 +152,8 @@ fn transposed<P: Iterator<Item = (usize, usize)>>(pairs: impl Fn() -> P, blocks:
     keys
 }
 
-/// The pooled exchange areas S_ij of all pairs, and the largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) that
-/// the one-way estimates F_ij = h_ij / R_i of these have.
+/// The pooled exchange areas S_ij of all pairs, and the largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) of the one-way
+/// estimates F_ij = h_ij / R_i.
 pub(super) fn pool(
     rays: &RaySet,
     buckets: &Buckets,
@@ -163,7 +163,7 @@ pub(super) fn pool(
     let blocks = buckets.blocks;
     let (matrix, deviations) = Symmetric::from_tiles(blocks, |(a, b)| {
         let (start_a, start_b) = (blocks.range(a).start, blocks.range(b).start);
-        // By rays of the row, and by rays of the column. A flat patch does not see itself.
+        // Rays from the rows, and rays from the columns. A flat patch does not see itself.
         let (out, back) = if a == b {
             let hits = || buckets.list(a, a);
             (sorted(hits().filter(|(r, c)| r < c)), transposed(|| hits().filter(|(r, c)| r > c), blocks))
@@ -194,7 +194,7 @@ pub(super) fn pool(
     (matrix, deviations.into_iter().fold(0.0, f64::max))
 }
 
-/// How many rays of each patch met which, row by row.
+/// Number of rays from each patch to each other patch, by rows.
 pub(super) fn one_way(rays: &RaySet) -> Matrix {
     let mut starts = vec![0];
     let (mut columns, mut counts) = (Vec::new(), Vec::new());

@@ -1,10 +1,10 @@
-//! Hemisphere rays: from points spread over a patch, in cosine-distributed directions (Malley's method), the share of
-//! rays that land on patch j estimates the form factor F_ij.
+//! Hemisphere rays start from points spread over a patch, in cosine-distributed directions (Malley's method). The share
+//! of rays that land on patch j estimates the form factor F_ij.
 //!
-//! Two dimensions of an Owen-scrambled Sobol sequence choose the point, two the direction. Rays from the centroid
-//! alone would not converge to the form factor of the patch, and independent random rays need about ten times as many.
-//! A patch has one sequence, which more rays continue. Its [`REPLICATES`] equal parts, one after the other, tell the
-//! standard error by their spread.
+//! Two dimensions of an Owen-scrambled Sobol sequence choose the point, two the direction. Rays from the centroid alone
+//! would not converge to the form factor of the patch, and independent random rays need about ten times as many. Each
+//! patch has one sequence, which additional rays continue. It is divided into [`REPLICATES`] consecutive parts of equal
+//! size, whose spread estimates the standard error.
 
 pub(super) mod casting;
 
@@ -24,14 +24,14 @@ pub use crate::direct::REPLICATES;
 /// The target of a ray that left the scene.
 pub const ESCAPED: u32 = u32::MAX;
 
-/// So many hits are expected of other patches' rays at least where none can only mean that a patch is hidden from them: by
-/// chance that happens once in 10⁹ patches.
+/// A patch that no ray of another patch hits counts as hidden if at least this many hits are expected. This happens by
+/// chance to one patch in 10⁹.
 const HIDDEN: f64 = 20.0;
 
-/// While casting: the ray met the back of this front patch, which was no unknown yet.
+/// Marks a target while casting: the ray hit the back of this front patch, and the back was not an unknown yet.
 const BACK: u32 = 1 << 31;
 
-/// What every hemisphere ray met. Kept ray by ray: at 4 bytes a ray that is no more than counts would take, and it holds the
+/// Targets of all hemisphere rays. Storing each ray takes 4 bytes, no more than counts of hits would, and keeps the
 /// replicates apart.
 #[derive(Debug, Clone)]
 pub struct RaySet {
@@ -40,9 +40,9 @@ pub struct RaySet {
     targets: Vec<u32>,
     back_hits: u64,
     seconds: f64,
-    /// Patches that lose all light, in order.
+    /// Patches from which all light is withdrawn, in order.
     withdrawn: Vec<usize>,
-    /// Where rays are kept, and looked for before they are cast.
+    /// Rays are read from here if it has them, and are added to it when cast.
     pub(super) checkpoint: Option<Section>,
 }
 
@@ -59,7 +59,7 @@ impl RaySet {
         }
     }
 
-    /// The first or second half of every patch's rays; `None` when some patch has but one.
+    /// The first or second half of every patch's rays; `None` if some patch has only one ray.
     pub(super) fn half(&self, half: usize) -> Option<RaySet> {
         let mut part = RaySet { withdrawn: self.withdrawn.clone(), ..RaySet::none() };
         part.targets.reserve_exact(self.targets.len().div_ceil(2) + self.len());
@@ -84,32 +84,32 @@ impl RaySet {
         self.len() == 0
     }
 
-    /// All rays cast.
+    /// Number of rays of all patches.
     pub fn rays(&self) -> u64 {
         self.targets.len() as u64
     }
 
-    /// Rays that met the back of a surface.
+    /// Number of rays that hit the back of a surface.
     pub fn back_hits(&self) -> u64 {
         self.back_hits
     }
 
-    /// Seconds that casting took, nothing else.
+    /// Time spent casting rays, in seconds.
     pub fn seconds(&self) -> f64 {
         self.seconds
     }
 
-    /// Rays that left patch `i`.
+    /// Number of rays that left patch `i`.
     pub fn rays_of(&self, i: usize) -> u32 {
         (self.offsets[i + 1] - self.offsets[i]) as u32
     }
 
-    /// What the rays of patch `i` met: patches, or [`ESCAPED`].
+    /// Targets of the rays of patch `i`: patches, or [`ESCAPED`].
     pub fn of(&self, i: usize) -> &[u32] {
         &self.targets[self.offsets[i]..self.offsets[i + 1]]
     }
 
-    /// The same of one replicate.
+    /// Targets of the rays of one replicate of patch `i`.
     pub fn of_replicate(&self, i: usize, replicate: usize) -> &[u32] {
         &self.of(i)[part(self.rays_of(i), replicate)]
     }
@@ -128,7 +128,7 @@ impl RaySet {
         self.is_withdrawn(i)
     }
 
-    /// Whether patch `i` was made to lose all light.
+    /// Whether all light was withdrawn from patch `i`.
     pub(super) fn is_withdrawn(&self, i: usize) -> bool {
         self.withdrawn.binary_search(&i).is_ok()
     }
@@ -138,9 +138,10 @@ impl RaySet {
         4 * self.targets.len() + 8 * self.offsets.len()
     }
 
-    /// Lets patches lose all light that are not there for others: none ever met them, though another face is at the same place, or
-    /// though their own rays meet patches that should have met them [many times](HIDDEN). Reciprocity would have to send them what
-    /// they cannot get. Those that are `kept` stay, and those that are known to be `hidden` go.
+    /// Withdraws all light from patches that no other patch sees. No ray hits such a patch, although another face lies
+    /// at the same place, or although its own rays hit patches that should have hit it [many times](HIDDEN).
+    /// Reciprocity would have to send these patches light that cannot reach them. Patches that are `kept` stay, and
+    /// those known to be `hidden` are always withdrawn. Returns the withdrawn patches.
     pub(super) fn withdraw_hidden(
         &mut self,
         areas: &[f64],
@@ -151,7 +152,7 @@ impl RaySet {
         let density = |i: usize| f64::from(self.rays_of(i)) / areas[i];
         let met: Vec<AtomicBool> = (0..self.len()).map(|_| AtomicBool::new(false)).collect();
         let meets = |j: u32| {
-            // Most are known to be met: reading is cheaper than writing.
+            // Most are marked already, and reading is cheaper than writing.
             if !met[j as usize].load(Relaxed) {
                 met[j as usize].store(true, Relaxed);
             }

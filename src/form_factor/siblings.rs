@@ -1,14 +1,15 @@
-//! Patches that are close to each other and look the same way, and whose sampling errors are therefore of one size.
+//! Patches that are close to each other and look the same way, so that their sampling errors are of similar size.
 //!
-//! One patch knows its own variance badly, and nothing of rare paths that all its rays have missed; its neighbours know more.
+//! A single patch estimates its own variance badly, and misses rare paths that none of its rays found. Its neighbours
+//! add information.
 
 use std::ops::Range;
 
 use crate::{direct::adjoin, patch::Patches, trace::Tracer};
 
-/// Patches of a run at most.
+/// Most patches of a run.
 const MOST: usize = 16;
-/// What `make` makes of every value and its mean over the siblings: `C` interleaved values a patch.
+/// Applies `make` to every value and the mean over its siblings. Returns `C` interleaved values a patch.
 pub(crate) fn with_mean<const C: usize>(
     siblings: &[Range<usize>],
     values: &[[f64; C]],
@@ -25,8 +26,8 @@ pub(crate) fn with_mean<const C: usize>(
     made
 }
 
-/// Runs of up to 16 patches, in the order of the patches: of one triangle's side, or of triangles that follow each other in
-/// the file, in one plane, and share a corner.
+/// Runs of up to 16 patches, in the order of the patches. They lie on one side of one triangle, or of coplanar
+/// triangles that follow each other in the file and share a corner.
 pub(super) fn siblings(tracer: &Tracer, patches: &Patches) -> Vec<Range<usize>> {
     let goes_on = |i: usize, j: usize| {
         let [p, q] = [i, j].map(|i| &tracer.triangles()[patches.triangle(i)]);

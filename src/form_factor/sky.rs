@@ -1,7 +1,7 @@
-//! Light of the sky: what hemisphere rays see that leave the scene.
+//! Light of the sky, seen by the hemisphere rays that leave the scene.
 //!
-//! Rays follow the cosine, so that the irradiance of a patch is π times the mean of the radiance that its rays see. Which way a ray
-//! went is not kept: its place in the sequence tells it.
+//! Directions are cosine-distributed, so that the irradiance of a patch is π times the mean radiance that its rays see.
+//! The directions are not stored: they are reproduced from the numbers of the rays.
 
 use rayon::prelude::*;
 
@@ -17,16 +17,16 @@ use crate::{
 #[derive(Debug, Clone)]
 pub(super) struct SkyLight {
     channels: usize,
-    /// All values are over this.
+    /// The unit of all values.
     unit: f64,
-    /// What each replicate of the rays of a patch brings; interleaved channels.
+    /// Irradiance by each replicate of the rays of a patch; interleaved channels.
     parts: Vec<[f32; REPLICATES]>,
-    /// The mean of all rays.
+    /// Irradiance by all rays; interleaved channels.
     irradiance: Vec<f64>,
 }
 
 impl SkyLight {
-    /// What these rays see of the sky, if there is one.
+    /// The light that these rays see, if there is a sky.
     pub(super) fn of(
         rays: &RaySet,
         lamps: &Lamps,
@@ -53,7 +53,7 @@ impl SkyLight {
         Some(light)
     }
 
-    /// The light by the first or second half of all rays: by as many replicates, each counted twice.
+    /// The light by the first or second half of all rays. Each replicate of the half is counted twice.
     pub(super) fn half(&self, half: usize) -> SkyLight {
         let of_half = REPLICATES / 2;
         let parts: Vec<[f32; REPLICATES]> =
@@ -63,14 +63,14 @@ impl SkyLight {
         SkyLight { parts, irradiance, ..*self }
     }
 
-    /// Lets nothing arrive at these patches.
+    /// Removes all light from these patches.
     pub(super) fn withdraw(&mut self, patches: &[usize]) {
         for q in patches.iter().flat_map(|&i| self.channels * i..self.channels * (i + 1)) {
             (self.parts[q], self.irradiance[q]) = ([0.0; REPLICATES], 0.0);
         }
     }
 
-    /// Irradiance of all patches, and its replicates, over `unit`.
+    /// Irradiance of all patches and the deviations of its replicates, in multiples of `unit`.
     pub(super) fn arriving<const C: usize>(&self, unit: f64) -> (Vec<[f64; C]>, Vec<Deviation<C>>) {
         let scale = self.unit / unit;
         let irradiance = self.irradiance.as_chunks::<C>().0.iter().map(|e| e.map(|e| scale * e)).collect();

@@ -1,18 +1,18 @@
-//! How much better the parts of a sequence of rays are together than by themselves.
+//! Estimates the variance of stratified samples from differences between parts of their sequence.
 //!
-//! The parts of a Sobol sequence complement each other, and how well they tell themselves: let D_b be the mean square of half
-//! the difference of two neighbouring runs of b parts. If the variance of a run is v b^-α (α = 1 when parts are independent),
-//! then D_b = v b^-α (1 - 2^-α); a line through ln D_b for b = 1, 2, 4, … gives α and v, and the variance of all. One patch
-//! could not tell, many together can.
+//! The parts of a Sobol sequence complement each other. Differences between parts show how well: let D_b be the mean
+//! square of half the difference of two neighbouring runs of b parts. If the variance of a run is v b^-α (α = 1 for
+//! independent parts), then D_b = v b^-α (1 - 2^-α). A line through ln D_b for b = 1, 2, 4, … gives α and v, and the
+//! variance of all parts. The estimate needs the data of many patches.
 //!
-//! What nets of rays integrate is partly smooth and partly cut off by edges, and the two fall with powers of their own: D_1 may be
-//! six times D_2, and D_4 but twice D_8. The same differences tell how much there is of each.
+//! The integrand over a net of rays has a smooth part and a part with edges, whose variances fall with different
+//! powers: D_1 may be six times D_2, but D_4 only twice D_8. The same differences determine both parts.
 
 use std::f64::consts::LN_2;
 
 use nalgebra::{Matrix2, Vector2};
 
-/// D_1, D_2, D_4, …, of which the parts become the means of ever longer runs; zero where there is no longer run.
+/// Returns D_1, D_2, D_4, …, and 0 where no longer run exists. Overwrites `parts` with means of ever longer runs.
 pub(crate) fn half_differences<const LEVELS: usize>(parts: &mut [f64]) -> [f64; LEVELS] {
     let mut pairs = parts.len();
     std::array::from_fn(|_| {
@@ -27,8 +27,8 @@ pub(crate) fn half_differences<const LEVELS: usize>(parts: &mut [f64]) -> [f64; 
     })
 }
 
-/// The variance of the mean of `parts`, from D_1, D_2, D_4, …, each with as much weight as it has differences; α stays between
-/// `rates`.
+/// The variance of the mean of `parts`, from D_1, D_2, D_4, …. Each D_b is weighted by its number of differences. α
+/// stays within `rates`.
 pub(crate) fn variance_of_all(half_differences: &[f64], parts: usize, rates: (f64, f64)) -> f64 {
     let points =
         || half_differences.iter().enumerate().map(|(k, d)| (k as f64 * LN_2, d.ln(), 0.5f64.powi(k as i32)));
@@ -40,10 +40,11 @@ pub(crate) fn variance_of_all(half_differences: &[f64], parts: usize, rates: (f6
     (y - rate * ((parts as f64).ln() - x)).exp() / (1.0 - 0.5f64.powf(rate))
 }
 
-/// The variance of the mean of `parts`, as that of a run of b is v b^-p + w b^-q: `powers` are p and q. The v and w, neither
-/// negative, are those of least squares, relative to what they give; each D_b counts as [`variance_of_all`] has it.
+/// The variance of the mean of `parts`, if the variance of a run of b parts is v b^-p + w b^-q with `powers` p and q. A
+/// fit by least squares of the relative errors of D_b gives v and w, neither negative. The weights are those of
+/// [`variance_of_all`].
 pub(crate) fn variance_of_nets(half_differences: &[f64], parts: usize, powers: [f64; 2]) -> f64 {
-    // Of the first fit relative to what was measured: that prefers what is small by chance.
+    // The first fit is relative to the measured values, which favours values that are small by chance.
     const FITS: usize = 3;
     let mut fitted = half_differences.to_vec();
     let mut shares = [0.0; 2];
@@ -68,7 +69,7 @@ pub(crate) fn variance_of_nets(half_differences: &[f64], parts: usize, powers: [
     (0..2).map(|m| shares[m] * (parts as f64).powf(-powers[m])).sum()
 }
 
-/// D_b of b = 2^k parts where the variance of a run is b^-p.
+/// D_b for b = 2^k parts, if the variance of a run is b^-p.
 fn half_difference(p: f64, k: i32) -> f64 {
     2f64.powf(-p * f64::from(k)) * (1.0 - 2f64.powf(-p))
 }
@@ -79,12 +80,13 @@ mod tests {
 
     #[test]
     fn runs_differ_by_half_of_what_they_are_apart() {
-        // Half differences 1, 2, 0 and 3; of the means 2, 3, 5 and 8 then 0.5 and 1.5; of 2.5 and 6.5 then 2. The last is alone.
+        // Half differences 1, 2, 0 and 3. The means 2, 3, 5 and 8 then give 0.5 and 1.5, and 2.5 and 6.5 give 2. The
+        // last part is alone.
         let found = half_differences::<4>(&mut [1.0, 3.0, 1.0, 5.0, 5.0, 5.0, 5.0, 11.0, 100.0]);
         assert_eq!(found, [14.0 / 4.0, 2.5 / 2.0, 4.0, 0.0]);
     }
 
-    /// Where the variance of a run of b parts is 3 b^-α, that of all 16 is 3 · 16^-α.
+    /// If the variance of a run of b parts is 3 b^-α, that of all 16 parts is 3 · 16^-α.
     #[test]
     fn a_power_of_the_length_is_found() {
         for rate in [1.0, 1.7, 3.0] {
@@ -94,7 +96,7 @@ mod tests {
         }
     }
 
-    /// Two powers are taken apart, one alone or both, and of steeper ones than either the steeper is left.
+    /// Separates two powers, one alone or both. A power steeper than both counts as the steeper one.
     #[test]
     fn two_powers_are_taken_apart() {
         let powers = [1.25, 3.0];

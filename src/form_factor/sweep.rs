@@ -1,7 +1,7 @@
-//! One bounce of light without a matrix: rays are cast, bring the radiosity of what they meet, and are forgotten.
+//! One bounce of light without a matrix: rays are cast, bring the radiosity of the patches they hit, and are forgotten.
 //!
-//! Shadow rays bring the light of lamps, as everywhere (`direct`), and hemisphere rays what the patches reflect. Memory is in
-//! proportion to the patches, not to the rays.
+//! Shadow rays bring the light of lamps, as everywhere (`direct`). Hemisphere rays bring the reflected light. Memory is
+//! proportional to the number of patches, not of rays.
 
 use std::{
     ops::Range,
@@ -23,29 +23,30 @@ use crate::{
     trace::{Tracer, sampling::mix},
 };
 
-/// Rays of each patch that look for backs which are no unknowns yet.
+/// Rays of each patch that search for backs that are not yet unknowns.
 const LOOKING: u32 = 2 * REPLICATES as u32;
 
-/// What the rays of a sweep brought to a patch; what several did is their sum.
+/// The light that the rays of a sweep bring to a patch. Sweeps add up.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Arrived<const C: usize> {
-    /// Σ of the radiosity that hemisphere rays met.
+    /// Sum of the radiosity that hemisphere rays met.
     pub(crate) met: [f64; C],
-    /// Hemisphere rays that left the scene, or met the back of what is no unknown.
+    /// Hemisphere rays that left the scene, or met a back that is not an unknown.
     pub(crate) escaped: f64,
-    /// Σ of the light that free shadow rays bring.
+    /// Sum of the light of unblocked shadow rays.
     pub(crate) lit: [f64; C],
-    /// Of each sequence of shadow rays.
+    /// One entry for each sequence of shadow rays.
     pub(crate) shadow: [Shadow; 2],
 }
 
-/// What the shadow rays of a sequence brought, all channels together.
+/// The light of the shadow rays of one sequence, summed over all channels.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Shadow {
-    /// How many there are.
+    /// Number of rays.
     pub(crate) rays: f64,
-    /// Σ of their light, were none blocked, and of those that are free.
+    /// Sum of the light of all rays as if none were blocked.
     pub(crate) all: f64,
+    /// Sum of the light of unblocked rays.
     pub(crate) free: f64,
 }
 
@@ -71,17 +72,17 @@ impl<const C: usize> Arrived<C> {
     }
 }
 
-/// How many rays were cast, and what became of them.
+/// Number of rays cast, by their results.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Tally {
-    /// Hemisphere rays.
+    /// Number of hemisphere rays.
     pub hemisphere: u64,
-    /// Of them those that left the scene, or met the back of what is no unknown,
+    /// Hemisphere rays that left the scene, or met a back that is not an unknown.
     pub escaped: u64,
-    /// and those that met a back.
+    /// Hemisphere rays that met a back.
     pub backs: u64,
-    /// Shadow rays.
+    /// Number of shadow rays.
     pub shadow: u64,
 }
 
@@ -94,7 +95,7 @@ impl Tally {
     }
 }
 
-/// Casts sweeps of rays.
+/// Casts sweeps of rays through a scene.
 #[derive(Debug)]
 pub struct Sweeper<'a> {
     tracer: &'a Tracer,
@@ -105,7 +106,7 @@ pub struct Sweeper<'a> {
 }
 
 impl<'a> Sweeper<'a> {
-    /// Adds the backs that rays see to `patches`, and learns what lamps would send if nothing stood between.
+    /// Adds the backs that rays see to `patches`, and computes the unblocked light of lamps at every patch.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -126,12 +127,12 @@ impl<'a> Sweeper<'a> {
         Ok(Sweeper { tracer, patches, shadow, areas, seed })
     }
 
-    /// The patches, with those backs that were seen.
+    /// The patches, including the backs that rays saw.
     pub fn patches(&self) -> &Patches {
         self.patches
     }
 
-    /// Neighbours in the plane: runs of up to 16 patches of one triangle's side, in the order of the patches.
+    /// Coplanar neighbours: runs of up to 16 patches, in the order of the patches.
     pub(crate) fn siblings(&self) -> Vec<Range<usize>> {
         siblings(self.tracer, self.patches)
     }
@@ -141,7 +142,7 @@ impl<'a> Sweeper<'a> {
         &self.areas
     }
 
-    /// Whether there are lamps, whose light shadow rays bring.
+    /// Whether there are lamps, which need shadow rays.
     pub(crate) fn has_lamps(&self) -> bool {
         !self.shadow.lamps.is_empty()
     }
@@ -151,13 +152,14 @@ impl<'a> Sweeper<'a> {
         self.shadow.lamps.contains(i)
     }
 
-    /// What lamps send to patch `i` if nothing stands between, and all channels together; `None` where that is not known.
+    /// The unblocked irradiance of patch `i` from lamps; `None` if it is not known.
     pub(crate) fn unblocked<const C: usize>(&self, i: usize) -> Option<[f64; C]> {
         self.shadow.unblocked(i, self.patches.emission().as_chunks::<C>().0)
     }
 
-    /// The direct irradiance from what shadow rays brought to a patch: that of lamps `unblocked` is corrected by the share of free light
-    /// that `whole`, of which it is a part, says, each sequence by the other (as in `direct`).
+    /// The direct irradiance of a patch from its shadow rays `came`. The unblocked irradiance is a control variate, if
+    /// it is known. Its coefficient is the unblocked share of light in `whole`, which contains `came`: each sequence is
+    /// corrected by the share of the other one (as in `direct`).
     pub(crate) fn direct<const C: usize>(
         &self,
         unblocked: &Option<[f64; C]>,
@@ -184,7 +186,7 @@ impl<'a> Sweeper<'a> {
         std::array::from_fn(|c| (lit[c] + more * (unblocked[c] / all)).max(0.0))
     }
 
-    /// Casts hemisphere rays from patch `i` and calls `met` with the patch that each meets. Counts those that met a back.
+    /// Casts hemisphere rays from patch `i` and calls `met` with the patch that each ray hits. Counts hits of backs.
     fn cast(
         &self,
         (i, from): (usize, &Footprint),
@@ -208,7 +210,7 @@ impl<'a> Sweeper<'a> {
         mix(&[self.seed, i as u64])
     }
 
-    /// What the `N` hemisphere rays that begin with the index `first` meet from every patch: patches, or [`ESCAPED`].
+    /// Targets of `N` hemisphere rays of every patch, from index `first` on: patches, or [`ESCAPED`].
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -237,7 +239,7 @@ impl<'a> Sweeper<'a> {
         Ok((met, tally))
     }
 
-    /// Casts the rays with these indices from every patch, hemisphere and shadow rays, through patches of this radiosity.
+    /// Casts the hemisphere and shadow rays with these indices from every patch, for patches with this radiosity.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -287,7 +289,7 @@ impl<'a> Sweeper<'a> {
         let faced = |i: &usize| self.has_lamps() && self.shadow.is_faced(*i);
         let tally = Tally {
             hemisphere: n as u64 * u64::from(hemisphere.end - hemisphere.start),
-            // Whole numbers: exact in any order.
+            // Whole numbers have exact sums in any order.
             escaped: arrived.par_iter().map(|came| came.escaped as u64).sum(),
             backs: backs.into_inner(),
             shadow: (0..n).filter(faced).count() as u64 * u64::from(shadow.end - shadow.start),

@@ -1,8 +1,8 @@
-//! Symmetric sparse matrices: each pair of patches is stored once, and serves both.
+//! Symmetric sparse matrices that store each pair of patches once and use it for both directions.
 //!
-//! The patches are divided into blocks, and the pairs into tiles, one for every two blocks. A product walks through the
-//! tiles: what a tile reads and writes is near in memory, and places within a block take 16 bits. [`Blocks`] tells which tiles
-//! are worked on at a time.
+//! The patches are divided into blocks, and the pairs into tiles, one for every two blocks. A product works tile by
+//! tile: the values that a tile reads and writes are close in memory, and indices within a block take 16 bits.
+//! [`Blocks`] decides which tiles run at the same time.
 
 mod tile;
 
@@ -29,7 +29,7 @@ pub(crate) trait Real:
     + AddAssign
     + SubAssign
 {
-    /// The nearest to `x`.
+    /// The nearest value to `x`.
     fn of(x: f64) -> Self;
 }
 
@@ -52,12 +52,13 @@ impl Real for f64 {
 pub(super) struct Symmetric {
     blocks: Blocks,
     tiles: Vec<Tile>,
-    /// Empty where it is zero.
+    /// Empty if the diagonal is zero.
     diagonal: Vec<f32>,
 }
 
 impl Symmetric {
-    /// From what `entries` says of each tile: its entries sorted by row and column, and how many there are.
+    /// Builds each tile from the result of `entries`: its entries sorted by row and column, their number, and a value
+    /// to return.
     pub(super) fn from_tiles<T, I>(
         blocks: Blocks,
         entries: impl Fn((usize, usize)) -> (I, usize, T) + Sync,
@@ -74,12 +75,12 @@ impl Symmetric {
         (Symmetric { blocks, tiles, diagonal: Vec::new() }, rest)
     }
 
-    /// From lists of (i, j, s), in any order, that name each pair in one of its directions or both; what is said of a pair
-    /// is summed up, in the order of the lists.
+    /// Builds the matrix from lists of (i, j, s) in any order. A list may name a pair in either direction or in both.
+    /// Values of the same pair are summed in the order of the lists.
     pub(super) fn from_lists(len: usize, lists: &[Vec<(u32, u32, f32)>]) -> Symmetric {
         let blocks = Blocks::new(len);
         let count = blocks.count();
-        // By tile, each list by itself.
+        // Each list is sorted by tile separately.
         let sorted: Vec<Vec<Vec<(u32, f32)>>> = lists
             .par_iter()
             .map(|list| {
@@ -100,7 +101,7 @@ impl Symmetric {
         let (mut matrix, _) = Self::from_tiles(blocks, |at| {
             let tile = blocks.tile(at);
             let mut all: Vec<(u32, f32)> = sorted.iter().flat_map(|tiles| &tiles[tile]).copied().collect();
-            // Stable, so that sums have one order.
+            // A stable sort fixes the order of sums.
             all.sort_by_key(|&(key, _)| key);
             all.dedup_by(|later, first| {
                 let same = later.0 == first.0;
@@ -139,7 +140,7 @@ impl Symmetric {
         self.blocks.len()
     }
 
-    /// Entries, both directions of a pair counted.
+    /// Number of entries, counting both directions of a pair.
     pub(super) fn non_zeros(&self) -> usize {
         let of_tiles: usize = self.tiles.iter().map(|tile| tile.values.len()).sum();
         2 * of_tiles + self.diagonal.iter().filter(|&&s| s != 0.0).count()
@@ -167,7 +168,7 @@ impl Symmetric {
         self.diagonal.iter().copied().enumerate().filter(|&(_, s)| s != 0.0)
     }
 
-    /// The entry of two patches.
+    /// The entry s_ij.
     pub(super) fn get(&self, i: usize, j: usize) -> f32 {
         if i == j {
             return self.diagonal.get(i).copied().unwrap_or(0.0);
@@ -180,7 +181,7 @@ impl Symmetric {
         runs.filter(|&(of, ..)| u32::from(of) == row).find_map(entry).unwrap_or(0.0)
     }
 
-    /// The entries of row `i` as (j, s), sorted. Goes through the runs of all tiles that the row is in.
+    /// The entries of row `i` as (j, s), sorted. Searches all tiles that contain the row.
     pub(super) fn row(&self, i: usize) -> Vec<(usize, f32)> {
         let (block, place) = self.blocks.of(i);
         let mut row: Vec<(usize, f32)> =
@@ -203,7 +204,7 @@ impl Symmetric {
         row
     }
 
-    /// All rows, compressed, with both directions of every pair: twice the memory.
+    /// All rows, compressed, with both directions of every pair. Takes twice the memory.
     pub(super) fn rows(&self) -> Matrix {
         let n = self.len();
         let mut rows: Vec<Vec<(u32, f32)>> = vec![Vec::new(); n];
@@ -237,8 +238,8 @@ impl Symmetric {
         });
     }
 
-    /// Calls `pair(s_ij, z_i, z_j, y_i, y_j)` for all pairs off the diagonal. Each y is worked on in one order, whatever the
-    /// number of threads.
+    /// Calls `pair(s_ij, z_i, z_j, y_i, y_j)` for all pairs off the diagonal. Each y is updated in the same order for
+    /// any number of threads.
     pub(super) fn accumulate<Z: Copy + Sync, Y: Copy + Send>(
         &self,
         z: &[Z],
@@ -255,13 +256,13 @@ impl Symmetric {
                 let (s, rest_of_values) = values.split_at(length.into());
                 (columns, values) = (rest, rest_of_values);
                 let row = usize::from(row);
-                // In registers while the row lasts.
+                // These stay in registers for the whole row.
                 let (z_row, mut sum) = (z_first[row], first[row]);
                 let y_second = match &mut second {
                     Some(second) => &mut **second,
                     None => &mut *first,
                 };
-                // One check of bounds then does for both.
+                // Equal lengths let one bounds check serve both slices.
                 let z_second = &z_second[..y_second.len()];
                 let s = &s[..own.len()];
                 for k in 0..own.len() {
@@ -306,7 +307,8 @@ impl Symmetric {
 mod tests {
     use super::*;
 
-    /// Against the plain sum over a list of pairs, all whole numbers, so that no rounding hides a difference.
+    /// Compares with the plain sum over a list of pairs. All values are whole numbers, so that no rounding hides a
+    /// difference.
     #[test]
     fn a_product_is_that_of_the_whole_matrix() {
         let n = 2500u32;

@@ -1,29 +1,29 @@
-//! The bytes of a checkpoint: its header, its records, and the pieces of these.
+//! The binary format of a checkpoint: header, records and their pieces.
 
 use std::path::Path;
 
 use crate::{Error, Result, scene::Scene, trace::sampling::mix};
 
-/// Says what the file is; the line end is lost where it was transferred as text.
+/// Identifies the file. A transfer as text changes the line end.
 const MAGIC: &[u8; 16] = b"radiosity rays\r\n";
-/// Counts changes of the file's format, of which rays a seed stands for, and of what is kept of them.
+/// Grows with each change of the format, of the rays that a seed gives, or of what is stored of them.
 const FORMAT: u32 = 4;
-/// Bytes of the header,
+/// Bytes of the header.
 pub(super) const HEADER: usize = 48;
-/// and of a record before its body and after it.
+/// Bytes of a record before and after its body.
 pub(super) const BEFORE: usize = 12;
 pub(super) const AFTER: usize = 4;
-/// Numbers of 4 bytes that a record has for each patch beside its rays.
+/// Number of 4-byte numbers before the rays of each patch in a record.
 const NUMBERS: usize = 5;
 
-/// The rays' kind and the subdivision; the patch's number, which chooses its rays; and what surface it is on, since numbers of
-/// backs depend on the order in which they were found.
+/// The kind of ray and the subdivision (one digest), the number of the patch, which chooses its rays, and the surface
+/// of the patch. The surface is needed because numbers of backs depend on the order in which they were found.
 pub(super) type Key = (u64, u32, u32);
 
-/// Rays of one patch in a record. They begin where those of the piece before end.
+/// Rays of one patch in a record. They continue the previous piece of the patch.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Piece {
-    /// Where in the file they are.
+    /// Position in the file.
     pub(super) at: u64,
     pub(super) from: u32,
     pub(super) to: u32,
@@ -32,7 +32,7 @@ pub(super) struct Piece {
 }
 
 impl Piece {
-    /// Bytes of all.
+    /// Bytes of all rays.
     pub(super) fn bytes(&self) -> usize {
         (self.to - self.from) as usize * self.size as usize
     }
@@ -56,7 +56,7 @@ pub(super) fn header(scene: &Scene, seed: u64) -> [u8; HEADER] {
     bytes
 }
 
-/// Says what the file is instead of the wanted one.
+/// Checks the header. The error describes what the file is instead.
 pub(super) fn check_header(path: &Path, found: &[u8], wanted: &[u8; HEADER]) -> Result<()> {
     let same = |range: std::ops::Range<usize>| found[range.clone()] == wanted[range];
     let other = |what: String, advice: &str| Err(Error::input(path, None, what).with_hint(advice));
@@ -80,7 +80,7 @@ pub(super) fn check_header(path: &Path, found: &[u8], wanted: &[u8; HEADER]) -> 
     Ok(())
 }
 
-/// Whatever decides where light comes from and what it meets.
+/// A digest of everything in the scene that affects rays.
 fn digest(scene: &Scene) -> u64 {
     let mut sum = 0;
     let mut add = |words: &[u64]| sum = mix(&[sum, mix(words)]);
@@ -118,7 +118,7 @@ pub(super) fn begin_record(bytes: &mut Vec<u8>, digest: u64) {
     bytes.extend(digest.to_le_bytes());
 }
 
-/// Puts a record's length and checksums where they belong.
+/// Fills in a record's length and checksums.
 pub(super) fn seal_record(bytes: &mut Vec<u8>) {
     let length = ((bytes.len() - BEFORE) as u64).to_le_bytes();
     bytes[..8].copy_from_slice(&length);
@@ -127,7 +127,7 @@ pub(super) fn seal_record(bytes: &mut Vec<u8>) {
     bytes.extend(check.to_le_bytes());
 }
 
-/// The length of a record's body; `None` where the checksum says that it is none.
+/// The length of a record's body; `None` if its checksum does not match.
 pub(super) fn body_length(before: &[u8; BEFORE]) -> Option<u64> {
     let (length, check) = before.split_at(8);
     let length: [u8; 8] = std::array::from_fn(|k| length[k]);
@@ -139,7 +139,7 @@ fn numbers<const N: usize>(bytes: &[u8]) -> [u32; N] {
     std::array::from_fn(|k| u32::from_le_bytes(std::array::from_fn(|b| bytes[4 * k + b])))
 }
 
-/// The pieces of a record's body, which begins at `at` in the file; `None` when it is none.
+/// The pieces of a record's body, which begins at `at` in the file; `None` if the body is invalid.
 pub(super) fn pieces(body: &[u8], at: u64) -> Option<Vec<(Key, Piece)>> {
     let (digest, mut rest) = body.split_first_chunk::<8>()?;
     let mut pieces = Vec::new();
@@ -154,7 +154,7 @@ pub(super) fn pieces(body: &[u8], at: u64) -> Option<Vec<(Key, Piece)>> {
     Some(pieces)
 }
 
-/// What stands before the rays of a piece.
+/// The numbers before the rays of a piece.
 pub(super) fn piece_start((_, patch, surface): Key, piece: &Piece) -> [u8; 4 * NUMBERS] {
     let Piece { from, to, size, .. } = *piece;
     let numbers = [patch, surface, from, to, size];

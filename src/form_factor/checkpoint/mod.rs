@@ -1,19 +1,19 @@
-//! What rays met, kept in a file as it comes, so that a run that was stopped or killed goes on where it was.
+//! A file that stores the targets of rays as they are cast, so that a stopped or killed run can continue.
 //!
-//! What a ray meets depends on the scene, the patch, the seed and the ray's number among those of its patch: on nothing that
-//! happened before. A checkpoint is therefore a store of rays. Whoever would cast a ray that is in it takes it from there;
-//! everything else (who casts how many, form factors, solutions) is computed again, and comes out the same to the bit. So the
-//! same file also serves a run with more rays, and holds the rays of as many subdivisions of a scene as are wanted.
+//! The target of a ray depends only on the scene, the patch, the seed and the number of the ray within its patch, not
+//! on earlier results. A checkpoint is therefore a store of rays: a ray in the file is read instead of cast. Everything
+//! else (numbers of rays, form factors, solutions) is computed again and is the same to the bit. So the same file also
+//! serves a run with more rays, and can hold the rays of several subdivisions of a scene.
 //!
-//! The file, little endian: a header that names the program's version, the scene and the seed, then one record for every block
-//! of patches cast, appended by one write:
+//! The file is little endian. A header identifies the program's version, the scene and the seed. Each block of patches
+//! then appends one record by a single write:
 //!
 //!   length of the body (8 bytes), its CRC-32 (4), body, CRC-32 of the body (4).
 //!
-//! A process killed while writing leaves a record that is cut short, the last; it is cut off. What was written survives the
-//! program's end, however that comes, and every few seconds it is forced to the disk: loss of power costs what came after that.
-//! It may leave a file that has grown already, with zeros where nothing was written; these are cut off too. Anything else that
-//! does not match its checksum is damage, and the file is refused.
+//! A process killed while writing leaves an incomplete last record, which is cut off. Written records survive the end
+//! of the program. Every few seconds they are forced to the disk, so that a loss of power costs only later records. It
+//! may also leave zeros at the end of the file, which are cut off too. Anything else that does not match its checksum
+//! is damage, and the file is refused.
 
 mod format;
 mod section;
@@ -33,28 +33,28 @@ use store::Store;
 
 pub(super) use section::{Record, Section};
 
-/// Looks, a twentieth of a second apart, for a lock to be free.
+/// Number of attempts, a twentieth of a second apart, to lock the file.
 const PATIENCE: usize = 60;
 
-/// A file of rays cast: see the module's documentation.
+/// A file of rays (see the module's documentation).
 #[derive(Debug)]
 pub struct Checkpoint {
     path: PathBuf,
     seed: u64,
-    /// Rays in it when it was opened.
+    /// Number of rays in the file when it was opened.
     found: u64,
-    /// Bytes of a last record that was cut short.
+    /// Bytes of an incomplete last record.
     torn: u64,
     store: Mutex<Store>,
 }
 
 impl Checkpoint {
-    /// Opens a checkpoint of rays with this seed in this scene, or begins one where there is no file or an empty one. One in
-    /// which nothing is kept goes again when it is dropped.
+    /// Opens a checkpoint of rays with this seed in this scene. Creates it if there is no file or an empty one. A
+    /// checkpoint that is created and stays empty is removed when it is dropped.
     ///
     /// # Errors
-    /// [`Error::Input`] when the file is damaged, or of something else: it is not touched then. [`Error::Setting`] when another
-    /// process uses it, [`Error::Io`] when it cannot be read or written.
+    /// [`Error::Input`] when the file is damaged or is something else; the file is not changed. [`Error::Setting`] when
+    /// another process uses it. [`Error::Io`] when it cannot be read or written.
     pub fn open(path: &Path, scene: &Scene, seed: u64) -> Result<Checkpoint> {
         let failed = |e| Error::io(path, e);
         if fs::metadata(path).is_ok_and(|there| !there.is_file()) {
@@ -99,18 +99,18 @@ impl Checkpoint {
         Ok(Checkpoint { path: path.to_owned(), seed, found, torn, store: Mutex::new(store) })
     }
 
-    /// Rays in it when it was opened, of all subdivisions.
+    /// Number of rays in the file when it was opened, of all subdivisions.
     pub fn found(&self) -> u64 {
         self.found
     }
 
-    /// Bytes at the end of the file that were cut off when it was opened: records that the end of the last run, or a loss of
-    /// power, left incomplete.
+    /// Bytes cut off the end of the file when it was opened: records left incomplete by the end of the last run or a
+    /// loss of power.
     pub fn torn(&self) -> u64 {
         self.torn
     }
 
-    /// Rays in it now, of all subdivisions.
+    /// Number of rays in the file now, of all subdivisions.
     pub fn rays(&self) -> u64 {
         self.store().rays
     }
@@ -130,8 +130,8 @@ impl Drop for Checkpoint {
     }
 }
 
-/// Waits a little for whoever holds the file: a process that was killed lets go only when its memory is free. Some file
-/// systems know no locks; there nobody is kept from using a file twice.
+/// Waits a little for another process to release the file: a killed process releases it only when its memory is free.
+/// On file systems without locks, two processes may use the same file.
 fn lock(file: &File) -> bool {
     let is_held = || matches!(file.try_lock(), Err(TryLockError::WouldBlock));
     for _ in 0..PATIENCE {

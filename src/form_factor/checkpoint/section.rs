@@ -1,4 +1,4 @@
-//! The rays of one kind and one subdivision: reading and writing.
+//! Reads and writes the rays of one kind and one subdivision.
 
 use std::{io, ops::Range, sync::Arc};
 
@@ -15,7 +15,7 @@ pub(in super::super) struct Section {
     digest: u64,
 }
 
-/// Rays just cast, on their way into the file.
+/// Rays to be written to the file together.
 #[derive(Default)]
 pub(in super::super) struct Record {
     bytes: Vec<u8>,
@@ -23,25 +23,25 @@ pub(in super::super) struct Record {
 }
 
 impl Section {
-    /// Of the rays that `digest` names.
+    /// The section with this digest.
     ///
     /// # Panics
-    /// When the checkpoint is of another seed.
+    /// When the checkpoint belongs to another seed.
     pub(in super::super) fn new(checkpoint: Arc<Checkpoint>, digest: u64, seed: u64) -> Section {
-        assert_eq!(checkpoint.seed, seed, "the checkpoint is of another seed");
+        assert_eq!(checkpoint.seed, seed, "the checkpoint belongs to another seed");
         Section { checkpoint, digest }
     }
 
-    /// Rays of another kind with the same patches.
+    /// The section for rays of another kind with the same patches.
     pub(in super::super) fn of_kind(&self, kind: u64) -> Section {
         Section { checkpoint: self.checkpoint.clone(), digest: mix(&[self.digest, kind]) }
     }
 
-    /// What is known of the rays of a patch with these numbers, from the first on: `decode` makes rays of their `S` bytes, and
-    /// nothing of what cannot be. Patches are given by number and surface.
+    /// Reads the known rays among the `wanted` numbers of a patch, without gaps from the first on. The patch is given
+    /// by number and surface. `decode` turns the `S` bytes of a ray into a value, and invalid bytes into `None`.
     ///
     /// # Errors
-    /// [`Error::Io`], and [`Error::Input`] when the file says what cannot be.
+    /// [`Error::Io`], and [`Error::Input`] when the file has invalid contents.
     pub(in super::super) fn known<const S: usize, T>(
         &self,
         (patch, surface): (u32, u32),
@@ -74,7 +74,7 @@ impl Section {
         Ok(rays)
     }
 
-    /// Adds the rays of a patch, of which `from` is the number of the first.
+    /// Adds rays of a patch to a record. `from` is the number of the first ray.
     pub(in super::super) fn add<const S: usize>(
         &self,
         record: &mut Record,
@@ -97,10 +97,10 @@ impl Section {
         rays.for_each(|ray| bytes.extend(ray));
     }
 
-    /// Writes what was added, if anything, and now and then forces all that was written to the disk.
+    /// Writes a record, unless it is empty, and now and then forces the file to the disk.
     ///
     /// # Errors
-    /// [`Error::Io`]; what is in the file stays good.
+    /// [`Error::Io`]. The contents of the file stay valid.
     pub(in super::super) fn write(&self, record: Record) -> Result<()> {
         let Record { mut bytes, pieces } = record;
         if pieces.is_empty() {
@@ -117,7 +117,7 @@ impl Section {
             assert!(follows, "rays are cast in order");
         }
         let due = store.due().map_err(failed)?;
-        // Others go on meanwhile.
+        // Other threads continue meanwhile.
         drop(store);
         due.map_or(Ok(()), |file| file.sync_data()).map_err(failed)
     }

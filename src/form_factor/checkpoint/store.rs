@@ -1,4 +1,4 @@
-//! The file of a checkpoint, and where in it the rays of each patch are.
+//! The file of a checkpoint, and an index of the rays in it.
 
 use std::{
     collections::HashMap,
@@ -11,18 +11,18 @@ use std::{
 use super::format::{AFTER, BEFORE, HEADER, Key, Piece, body_length, damage, pieces};
 use crate::{Error, Result};
 
-/// Time after which what was written is forced to the disk.
+/// Interval at which written records are forced to the disk.
 const SYNC_EVERY: Duration = Duration::from_secs(5);
 
 #[derive(Debug)]
 pub(super) struct Store {
     pub(super) file: File,
-    /// Where the next record goes.
+    /// Position of the next record.
     pub(super) end: u64,
     pub(super) rays: u64,
-    /// Whether the file was made here.
+    /// Whether this run created the file.
     made: bool,
-    /// When it was last forced to the disk, and where it ended then.
+    /// Time when the file was last forced to the disk, and its end then.
     synced: (Instant, u64),
     pub(super) known: HashMap<Key, Kept>,
 }
@@ -30,33 +30,33 @@ pub(super) struct Store {
 /// The rays of one patch.
 #[derive(Debug, Default)]
 pub(super) struct Kept {
-    /// How many there are.
+    /// Number of rays.
     pub(super) rays: u32,
     pub(super) pieces: Vec<Piece>,
 }
 
 impl Store {
-    /// Of a file without records.
+    /// The store of a file without records.
     pub(super) fn new(file: File, made: bool) -> Store {
         let end = HEADER as u64;
         Store { file, end, rays: 0, made, synced: (Instant::now(), end), known: HashMap::new() }
     }
 
-    /// Removes a file that was made here and holds nothing.
+    /// Removes the file if this run created it and it holds no rays.
     pub(super) fn discard(&self, path: &Path) {
         if self.made && self.rays == 0 {
             let _ = fs::remove_file(path);
         }
     }
 
-    /// Forces to the disk what is not there yet: nobody is left whom it could tell that this failed.
+    /// Forces the rest of the file to the disk. A failure cannot be reported any more.
     pub(super) fn finish(&self) {
         if self.end > self.synced.1 {
             let _ = self.file.sync_data();
         }
     }
 
-    /// Finds all records.
+    /// Reads the index of all records.
     pub(super) fn load(&mut self, path: &Path, size: u64) -> Result<()> {
         let failed = |e| Error::io(path, e);
         let mut reader = BufReader::with_capacity(1 << 20, self.file.try_clone().map_err(failed)?);
@@ -92,7 +92,7 @@ impl Store {
         }
     }
 
-    /// Takes note of a piece, unless it does not follow what is known.
+    /// Adds a piece to the index. Returns false if it does not follow the pieces already known.
     pub(super) fn add(&mut self, key: Key, piece: Piece) -> bool {
         let Piece { from, to, .. } = piece;
         let kept = self.known.entry(key).or_default();
@@ -112,7 +112,7 @@ impl Store {
         Ok(bytes)
     }
 
-    /// Appends a record whole or not at all.
+    /// Appends a record as a whole, or leaves the file unchanged.
     pub(super) fn append(&mut self, record: &[u8]) -> io::Result<()> {
         self.file.seek(SeekFrom::Start(self.end))?;
         self.file.write_all(record).inspect_err(|_| {
@@ -122,7 +122,7 @@ impl Store {
         Ok(())
     }
 
-    /// The file, when it is time to force it to the disk again.
+    /// The file, if it is time to force it to the disk again.
     pub(super) fn due(&mut self) -> io::Result<Option<File>> {
         if self.synced.0.elapsed() < SYNC_EVERY {
             return Ok(None);
@@ -132,7 +132,7 @@ impl Store {
     }
 }
 
-/// Whether there are zeros alone from a byte to the end of the file.
+/// Whether the file contains only zeros from this byte to its end.
 fn is_unwritten(file: &mut (impl BufRead + Seek), from: u64) -> io::Result<bool> {
     file.seek(SeekFrom::Start(from))?;
     loop {

@@ -1,4 +1,4 @@
-//! Rays on their way: who still has to cast some, what they meet, and which backs become patches for that.
+//! Casting rays: which patches need more of them, what they hit, and which backs become patches.
 
 use std::{ops::Range, time::Instant};
 
@@ -13,12 +13,13 @@ use crate::{
     trace::{Tracer, sampling::mix},
 };
 
-/// Patches whose rays a thread casts at a time, and which share a record in a checkpoint.
+/// Patches whose rays a thread casts together. They share a record in a checkpoint.
 const BLOCK: usize = 32;
 
 impl RaySet {
-    /// Casts rays until every patch has as many as `wanted` says; those cast already are kept. Backs that are hit become patches and
-    /// cast rays too, until no new ones are found. The result depends on the seed alone, not on the number of threads.
+    /// Casts rays until every patch has the `wanted` number. Rays cast before are kept. Backs that are hit become
+    /// patches and cast rays too, until no new ones are found. The result depends on the seed alone, not on the number
+    /// of threads.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -48,7 +49,7 @@ impl RaySet {
         Ok(())
     }
 
-    /// Makes room for the rays that patches want, and returns how many each had.
+    /// Makes room for the wanted rays, and returns how many each patch had.
     fn make_room(&mut self, range: Range<usize>, wanted: impl Fn(usize) -> u32) -> Vec<u32> {
         let mut old: Vec<u32> = (0..self.len()).map(|i| self.rays_of(i)).collect();
         old.resize(range.end, 0);
@@ -57,7 +58,7 @@ impl RaySet {
             let wanted = if range.contains(&i) { wanted(i).max(had) } else { had };
             offsets.push(offsets[i] + wanted as usize);
         }
-        // The rays of new patches follow those of old ones; those of old patches are moved apart.
+        // The rays of new patches follow those of old ones. The rays of old patches are moved apart.
         if range.start > 0 || self.is_empty() {
             self.targets.resize(offsets[range.end], ESCAPED);
         } else {
@@ -69,7 +70,7 @@ impl RaySet {
         old
     }
 
-    /// Casts the rays that patches from `first` on have not cast yet, but for those that the checkpoint knows.
+    /// Casts the missing rays of the patches from `first` on. Rays in the checkpoint are read instead.
     fn cast(
         &mut self,
         tracer: &Tracer,
@@ -116,7 +117,7 @@ impl RaySet {
         })
     }
 
-    /// Replaces the marks of [`BACK`] by the patches that the backs have become, and counts hits on backs.
+    /// Replaces the [`BACK`] marks by the patches of these backs, and counts hits on backs.
     fn name_backs(&mut self, patches: &Patches) {
         let fronts = patches.fronts() as u32;
         let name = |target: &mut u32| {
@@ -133,7 +134,7 @@ impl RaySet {
     }
 }
 
-/// Casts the rays of a patch with these indices; `targets` are those of all its rays.
+/// Casts the rays of a patch with these indices. `targets` holds all rays of the patch.
 fn cast_patch(
     tracer: &Tracer,
     patches: &Patches,
@@ -152,7 +153,7 @@ fn cast_patch(
     });
 }
 
-/// Triangles whose backs, no unknowns yet, were hit; in file order.
+/// Triangles with hit backs that are not unknowns yet, in file order.
 fn backs_seen(patches: &Patches, targets: &[u32]) -> Vec<u32> {
     let backs = targets.par_iter().filter(|&&target| target != ESCAPED && target & BACK != 0);
     let mut seen: Vec<u32> = backs.map(|target| patches.triangle((target & !BACK) as usize) as u32).collect();
@@ -161,11 +162,11 @@ fn backs_seen(patches: &Patches, targets: &[u32]) -> Vec<u32> {
     seen
 }
 
-/// Names for patches that do not depend on the order in which backs are found: the number of a front, marked where its back is
-/// meant.
+/// Names of patches that do not depend on the order in which backs are found: the number of the front, with a mark for
+/// its back.
 pub(in super::super) struct Names<'a> {
     patches: &'a Patches,
-    /// Of each back that is a patch, the front.
+    /// The front of each back that is a patch.
     fronts: Vec<u32>,
 }
 
@@ -187,7 +188,7 @@ impl<'a> Names<'a> {
         }
     }
 
-    /// What a ray met, among the present patches; `None` when there is no such patch.
+    /// The number of a target among the present patches; `None` if there is no such patch.
     fn present(&self, lasting: u32) -> Option<u32> {
         let front = (lasting & !BACK) as usize;
         match lasting {

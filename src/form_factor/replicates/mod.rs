@@ -1,4 +1,4 @@
-//! The replicates taken apart: how every row would differ had only one of them been cast.
+//! Deviations of single replicates from the mean of all.
 
 mod sums;
 
@@ -19,29 +19,30 @@ use crate::{
 };
 use sums::{Counted, Sums, WhichRays};
 
-/// What the estimate was made of, kept for the error bars.
+/// The samples behind the form factors, kept for error bars.
 #[derive(Debug, Clone)]
 pub(super) struct Samples {
     pub(super) rays: RaySet,
     pub(super) shadow: ShadowRays,
-    /// What the rays see of the sky, where there is one.
+    /// Irradiance from the sky, if there is one.
     pub(super) sky: Option<SkyLight>,
     pub(super) densities: Densities,
-    /// The share of each patch's rays that leave the scene, and of all light were it as bright everywhere.
+    /// The share of each patch's rays that leave the scene.
     pub(super) escaped: Vec<f64>,
+    /// The share of all light leaving patches that leaves the scene; 0 without lamps.
     pub(super) escaping: f64,
     /// Areas in the unit of `densities`.
     pub(super) areas: Vec<f64>,
-    /// The radiosity after some bounces but for what lamps emit, interleaved channels, in the unit of emission.
+    /// The radiosity after some bounces without the emission of lamps, interleaved channels, in the unit of emission.
     pub(super) radiosity: Vec<f32>,
     /// Runs of patches that are close to each other.
     pub(super) siblings: Vec<Range<usize>>,
-    /// What was asked for.
+    /// Options of the rays.
     pub(super) options: CastOptions,
 }
 
 impl FormFactors {
-    /// Σ_j dF_ij B_j of all replicates for every patch, where E = F B; `None` when the form factors were not sampled.
+    /// The deviation of Σ_j F_ij B_j of every patch in every replicate; `None` if the form factors were not sampled.
     pub(crate) fn deviations<const C: usize>(&self, radiosity: &[[f64; C]]) -> Option<Vec<Deviation<C>>> {
         let samples = self.samples.as_ref()?;
         let single: Vec<[f32; C]> = radiosity.iter().map(|b| b.map(|b| b as f32)).collect();
@@ -50,7 +51,7 @@ impl FormFactors {
 }
 
 impl FormFactors {
-    /// By how much the escaped share of each patch deviates in each replicate.
+    /// The deviation of the escaped share of each patch in each replicate; `None` if the form factors were not sampled.
     pub(crate) fn escape_deviations(&self) -> Option<Vec<[f32; REPLICATES]>> {
         let samples = self.samples.as_ref()?;
         let of_patch = |i: usize| {
@@ -67,18 +68,17 @@ impl FormFactors {
 }
 
 impl Samples {
-    /// Bytes of the rays, and of what they brought.
+    /// Bytes held by the rays and the light that they brought.
     pub(super) fn bytes(&self) -> usize {
         self.rays.bytes() + self.shadow.bytes() + self.sky.as_ref().map_or(0, SkyLight::bytes)
     }
 
-    /// Whether any light comes straight from lamps or from outside the patches.
+    /// Whether there is direct light, from lamps or from outside the patches.
     pub(super) fn has_direct(&self) -> bool {
         !self.shadow.lamps.is_empty() || self.sky.is_some()
     }
 
-    /// The light that comes straight from lamps, which emit what `emission` says over `unit`, and from other lights, over it too;
-    /// powers in relative areas.
+    /// Direct light of lamps and other lights, in multiples of `unit`, as `emission` is. Powers use relative areas.
     pub(super) fn direct<const C: usize>(&self, emission: &[[f64; C]], unit: f64) -> DirectLight<C> {
         let mut light = self.shadow.irradiance(emission, unit, &self.areas, self.escaping);
         if let Some(sky) = &self.sky {
@@ -88,7 +88,7 @@ impl Samples {
         light
     }
 
-    /// How many rays each patch shall have, of so many a patch in the mean, for the least error.
+    /// The numbers of rays that lower the error most, with `rays` rays a patch in the mean.
     pub(super) fn shares(&self, patches: &Patches, rays: f64) -> Vec<Share> {
         let variances = match patches.channels() {
             1 => self.variances::<1>(patches),
@@ -98,8 +98,8 @@ impl Samples {
         allocation::by_variance(cast, &self.areas, &variances, &self.siblings, rays * self.areas.len() as f64)
     }
 
-    /// Variances of every patch's irradiance, all channels together, that come from its own hemisphere rays, and from its
-    /// shadow rays. Light reflected from patches that are off counts to none.
+    /// Variances of every patch's irradiance, summed over channels: those from its own hemisphere rays, and those from
+    /// its shadow rays. Noise in the radiosity of other patches is not included.
     fn variances<const C: usize>(&self, patches: &Patches) -> Vec<[f64; 2]> {
         let unit = self.shadow.lamps.magnitude(patches.emission());
         let scaled = |b: &[f64; C]| b.map(|b| b / unit);
@@ -120,7 +120,7 @@ impl Samples {
             .collect()
     }
 
-    /// By how much each replicate's irradiance deviates, patch by patch.
+    /// The deviation of every patch's irradiance in each replicate.
     fn deviations<const C: usize>(&self, radiosity: &[[f32; C]], which: WhichRays) -> Vec<Deviation<C>> {
         let counted = Counted::new(self, radiosity, which);
         let blocks = counted.blocks;
@@ -133,8 +133,8 @@ impl Samples {
         blocks.concat()
     }
 
-    /// Deviations of the replicates of patch `i` from their mean: what the matrix makes of their sums, as what lands is scaled to what
-    /// does not escape. One-way form factors are not scaled.
+    /// Deviations of the replicates of patch `i` from their mean. As in the matrix, the row is scaled so that it sums
+    /// to one with the escaped share. One-way form factors are not scaled.
     fn deviation<const C: usize>(&self, i: usize, sums: &Sums<C>) -> Deviation<C> {
         let mean = |of: &dyn Fn(usize) -> f32| {
             (0..REPLICATES).map(|k| f64::from(of(k))).sum::<f64>() / REPLICATES as f64

@@ -13,24 +13,24 @@ use super::{
     Samples,
 };
 
-/// Patches of a block at most whose sums are made together: a megabyte of what rays add to anywhere,
+/// Most patches of a block whose sums are made together: a megabyte of sums with random access.
 const MOST_ROWS: usize = 1 << 12;
-/// and at least: smaller ones are not worth a task.
+/// Fewest patches of a block: smaller ones are not worth a task.
 const LEAST_ROWS: usize = 1 << 7;
 
-/// In single precision.
+/// The calibration's weight of own rays, in single precision.
 const TRUST: f32 = calibration::TRUST as f32;
 
-/// Which rays tell of a patch.
+/// The rays that contribute to the sums of a patch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum WhichRays {
-    /// Those that come in too, as the matrix counts them.
+    /// Own and arriving rays, weighted as in the matrix.
     All,
-    /// Its own, which is nearly as good to tell who needs more.
+    /// Own rays only, which are nearly as good for distributing rays.
     Own,
 }
 
-/// Exchange areas, and what is exchanged. Side by side, since a ray adds to both at once, in any row.
+/// Exchange area and exchanged power, side by side because each ray adds to both in a random row.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Exchange<const C: usize> {
     pub(super) area: f32,
@@ -61,19 +61,19 @@ impl<const C: usize> Exchange<C> {
     }
 }
 
-/// What rays that meet a patch need to know of it, in one place: they come to any.
+/// The data of a patch that a ray reads when it hits it, in one place because accesses are random.
 #[derive(Debug, Clone, Copy)]
 struct Seen<const C: usize> {
     radiosity: [f32; C],
-    /// Its rays per area.
+    /// Number of its rays per area.
     density: f32,
 }
 
-/// Rays by the blocks of patches that they come from and go to.
+/// Rays by the blocks of patches where they start and land.
 struct Incoming {
-    /// Of rays that come in, where they are counted.
+    /// Arriving rays, if they are counted.
     buckets: Option<Buckets>,
-    /// By how much the rays of each replicate, of each patch, stand for all of its rays.
+    /// For each replicate and patch, the number of all its rays over the number in the replicate.
     many: Vec<Vec<f32>>,
 }
 
@@ -88,12 +88,12 @@ impl Incoming {
     }
 }
 
-/// What is summed, for a given radiosity.
+/// Sums the rays for a given radiosity.
 pub(super) struct Counted<'a, const C: usize> {
     samples: &'a Samples,
     /// Patches whose sums are made together.
     pub(super) blocks: Blocks,
-    /// Of pooled form factors.
+    /// Present for pooled form factors.
     incoming: Option<Incoming>,
     seen: Vec<Seen<C>>,
 }
@@ -140,7 +140,7 @@ impl<'a, const C: usize> Counted<'a, C> {
         }
     }
 
-    /// Of the patches' own rays.
+    /// Adds the patches' own rays.
     fn own(&self, block: usize, incoming: &Incoming, resistance: &[f32], sums: &mut [Sums<C>]) {
         let (rays, seen) = (&self.samples.rays, &self.seen);
         for ((i, sums), &resistance) in self.blocks.range(block).zip(sums).zip(resistance) {
@@ -164,7 +164,7 @@ impl<'a, const C: usize> Counted<'a, C> {
         }
     }
 
-    /// Of rays that come in.
+    /// Adds the rays that arrive from other patches.
     fn coming_in(
         &self,
         block: usize,
@@ -174,7 +174,7 @@ impl<'a, const C: usize> Counted<'a, C> {
         sums: &mut [Sums<C>],
     ) {
         let start = self.blocks.range(block).start;
-        // A replicate of all patches of a block stays in a near cache.
+        // A single replicate of all patches of a block fits a cache near the processor.
         for (replicate, many) in many.iter().enumerate() {
             for other in 0..self.blocks.count() {
                 let from = self.blocks.range(other).start;
@@ -189,9 +189,9 @@ impl<'a, const C: usize> Counted<'a, C> {
     }
 }
 
-/// What a ray adds to the exchange area of its patches as the row of one of them counts it, which has so many rays of its own per
-/// area, and the other patch so many: as far as it follows its calibration with a weight of [`TRUST`] for its own rays and of one
-/// for those that come in, and, as far as it resists that, as it was pooled.
+/// Exchange area that one ray adds to the row of a patch. `own` and `others` are the rays per area of this patch and of
+/// the other one. In a calibrated row own rays have a `weight` of [`TRUST`] and arriving rays of one. As far as the row
+/// resists its calibration, the ray counts as in the pooled matrix.
 #[inline]
 fn counted(weight: f32, own: f32, others: f32, resistance: f32) -> f32 {
     (weight / (TRUST * own + others) + resistance / (own + others)) / (1.0 + resistance)

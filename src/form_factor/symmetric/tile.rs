@@ -1,13 +1,13 @@
 //! The entries of two blocks of a symmetric matrix, by rows.
 //!
-//! An entry takes 4 bytes for its value and 2 for its column, and every run of entries of a row 4 bytes more: 6 to 10 bytes a
-//! pair. Runs of equal length follow each other, where that leaves near what is near: a processor that guesses wrongly where a
-//! run ends loses as much time as eight entries take.
+//! An entry takes 4 bytes for its value and 2 for its column. Every run of entries of a row takes 4 bytes more. A pair
+//! takes 6 to 10 bytes in all. Runs of equal length follow each other as far as memory stays local: a mispredicted end
+//! of a run costs as much time as eight entries.
 
-/// Entry of a tile: its row and column there, and its value.
+/// Entry of a tile: row and column within the tile, and value.
 pub(in super::super) type Entry = (u16, u16, f32);
 
-/// Runs are sorted by length among so many rows, as a power of two. Among all rows of a large block what they read and write
+/// Runs are sorted by length within groups of 2^NEAR rows. Across all rows of a large block their reads and writes
 /// would be too far apart.
 const NEAR: u32 = 9;
 
@@ -21,7 +21,7 @@ pub(super) struct Tile {
 }
 
 impl Tile {
-    /// Of entries that come by rows, and of which there are so many.
+    /// Builds a tile from `count` entries that are sorted by row.
     pub(super) fn of(entries: impl Iterator<Item = Entry>, count: usize) -> Tile {
         let mut by_row =
             Tile { runs: Vec::new(), columns: Vec::with_capacity(count), values: Vec::with_capacity(count) };
