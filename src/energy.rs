@@ -1,13 +1,15 @@
-//! The energy ledger: all power that is emitted, or enters from sky, sun and other lights that are no surfaces, is absorbed or escapes.
+//! The energy ledger: all power that is emitted or enters the scene (from sky, sun and other lights that are not
+//! surfaces) is absorbed or escapes.
 //!
-//! What enters is what of such light first meets a surface, Σ A Do. What lamps emit, Bd, arrives straight as Dl or escapes. With
-//! U = B - Bd what form factors carry, irradiance E = Dl + Do + F U and residual r = Be + ρ E - B, exactly
+//! Do is the direct irradiance from lights that are not surfaces. Their power enters as Σ A Do. The emission Bd of
+//! lamps arrives as direct irradiance Dl or escapes. Form factors carry U = B - Bd. With irradiance E = Dl + Do + F U
+//! and residual r = Be + ρ E - B, exactly
 //!
 //!   emitted + entered - absorbed - escaped = Σ_i A_i r_i + Σ_j U_j Σ_i (A_j F_ji - A_i F_ij)
 //!
-//! The first part is the solver's error, the second the defect of reciprocity. A balanced ledger proves only that both are
-//! small: a wrong but symmetric matrix balances perfectly. Error bars and an independent estimator judge whether the
-//! answer is right.
+//! The first part is the solver's error, the second the defect of reciprocity. A balanced ledger proves only that both
+//! are small: a wrong but symmetric matrix balances perfectly. Error bars and an independent estimator test whether the
+//! result is right.
 
 use crate::{
     form_factor::FormFactors,
@@ -20,12 +22,12 @@ use crate::{
 pub struct EnergyLedger {
     /// Σ A Be.
     pub emitted: Vec<f64>,
-    /// Σ A Do: what arrives straight from lights that are no surfaces.
+    /// Σ A Do: power that arrives directly from lights that are not surfaces.
     pub entered: Vec<f64>,
     /// Σ A (1 - ρ) E.
     pub absorbed: Vec<f64>,
-    /// Σ A U times the share of form factor that leaves the scene, what of lamps' light arrives nowhere, Σ A (Bd - Dl), and what
-    /// escapes more because light varies over patches.
+    /// Power that leaves the scene: Σ A U times the escaped share, the lamps' power that arrives at no patch, Σ A (Bd -
+    /// Dl), and the correction for linear light.
     pub escaped: Vec<f64>,
     /// Σ A r.
     pub solver_part: Vec<f64>,
@@ -33,7 +35,7 @@ pub struct EnergyLedger {
     pub reciprocity_part: Vec<f64>,
     /// Σ A B: the power that leaves the patches, counted at every bounce.
     pub leaving: Vec<f64>,
-    /// What of lamps' light arrives nowhere in a scene that no ray finds a way out of, beyond what sampling explains.
+    /// Lamps' power that arrives at no patch, beyond sampling error, in a scene from which no ray escapes.
     pub leaking: Vec<f64>,
 }
 
@@ -51,7 +53,8 @@ impl EnergyLedger {
         let channels = radiometry.channels;
         assert_eq!(solution.radiosity.len(), form_factors.len() * channels, "sizes disagree");
         let (areas, escaped) = (form_factors.areas(), form_factors.escaped());
-        // A_j Σ_i F_ji, the exchange area that patch j sends by; and Σ_i A_i F_ij, the one that others receive by.
+        // A_j Σ_i F_ji, the exchange area by which patch j sends; and Σ_i A_i F_ij, the one by which others receive
+        // from it.
         let sent: Vec<f64> = form_factors.row_sums().iter().zip(areas).map(|(sum, a)| a * sum).collect();
         let taken = form_factors.column_sums();
         let direct = form_factors.direct_powers(radiometry.emission, channels);
@@ -99,13 +102,13 @@ impl EnergyLedger {
         self.worst(|c| self.reciprocity_part[c])
     }
 
-    /// One rounding of the power that leaves the patches, relative to the power that is emitted and enters, in the worst channel. No balance
-    /// can be closer. It matters where surfaces reflect nearly all light.
+    /// The rounding of the power that leaves the patches, relative to the power that is emitted and enters, in the
+    /// worst channel. No balance can be closer. It matters if surfaces reflect nearly all light.
     pub fn rounding(&self) -> f64 {
         self.worst(|c| f64::EPSILON * self.leaving[c])
     }
 
-    /// What leaks, relative to what is emitted, of the channel where it is worst.
+    /// Leaking power, relative to the power that is emitted and enters, in the worst channel.
     pub fn relative_leak(&self) -> f64 {
         self.worst(|c| self.leaking[c])
     }

@@ -1,9 +1,9 @@
-//! Light that varies linearly over a triangle: its mean, and two slopes.
+//! Light that varies linearly over a triangle: a mean and two slopes.
 //!
-//! With barycentric coordinates b the basis is φ₁ = b₀ - b₁ and φ₂ = b₀ + b₁ - 2 b₂. Both have mean zero over the triangle, are
-//! orthogonal, and have the mean squares [`SQUARES`]. So the projection of any light E on them, the best fit by least squares,
-//! has the coefficients mean(φ E) / mean(φ²), and slopes change no mean (an orthogonal P1 basis: Heckbert and Winget, "Finite
-//! Element Methods for Global Illumination", 1991).
+//! With barycentric coordinates b, the basis functions are φ₁ = b₀ - b₁ and φ₂ = b₀ + b₁ - 2 b₂. Both have mean zero
+//! over the triangle, are orthogonal, and have the mean squares [`SQUARES`]. So the least-squares fit of any light E
+//! has the coefficients mean(φ E) / mean(φ²), and slopes do not change the mean (an orthogonal P1 basis: Heckbert and
+//! Winget, "Finite Element Methods for Global Illumination", 1991).
 
 /// Mean squares of the basis functions.
 pub(crate) const SQUARES: [f64; 2] = [1.0 / 6.0, 0.5];
@@ -11,18 +11,18 @@ pub(crate) const SQUARES: [f64; 2] = [1.0 / 6.0, 0.5];
 /// The two coefficients of each channel.
 pub(crate) type Slopes<const C: usize> = [[f64; 2]; C];
 
-/// Slopes with the variance that sampling gives them.
+/// Slopes and their sampling noise.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Measured<const C: usize> {
     pub(crate) slopes: Slopes<C>,
-    /// What sampling adds to the [`spread`] of the slopes, in the mean.
+    /// The mean contribution of sampling noise to the [`spread`] of the slopes.
     pub(crate) noise: f64,
 }
 
 impl<const C: usize> Measured<C> {
     pub(crate) const NONE: Self = Measured { slopes: [[0.0; 2]; C], noise: 0.0 };
 
-    /// The sum of two that were measured with different rays.
+    /// The sum of two slopes measured with different rays.
     pub(crate) fn plus(&self, other: &Self) -> Self {
         let sum = |c: usize| std::array::from_fn(|m| self.slopes[c][m] + other.slopes[c][m]);
         Measured { slopes: std::array::from_fn(sum), noise: self.noise + other.noise }
@@ -39,7 +39,7 @@ pub(crate) fn basis(barycentric: [f64; 3]) -> [f64; 2] {
 /// The basis functions at the corners.
 pub(crate) const CORNERS: [[f64; 2]; 3] = [[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]];
 
-/// What slopes add to the mean where the basis functions have these values.
+/// Difference from the mean where the basis functions have these values.
 #[inline]
 pub(crate) fn rise(slopes: &[f64; 2], basis: [f64; 2]) -> f64 {
     slopes[0] * basis[0] + slopes[1] * basis[1]
@@ -54,7 +54,7 @@ pub(crate) fn spread<const C: usize>(slopes: &Slopes<C>) -> f64 {
 mod tests {
     use super::*;
 
-    /// Over a regular lattice of points, all of a triangle, the basis has the means and products that it is said to have.
+    /// Over a regular lattice of points in a triangle, the basis has the documented means and products.
     #[test]
     fn the_basis_is_orthogonal() {
         const N: usize = 400;
@@ -68,7 +68,8 @@ mod tests {
                 products = [products[0] + p * p, products[1] + q * q, products[2] + p * q];
             }
         }
-        // Each cell of the lattice but those along one edge is a parallelogram: off by the share of those.
+        // Each cell of the lattice except those along one edge is a parallelogram. The tolerance is the share of the
+        // others.
         let off = 4.0 / N as f64;
         assert!(sums.iter().all(|s| (s / many).abs() < off) && (products[2] / many).abs() < off);
         assert!((0..2).all(|m| (products[m] / many - SQUARES[m]).abs() < off), "{products:?}");

@@ -1,4 +1,4 @@
-//! Where rays leave a patch.
+//! Starting points and directions of rays from a patch.
 
 use std::ops::Range;
 
@@ -13,10 +13,11 @@ use crate::{
     },
 };
 
-/// A face no farther before a patch than this, in unit space, is at the same place: rays begin beyond it.
+/// A face at most this far in front of a patch, in unit space, counts as being at the same place: rays start beyond it.
 const SAME_PLACE: f32 = 4e-6;
 
-/// Where rays leave a patch: its corners, inset from the triangle's edges, and its normal, in unit space.
+/// The part of a patch from which rays start: its corners, inset from the triangle's edges, and its normal, in unit
+/// space.
 #[derive(Debug, Clone)]
 pub(crate) struct Footprint {
     pub(super) corners: [Vec3A; 3],
@@ -26,14 +27,14 @@ pub(crate) struct Footprint {
 /// A ray from a point of a patch in a cosine-distributed direction.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct HemisphereRay {
-    /// Its place in the sequence.
+    /// Index in the sequence.
     pub(crate) index: u32,
     pub(crate) origin: Vec3A,
     pub(crate) direction: Vec3A,
 }
 
 impl Footprint {
-    /// Of patch `i`.
+    /// The footprint of patch `i`.
     pub(crate) fn new(tracer: &Tracer, patches: &Patches, i: usize) -> Footprint {
         let triangle = &tracer.triangles()[patches.triangle(i)];
         Footprint {
@@ -48,7 +49,7 @@ impl Footprint {
         self.corners[0] * b[0] + self.corners[1] * b[1] + self.corners[2] * b[2]
     }
 
-    /// Hemisphere rays of a sequence.
+    /// The hemisphere rays of a sequence with these indices.
     pub(crate) fn hemisphere_rays(
         &self,
         indices: Range<u32>,
@@ -56,7 +57,7 @@ impl Footprint {
     ) -> impl Iterator<Item = HemisphereRay> + '_ {
         let (sobol, [tangent, bitangent]) = (Sobol::new(seed), tangents(self.normal));
         blocks(indices).flat_map(move |(first, lanes)| {
-            // The first two dimensions are the better stratified.
+            // The first two dimensions are stratified better and choose the direction.
             let [u, v, x, y] = sobol.points(first);
             let (mut lifted, mut at) = ([[0.0; 3]; LANES], [[0.0; LANES]; 3]);
             for lane in 0..LANES {
@@ -82,14 +83,14 @@ impl Footprint {
     }
 }
 
-/// cos θ cos θ' / (π r²) over a path between two points whose unit normals face each other.
+/// cos θ cos θ' / (π r²) for a path between two points with these unit normals, which must face each other.
 #[inline]
 pub(crate) fn kernel(path: Vec3A, from: Vec3A, to: Vec3A) -> f32 {
     let squared = path.length_squared();
     path.dot(from) * -path.dot(to) / (std::f32::consts::PI * squared * squared)
 }
 
-/// Whether a ray that comes to the middle of patch `i` meets another face there, which faces the same way.
+/// Whether another face lies on the middle of patch `i` and faces the same way.
 pub(crate) fn is_hidden(tracer: &Tracer, patches: &Patches, i: usize) -> bool {
     let Footprint { corners, normal } = Footprint::new(tracer, patches, i);
     let middle = (corners[0] + corners[1] + corners[2]) / 3.0;

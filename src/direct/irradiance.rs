@@ -1,15 +1,17 @@
-//! From shadow rays to direct light.
+//! Turns shadow rays into direct light.
 //!
-//! A shadow ray s of weight w stands for the irradiance V w B of a patch, where V is 1 if it is free and B the radiosity of the
-//! piece l that it went to. The mean of all is unbiased; and where it is known what arrives unblocked, G, the mean of w B is too.
-//! So with any number β that does not depend on s
+//! A shadow ray s of weight w contributes the irradiance V w B to a patch, where V is 1 if it is unblocked and 0
+//! otherwise, and B is the radiosity of the piece it went to. The mean over all rays is unbiased. If the unblocked
+//! irradiance G is known, it equals the mean of w B, and w B serves as a control variate. For any number β that does
+//! not depend on s,
 //!
 //!   y = (V - β) w B + β G
 //!
-//! has the same mean, and the least variance if β is about the share of the light that is free (a regression estimate: Cochran,
-//! *Sampling Techniques*, 1977, chapter 7). Each lamp has its own, told by the half of the shadow rays that s is not in: where
-//! all are free β is 1, and y exactly G; where all are blocked y is 0. The ratio G Σ V w / Σ w, with the share from the samples
-//! that it corrects, is biased where few are free: under a grille of which patches see a fiftieth it was 2.7 times too large.
+//! has the same mean, with the least variance if β is about the unblocked share of the light (a regression estimate:
+//! Cochran, *Sampling Techniques*, 1977, chapter 7). Each lamp has its own β. It is estimated from the half of the
+//! shadow rays that s is not in. If all rays are free, β is 1 and y is exactly G; if all are blocked, y is 0. A ratio
+//! estimator G Σ V w / Σ w takes the share from the samples that it corrects. It is biased if few rays are free: 2.7
+//! times too large under a grille that lets patches see a fiftieth.
 
 use rayon::prelude::*;
 
@@ -19,34 +21,34 @@ use super::{
 };
 use crate::parallel::{SHORT, ordered_sum};
 
-/// By how much each replicate's irradiance of a patch deviates from the mean of all, channel by channel.
+/// Deviation of the irradiance of a patch in each replicate from the mean of all, by channel.
 pub(crate) type Deviation<const C: usize> = [[f32; REPLICATES]; C];
 
-/// The light that comes straight from lamps, and from outside the patches.
+/// Light that arrives straight from lamps and from outside the patches.
 #[derive(Debug, Clone)]
 pub(crate) struct DirectLight<const C: usize> {
     /// Irradiance of each patch.
     pub(crate) irradiance: Vec<[f64; C]>,
-    /// Its replicates.
+    /// Deviations of its replicates.
     pub(crate) deviations: Vec<Deviation<C>>,
-    /// The power that arrives from lights that are no surfaces.
+    /// Power that arrives from lights that are not surfaces.
     pub(crate) entered: [f64; C],
-    /// What of the lamps' power arrives nowhere.
+    /// Power of lamps that arrives at no patch.
     pub(crate) escaped: [f64; C],
-    /// By how much each replicate's deviates.
+    /// Deviations of its replicates.
     pub(crate) escaped_deviations: [[f64; REPLICATES]; C],
-    /// Whether more escapes than error bars explain of a scene from which no ray escapes.
+    /// Whether more power is missing than sampling error explains in a scene from which no ray escapes.
     pub(crate) leaks: bool,
 }
 
-/// How far beyond its standard error what is missing of the light in a closed scene is taken for noise, and which share of all
-/// light may be missing besides: quadrature rounds.
+/// In a closed scene, this many standard errors of missing power count as noise.
 const NOISE: f64 = 4.0;
+/// Share of the lamps' power that may be missing besides, because of the rounding of quadrature.
 const ROUNDING: f64 = 1e-5;
-/// How many times as much of the lamps' own light may escape as of all light, by its standard deviation.
+/// Standard deviation of the share of the lamps' own light that escapes, relative to the share of all light.
 const PRIOR: f64 = 3.0;
 
-/// What the samples of one half say of a lamp.
+/// Samples of a lamp in one half of the rays.
 #[derive(Clone, Copy, Default)]
 struct Seen {
     free: f64,
@@ -63,8 +65,8 @@ impl Seen {
 }
 
 impl ShadowRays {
-    /// The direct light of lamps that emit what `emission` says of each patch, over `unit`, and of other lights, over it too, where
-    /// `escaping` is the share of all hemisphere rays that leave the scene.
+    /// The direct light of lamps and other lights, in multiples of `unit`, as `emission` is. `escaping` is the share of
+    /// all light leaving patches that leaves the scene.
     pub(crate) fn irradiance<const C: usize>(
         &self,
         emission: &[[f64; C]],
@@ -83,7 +85,7 @@ impl ShadowRays {
         light
     }
 
-    /// What arrives at all patches, and its replicates: from surfaces, or from other lights.
+    /// Irradiance of all patches and the deviations of its replicates: from surfaces, or from other lights.
     fn arriving<const C: usize>(
         &self,
         sent: &[[f64; C]],
@@ -98,7 +100,7 @@ impl ShadowRays {
             .unzip()
     }
 
-    /// The light of surfaces, with its power settled between what arrives and what escapes.
+    /// The light of surfaces, with their power divided between arriving and escaping light.
     fn settled<const C: usize>(
         &self,
         mut irradiance: Vec<[f64; C]>,
@@ -121,7 +123,7 @@ impl ShadowRays {
             let variance = |i: usize| (areas[i] * areas[i]) * variance_of(&deviations[i][c]);
             let variances = ordered_sum(n, variance);
             let slack = NOISE * variances.sqrt() + ROUNDING * power;
-            // What is missing, and what is to escape as far as that and all rays tell together.
+            // The power missing, and the best estimate of the escaping power from it and from all rays.
             let missing = power - arrived;
             let prior = (PRIOR * escaping * power).powi(2);
             let trust = if prior + variances > 0.0 { prior / (prior + variances) } else { 1.0 };
@@ -131,7 +133,8 @@ impl ShadowRays {
                 escaped[c] = missing;
                 continue;
             }
-            // Set right in proportion to variances; what rounding leaves, in all alike.
+            // Corrects the irradiance in proportion to its variances, and then all of it by a factor for the remaining
+            // rounding.
             let more = missing - escapes;
             if variances > 0.0 && more != 0.0 {
                 irradiance.par_iter_mut().enumerate().with_min_len(SHORT).for_each(|(i, e)| {
@@ -146,13 +149,13 @@ impl ShadowRays {
             }
             escaped_deviations[c].iter_mut().for_each(|d| *d *= trust);
             let rest = power - ordered_sum(n, |i| areas[i] * irradiance[i][c]);
-            // Rounding is not light.
+            // Ignores rounding errors.
             escaped[c] = if rest.abs() > n as f64 * f64::EPSILON * power { rest } else { 0.0 };
         }
         DirectLight { irradiance, deviations, entered: [0.0; C], escaped, escaped_deviations, leaks }
     }
 
-    /// The irradiance of patch `i` from surfaces or from other lights, and its replicates.
+    /// The irradiance of patch `i` from surfaces or from other lights, and the deviations of its replicates.
     fn of_patch<const C: usize>(
         &self,
         i: usize,
@@ -164,7 +167,7 @@ impl ShadowRays {
         if rays.is_empty() {
             return ([0.0; C], [[0.0; REPLICATES]; C]);
         }
-        // Of each half, the share of each lamp's light that is free, and the light of all that much of which arrives.
+        // For each half, the control variate: the unblocked light of each lamp times its unblocked share.
         let mut controlled = [[0.0; C]; HALVES];
         if self.lamps.are_known() {
             scratch.look(self, i);
@@ -218,7 +221,7 @@ impl<const C: usize> DirectLight<C> {
     }
 }
 
-/// Which share of each lamp's light is free, as the samples of the other half say.
+/// Unblocked shares of each lamp's light, for use with one half of the samples and estimated from the other.
 pub(super) struct Scratch {
     seen: [Vec<Seen>; HALVES],
     pub(super) free: [Vec<f64>; HALVES],
@@ -239,7 +242,7 @@ impl Scratch {
             self.seen[half][piece.lamp].add(weight);
             whole[half].add(weight);
         }
-        // Samples of each lamp that a half should have.
+        // Expected number of samples of each lamp in a half.
         let mut expected = vec![0.0; self.free[0].len()];
         let shares = rays.lamps.shares(rays.unoccluded(i)).unwrap_or_default();
         for (piece, share) in rays.lamps.pieces.iter().zip(shares) {
@@ -247,14 +250,14 @@ impl Scratch {
         }
         for half in 0..HALVES {
             let other = 1 - half;
-            // Without a sample of its own a half tells nothing; then those at hand must do, of a lamp or of all.
+            // Without samples in the other half, the own half is used instead.
             let of = if whole[other].all > 0.0 { whole[other] } else { whole[half] };
             let shared = if of.all > 0.0 { of.free / of.all } else { 0.0 };
             for lamp in 0..expected.len() {
                 let (others, own) = (self.seen[other][lamp], self.seen[half][lamp]);
                 let seen = if others.count == 0.0 && expected[lamp] >= 1.0 { own } else { others };
                 let prior = if seen.count > 0.0 { Constants::SHARED * seen.all / seen.count } else { 1.0 };
-                // What was seen often needs no other lamps to tell of it.
+                // A lamp with many samples needs no estimate from other lamps.
                 let prior = if expected[lamp] >= Constants::MANY { 0.0 } else { prior };
                 self.free[half][lamp] = if seen.all + prior > 0.0 {
                     (seen.free + prior * shared) / (seen.all + prior)
@@ -262,7 +265,7 @@ impl Scratch {
                     shared
                 };
             }
-            // Nothing is told of lights of which it is not known what arrives unblocked.
+            // Lights without known unblocked irradiance get no control variate.
             for piece in rays.lamps.pieces.iter().filter(|piece| !piece.is_known()) {
                 self.free[half][piece.lamp] = 0.0;
             }
@@ -270,7 +273,7 @@ impl Scratch {
     }
 }
 
-/// Variance of the mean of deviations, which sum to zero but for rounding.
+/// Variance of the mean, from deviations that sum to zero up to rounding.
 fn variance_of(deviations: &[f32; REPLICATES]) -> f64 {
     let many = REPLICATES as f64;
     let squares: f64 = deviations.iter().map(|&d| f64::from(d).powi(2)).sum();
@@ -295,7 +298,7 @@ mod tests {
         [([a, b, c], material), ([a, c, d], material)]
     }
 
-    /// A level square round an axis, counterclockwise as seen from above.
+    /// A horizontal square around the z axis, counterclockwise seen from above.
     fn square(half: f64, z: f64) -> [DVec3; 4] {
         [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| dvec3(half * x, half * y, z))
     }
@@ -305,7 +308,7 @@ mod tests {
         [a, d, c, b]
     }
 
-    /// The direct light of all patches with so many shadow rays, and their areas.
+    /// The direct light of all patches with this number of shadow rays, and the patches.
     fn lit(triangles: &[([DVec3; 3], u32)], rays: u32, seed: u64) -> (DirectLight<1>, Patches) {
         let materials =
             vec![Material::new("dark", [0.0; 3], [0.0; 3]), Material::new("lamp", [0.0; 3], [1.0; 3])];
@@ -318,7 +321,8 @@ mod tests {
         (shadow.irradiance(patches.emission().as_chunks().0, 1.0, &areas, 1.0), patches)
     }
 
-    /// Nothing between a patch and a lamp: the closed form and no error, with however few rays; near, far, and across its plane.
+    /// If nothing is between a patch and a lamp, the result is the closed form without error for any number of rays:
+    /// far, near, and when the lamp crosses the patch's plane.
     #[test]
     fn what_nothing_blocks_is_exact() {
         let lamp = quad(down(square(1.0, 1.0)), 1);
@@ -333,8 +337,8 @@ mod tests {
         }
     }
 
-    /// A patch that sees a half to a two hundredth of a lamp through a hole, whatever the number of rays: the mean of many seeds is the
-    /// light of what it sees, within its error.
+    /// A patch sees from a half to a two-hundredth of a lamp through a hole. For any number of rays, the mean over many
+    /// seeds is the light of the visible part, within its standard error.
     #[test]
     fn light_through_holes_has_no_bias() {
         let (half, z) = (0.01, 0.5);
@@ -354,7 +358,7 @@ mod tests {
             ];
             let parts = [&[(floor, 0)], &quad(down(lamp), 1)[..], &strips.concat()[..]].concat();
             let found: Vec<f64> = (0..seeds).map(|seed| lit(&parts, rays, seed).0.irradiance[0][0]).collect();
-            // What is seen of the lamp is twice as wide as the hole, wherever on the small patch.
+            // The visible part of the lamp is twice as wide as the hole from everywhere on the small patch.
             let seen = square((2.0 * hole).min(1.0), 1.0);
             let middle = (floor[0] + floor[1] + floor[2]) / 3.0;
             let wanted = std::f64::consts::PI * point_to_polygon(middle, DVec3::Z, &seen);
@@ -370,8 +374,8 @@ mod tests {
         }
     }
 
-    /// Samples say of themselves what is known of the unblocked light: also of a patch that a lamp's plane cuts, and of a lamp that a
-    /// patch's plane cuts.
+    /// The mean sample weight equals the known unblocked light, even if the lamp's plane cuts the patch or the patch's
+    /// plane cuts the lamp.
     #[test]
     fn the_mean_of_samples_is_the_unblocked_light() {
         let lamp = [dvec3(0.0, 0.0, 1.0), dvec3(0.0, 1.0, 1.0), dvec3(1.0, 0.0, 1.0)];

@@ -1,8 +1,8 @@
-//! The lamps of a scene: patches that emit, put together where they shine alike, and lights that are no surfaces.
+//! The lamps of a scene: emitting patches, joined where they have the same emission, and lights that are not surfaces.
 //!
-//! A lamp meets one contract, whatever its kind: for a patch it tells what would arrive if nothing stood between
-//! ([`Lamps::unoccluded`]), and it samples paths from points of the patch ([`Lamps::sample`]), each with the irradiance that it
-//! stands for. Everything else, visibility and how samples become irradiance, does not ask what kind it is.
+//! All kinds of lamps share an interface. [`Lamps::unoccluded_into`] gives the unblocked light at a patch.
+//! [`Lamps::sample`] samples paths from points of the patch, each with the irradiance that it estimates. Visibility and
+//! the estimate of irradiance are independent of the kind of lamp.
 
 use std::ops::Range;
 
@@ -27,40 +27,40 @@ use crate::{
 };
 use rayon::prelude::*;
 
-/// The cosine between neighbours in a plane.
+/// Smallest cosine between the normals of coplanar neighbours.
 const FLAT: f32 = 0.999;
 
-/// Whether two triangles are in one plane and share a corner.
+/// Whether two triangles are coplanar and share a corner.
 pub(crate) fn adjoin(p: &UnitTriangle, q: &UnitTriangle) -> bool {
     p.normal.dot(q.normal) > FLAT && p.corners.iter().any(|corner| q.corners.contains(corner))
 }
 
-/// What the light of samples is told from: a part of a surface, or a light that is none.
+/// A source of samples: a part of a surface, or a light that is not a surface.
 #[derive(Debug, Clone)]
 pub(super) struct Piece {
     source: Source,
-    /// Radiosity of a surface, irradiance or intensity of another light, all channels together.
+    /// Radiosity of a surface, irradiance or intensity of another light, summed over channels.
     pub(super) brightness: f64,
-    /// Which lamp it is a part of: triangles that follow each other in the file, in one plane, and share a corner, are one.
+    /// Index of its lamp. Coplanar triangles that follow each other in the file and share a corner form one lamp.
     pub(super) lamp: usize,
 }
 
 #[derive(Debug, Clone)]
 enum Source {
     Surface(Surface),
-    /// With its colour.
+    /// The light, and its colour.
     Remote(Remote, [f64; 3]),
 }
 
-/// A triangle of one brightness: a patch, or all patches of a triangle.
+/// A triangle of constant emission: a patch, or all patches of a triangle.
 #[derive(Debug, Clone)]
 struct Surface {
     /// Where its light leaves.
     footprint: Footprint,
     facing: Facing,
-    /// In unit space.
+    /// Area in unit space.
     area: f64,
-    /// The front patches that it consists of.
+    /// Its front patches.
     patches: Range<usize>,
 }
 
@@ -68,22 +68,22 @@ struct Surface {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Lamps {
     pub(super) pieces: Vec<Piece>,
-    /// How many lamps the pieces make.
+    /// Number of lamps that the pieces form.
     pub(super) count: usize,
-    /// Whether each front patch is a part of one; empty where none is.
+    /// Whether each front patch is a part of a lamp; empty if none is.
     is_part: Vec<bool>,
-    /// Patches that emit behind another face at the same place, in order: nobody sees their light.
+    /// Patches that emit behind another face at the same place, sorted. Their light cannot be seen.
     hidden: Vec<usize>,
-    /// How many pieces, the first ones, are of surfaces.
+    /// Number of pieces of surfaces, which come first.
     surfaces: usize,
-    /// To choose among many of them.
+    /// Chooses among many surfaces.
     tree: Option<Tree>,
-    /// The sky, whose light hemisphere rays bring.
+    /// The sky, whose light arrives by hemisphere rays.
     pub(crate) sky: Option<Sky>,
 }
 
-/// A path between a point of a patch and one of a lamp, both moved off their surfaces, and which share of the lamp's radiosity
-/// arrives at the patch, were all its samples like this one and the path free.
+/// A path between a point of a patch and a point of a lamp, both moved off their surfaces. The weight is the irradiance
+/// per brightness of the piece that this sample estimates if the path is free.
 pub(super) struct Path {
     pub(super) from: Vec3A,
     pub(super) to: Vec3A,
@@ -93,23 +93,23 @@ pub(super) struct Path {
 
 /// How a patch chooses among the pieces.
 pub(super) enum Choice<'a> {
-    /// By the cumulative probability of each.
+    /// By the cumulative probabilities of the pieces.
     Table(Vec<f64>),
     /// By a walk down a tree.
     Tree(Walk<'a>),
-    /// A surface by a walk, or another light by the cumulative probability of each: one or the other with even chances.
+    /// With equal probability a surface by a walk, or another light by cumulative probabilities.
     Both(Walk<'a>, Vec<f64>),
 }
 
-/// A tree, and the patch that asks: its middle, radius and normal.
+/// A tree, and the patch that chooses: its centre, radius and normal.
 pub(super) type Walk<'a> = (&'a Tree, (glam::DVec3, f64, glam::DVec3));
 
-/// The mean of some patches' light.
+/// The mean of the light of some patches.
 fn mean<const C: usize>(values: &[[f64; C]]) -> [f64; C] {
     std::array::from_fn(|c| values.iter().map(|v| v[c]).sum::<f64>() / values.len() as f64)
 }
 
-/// Running sums.
+/// Cumulative sums.
 fn cumulated(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut sum = 0.0;
     let sums = values.map(|value| {
@@ -119,8 +119,8 @@ fn cumulated(values: impl Iterator<Item = f64>) -> Vec<f64> {
     sums.collect()
 }
 
-/// What a number in \[0, 1) chooses by cumulative probabilities, what is left of the number, stretched to \[0, 1) again, and the
-/// probability of the choice.
+/// Chooses an entry by cumulative probabilities with a number in \[0, 1). Also returns the rest of the number,
+/// stretched to \[0, 1) again, and the probability of the choice.
 #[inline]
 fn chosen(cumulative: &[f64], u: f64) -> (usize, f64, f64) {
     let end = cumulative[cumulative.len() - 1];
@@ -132,7 +132,7 @@ fn chosen(cumulative: &[f64], u: f64) -> (usize, f64, f64) {
 }
 
 impl Piece {
-    /// What it sends in each channel, over `unit`, where patches emit what `emission` says in that unit.
+    /// Its light by channel, in multiples of `unit`. The emission of patches is in that unit already.
     #[inline]
     pub(super) fn sent<const C: usize>(&self, emission: &[[f64; C]], unit: f64) -> [f64; C] {
         match &self.source {
@@ -147,7 +147,7 @@ impl Piece {
         matches!(self.source, Source::Remote(..))
     }
 
-    /// Whether it is known exactly what of its light arrives at a patch if nothing stands between.
+    /// Whether its unblocked light at a patch is known exactly.
     pub(super) fn is_known(&self) -> bool {
         match &self.source {
             Source::Surface(_) => true,
@@ -155,7 +155,7 @@ impl Piece {
         }
     }
 
-    /// The share of its light that arrives at a patch if nothing stands between.
+    /// The unblocked irradiance of a patch, relative to its brightness.
     fn unoccluded(&self, patch: &Facing) -> f64 {
         match &self.source {
             Source::Surface(surface) => form_factor(patch, &surface.facing),
@@ -163,18 +163,19 @@ impl Piece {
         }
     }
 
-    /// The means over a patch of the basis functions of linear light times the share of its light that arrives if nothing stands
-    /// between; `None` where they are not known.
+    /// The means over a patch of the basis functions of linear light times the unblocked relative irradiance; `None` if
+    /// they are not known.
     pub(super) fn moments(&self, patch: &Facing) -> Option<[f64; 2]> {
         match &self.source {
             Source::Surface(surface) => Some(moments(patch, &surface.facing)),
-            // Alike everywhere.
+            // Their irradiance is constant.
             Source::Remote(Remote::Distant(_) | Remote::Cell(_), _) => Some([0.0; 2]),
             Source::Remote(Remote::Point { .. }, _) => None,
         }
     }
 
-    /// A path between a patch and it, both ends moved off their surfaces, and the share of its light that arrives, were all like it.
+    /// A path between a patch and the piece, both ends moved off their surfaces, and the unblocked relative irradiance
+    /// that this sample estimates.
     #[inline]
     fn sample(&self, from: &Footprint, point: [f32; 4]) -> Option<(Vec3A, Vec3A, f64)> {
         let (p, q, weight) = match &self.source {
@@ -189,9 +190,10 @@ impl Piece {
 }
 
 impl Surface {
-    /// A path from a part of a patch in front of the piece to a part of the piece in front of the patch, both points of them, and what
-    /// share of the piece's radiosity arrives, were all paths like it; `None` where they do not face each other. Where the piece is
-    /// near, evenly over its solid angle, so that shares hardly differ; where it is far that is no other than evenly over its area.
+    /// A path from the part of a patch in front of the piece to the part of the piece in front of the patch, and the
+    /// unblocked form factor that it estimates; `None` if the points do not face each other. On a near piece, points
+    /// are distributed evenly over the solid angle, so that the estimates hardly vary. On a far piece they are
+    /// distributed evenly over the area, which is nearly the same.
     #[inline]
     fn sample(&self, from: &Footprint, [x, y, u, v]: [f32; 4]) -> Option<(Vec3A, Vec3A, f64)> {
         let own = &self.footprint;
@@ -222,16 +224,16 @@ impl Surface {
     }
 }
 
-/// What part of a triangle a point is chosen from.
+/// The part of a triangle from which a point is chosen.
 struct Part {
-    /// The share of the triangle's area that may be chosen,
+    /// Share of the triangle's area that is in front of the face.
     of_all: f32,
-    /// and of that, what is chosen from.
+    /// Share of that area from which the point is chosen.
     chosen: f32,
 }
 
-/// A triangle of what of another is in front of a face, chosen by area with a number in \[0, 1), and the rest of the number, stretched
-/// to \[0, 1) again; `None` where nothing is in front.
+/// Chooses one of the triangles that form the part of a triangle in front of a face, by area, with a number in \[0, 1).
+/// Also returns the rest of the number, stretched to \[0, 1) again. Returns `None` if nothing is in front.
 #[inline]
 fn part_in_front(corners: &[Vec3A; 3], face: &Footprint, u: f32) -> Option<([Vec3A; 3], f32, Part)> {
     let heights = corners.map(|corner| (corner - face.corners[0]).dot(face.normal));
@@ -269,7 +271,7 @@ fn part_in_front(corners: &[Vec3A; 3], face: &Footprint, u: f32) -> Option<([Vec
 }
 
 impl Lamps {
-    /// Those front patches that `shine`, but for hidden ones, and lights that are no surfaces.
+    /// The front patches that `shine`, except hidden ones, and all lights that are not surfaces.
     pub(crate) fn new(
         tracer: &Tracer,
         patches: &Patches,
@@ -350,14 +352,14 @@ impl Lamps {
         if lamps.surfaces > Constants::MOST_KNOWN {
             let of = |piece: &Piece| match &piece.source {
                 Source::Surface(of) => (of.facing.corners, of.facing.normal, piece.brightness * of.area),
-                Source::Remote(..) => unreachable!("surfaces alone so far"),
+                Source::Remote(..) => unreachable!("only surfaces have been added"),
             };
             lamps.tree = Some(Tree::new(lamps.pieces.iter().map(of)));
         }
         lamps
     }
 
-    /// The [`magnitude`] of what all that shines sends.
+    /// The [`magnitude`] of the light of patches with this emission, other lights and the sky.
     pub(crate) fn magnitude(&self, emission: &[f64]) -> f64 {
         let mut values = vec![magnitude(emission)];
         values.retain(|_| emission.iter().any(|&b| b > 0.0));
@@ -370,17 +372,17 @@ impl Lamps {
         magnitude(&values)
     }
 
-    /// Whether any light enters the scene from outside the patches: through [pieces](Piece::is_remote).
+    /// Whether lights outside the patches are among the [pieces](Piece::is_remote).
     pub(super) fn has_remote(&self) -> bool {
         self.pieces.len() > self.surfaces
     }
 
-    /// How many pieces there are.
+    /// Number of pieces.
     pub(crate) fn pieces(&self) -> usize {
         self.pieces.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no pieces.
     pub(crate) fn is_empty(&self) -> bool {
         self.pieces.is_empty()
     }
@@ -396,12 +398,12 @@ impl Lamps {
         self.hidden.binary_search(&i).is_ok()
     }
 
-    /// Whether it is known what each piece would send to a patch if nothing stood between: where they are not too many.
+    /// Whether the unblocked light of each piece is computed for every patch: only if there are not too many.
     pub(super) fn are_known(&self) -> bool {
         self.tree.is_none() && self.pieces.len() - self.surfaces <= Constants::MOST_KNOWN
     }
 
-    /// What decides which samples a patch takes of the lamps.
+    /// A digest of everything that affects the samples of lamps.
     pub(crate) fn digest(&self) -> u64 {
         let words = |piece: &Piece| match &piece.source {
             Source::Surface(Surface { patches, .. }) => {
@@ -412,7 +414,7 @@ impl Lamps {
         mix(&self.pieces.iter().map(words).collect::<Vec<_>>())
     }
 
-    /// A whole patch: rays keep away from the edges of its triangle.
+    /// A whole patch. Unlike footprints, it is not inset from the edges of its triangle.
     pub(super) fn facing(&self, tracer: &Tracer, patches: &Patches, i: usize) -> Facing {
         let triangle = &tracer.triangles()[patches.triangle(i)];
         let exactly = |b: [f64; 3]| (0..3).map(|k| triangle.corners[k].as_dvec3() * b[k]).sum();
@@ -420,7 +422,7 @@ impl Lamps {
         Facing { corners: patches.barycentric_corners(i).map(exactly), normal }
     }
 
-    /// The form factor of a patch to each piece if nothing stands between, where [they are known](Self::are_known).
+    /// The unblocked form factor of a patch to each piece, if [they are known](Self::are_known).
     pub(super) fn unoccluded_into(&self, tracer: &Tracer, patches: &Patches, i: usize, found: &mut [f64]) {
         let patch = self.facing(tracer, patches, i);
         for (found, piece) in found.iter_mut().zip(&self.pieces) {
@@ -428,9 +430,11 @@ impl Lamps {
         }
     }
 
-    /// How a patch, of which the form factors to each piece are known or not, chooses among them; `None` where no light can come.
+    /// How a patch chooses among the pieces; `None` if no light can arrive. `unoccluded` holds its form factors if they
+    /// are known.
     ///
-    /// By what would arrive, and some of all lamps alike: a dim one may be all the light there is behind a door.
+    /// Most choices follow the unblocked light. Some are spread evenly over all lamps, because a dim one may be the
+    /// only light behind a door.
     pub(super) fn choice(&self, from: &Footprint, unoccluded: &[f64]) -> Option<Choice<'_>> {
         if self.are_known() {
             return Some(Choice::Table(cumulated(self.shares(unoccluded)?.into_iter())));
@@ -458,7 +462,7 @@ impl Lamps {
         }
     }
 
-    /// The probability of each piece to be chosen, where they are few; `None` where no light can come.
+    /// The probability of choosing each piece, if they are few; `None` if no light can arrive.
     pub(super) fn shares(&self, unoccluded: &[f64]) -> Option<Vec<f64>> {
         let arriving =
             || self.pieces.iter().zip(unoccluded).map(|(piece, f)| (piece.lamp, piece.brightness * f));
@@ -474,7 +478,8 @@ impl Lamps {
         (sum > 0.0).then(|| arriving().map(share).collect())
     }
 
-    /// A path from a patch to a lamp for a point of the unit hypercube; `None` where the two points do not face each other.
+    /// Maps a point of the unit hypercube to a path from a patch to a lamp; `None` if the two ends do not face each
+    /// other.
     #[inline]
     pub(super) fn sample(
         &self,

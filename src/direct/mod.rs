@@ -1,7 +1,8 @@
-//! Direct light: the irradiance that comes straight from lamps.
+//! Direct light: the irradiance that arrives straight from lamps.
 //!
-//! With R what surfaces reflect, E = D + F R: the light of lamps is a vector D, for which no matrix is needed. Every patch casts
-//! [shadow rays](shadow) to points on [lamps], chosen nearly by what would arrive; [`irradiance`] makes light of them.
+//! If R is the reflected radiosity, irradiance is E = D + F R. The direct light of lamps is a vector D and needs no
+//! matrix. Every patch casts [shadow rays](shadow) to points on [lamps], chosen with probabilities close to their
+//! contributions. [`irradiance`] turns the rays into irradiance.
 
 pub(crate) mod footprint;
 mod irradiance;
@@ -17,35 +18,38 @@ pub(crate) use irradiance::{Deviation, DirectLight};
 pub(crate) use lamps::{Lamps, adjoin};
 pub(crate) use shadow::{Keep, ShadowRay, ShadowRays};
 
-/// Parts that the rays of each patch are divided into. The standard error then has 15 degrees of freedom; with 4 parts
-/// intervals of two standard errors held only 85 % of patches, with 16 about 94 %.
+/// Number of replicates: equal parts of the rays of each patch. With 16 the standard error has 15 degrees of freedom,
+/// and intervals of two standard errors contain the true value for about 94 % of patches. With 4 parts it was only 85
+/// %.
 pub const REPLICATES: usize = 16;
 
-/// The rays of a replicate: as many as of any other, or one more.
+/// The rays of a replicate. Their numbers differ by at most one.
 pub(crate) fn part(rays: u32, replicate: usize) -> std::ops::Range<usize> {
     let start = |k: usize| k * rays as usize / REPLICATES;
     start(replicate)..start(replicate + 1)
 }
 
-/// What was tried, and chosen.
+/// Constants chosen by experiments.
 pub(crate) struct Constants;
 
 impl Constants {
-    /// More triangles than this are chosen by a tree, and what they would send unblocked is not known: each costs about as much as a
-    /// tenth of a ray, at every patch.
+    /// Up to this many triangles, the unblocked light of each is computed at every patch, for about the cost of a tenth
+    /// of a ray each. Above it a tree chooses among them, and unblocked light is not known.
     pub(crate) const MOST_KNOWN: usize = 256;
-    /// Share of the choices that all lamps get alike, where they are few: the others go by what would arrive. Of two rooms side by side,
-    /// whose lamps differed ten thousand times, the dim one was dark without it.
+    /// Share of the choices that is spread evenly over all lamps, if they are few. The rest follows the unblocked
+    /// light. Without it, one of two neighbouring rooms was dark because its lamp was ten thousand times dimmer than
+    /// the lamp of the other room.
     const ALIKE: f64 = 0.25;
-    /// The same of two lamps: each half of the fewest rays, 16, then has a sample of either, since a quarter of a stratified sequence
-    /// is never missed by 8.
+    /// The same for two lamps. Each half of the fewest rays, 16, then has a sample of either lamp: 8 points of a
+    /// stratified sequence never miss a quarter of it.
     const ALIKE_OF_TWO: f64 = 0.5;
-    /// Share of the choices in a tree that goes by power alone.
+    /// Share of the choices in a tree that follows power alone.
     const BY_POWER: f64 = 0.1;
-    /// A triangle of less area than this share of the squared distance is far: its kernel differs by some percent from point to point.
+    /// A triangle with less area than this share of the squared distance is far: its kernel varies only by some
+    /// percent.
     const FAR: f64 = 0.02;
-    /// How many samples of a lamp what all lamps tell of visibility counts as.
+    /// Weight of the visibility of all lamps in the estimate for a single lamp, as a number of samples.
     const SHARED: f64 = 1.0;
-    /// A half of the rays that should have so many samples of a lamp is asked of that alone.
+    /// If half of the rays should have this many samples of a lamp, other lamps do not contribute to its visibility.
     const MANY: f64 = 1.0;
 }

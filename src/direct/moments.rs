@@ -1,8 +1,8 @@
-//! How direct light varies over a patch: first moments of the shadow rays over the points that they start from.
+//! Slopes of direct light over a patch: first moments of the shadow rays over their starting points.
 //!
-//! The samples y = (V - β) w B + β G of `irradiance` tell the slopes as they tell the mean. Of β G, which is known, the moments
-//! are known as well. So light that nothing blocks has exact slopes, and rays sample only how shadows vary. Where rays start is
-//! found again from their numbers; whether they were free is stored.
+//! The samples y = (V - β) w B + β G of `irradiance` estimate slopes as they estimate the mean. The moments of the
+//! control variate β G are known too. So unblocked light has exact slopes, and rays sample only the variation of
+//! shadows. Starting points are reproduced from the numbers of the rays; visibility is stored.
 
 use glam::Vec3A;
 use rayon::prelude::*;
@@ -20,20 +20,20 @@ use crate::{
     trace::{Tracer, sampling::mix},
 };
 
-/// Turns points of a patch, or points above it, into barycentric coordinates.
+/// Converts points on or above a patch to barycentric coordinates.
 pub(crate) struct Local {
     corner: Vec3A,
     across: [Vec3A; 2],
 }
 
 impl Local {
-    /// Of a patch from which rays start.
+    /// Coordinates on a patch from which rays start.
     pub(crate) fn new(from: &Footprint) -> Local {
         let [a, b, c] = from.corners.map(|corner| corner.as_dvec3());
         let (u, v) = (b - a, c - a);
         let normal = u.cross(v);
         let squared = normal.length_squared();
-        // Of a patch without area all points are one.
+        // All points of a patch without area are the same.
         let across =
             |edge: glam::DVec3| if squared > 0.0 { (edge / squared).as_vec3a() } else { Vec3A::ZERO };
         Local { corner: from.corners[0], across: [across(v.cross(normal)), across(normal.cross(u))] }
@@ -48,7 +48,7 @@ impl Local {
     }
 }
 
-/// The slopes of a patch from the sums of φ y over each replicate, over its number of rays.
+/// The slopes of a patch, from the mean of φ y over each replicate, and its number of rays.
 pub(crate) fn measured<const C: usize>(parts: &[[[f64; 2]; C]; REPLICATES], rays: usize) -> Measured<C> {
     let mut found = Measured::NONE;
     let share = |k: usize| part(rays as u32, k).len() as f64 / rays as f64;
@@ -65,8 +65,8 @@ pub(crate) fn measured<const C: usize>(parts: &[[[f64; 2]; C]; REPLICATES], rays
 }
 
 impl ShadowRays {
-    /// The slopes of the direct light of lamps that emit what `emission` says of each patch, over `unit`, and of suns and points, over
-    /// it too, from the rays that were cast with this seed.
+    /// The slopes of the direct light of lamps, suns and points, in multiples of `unit`, as `emission` is. `seed` must
+    /// be the seed of the rays cast.
     pub(crate) fn slopes<const C: usize>(
         &self,
         tracer: &Tracer,
@@ -98,7 +98,7 @@ impl ShadowRays {
             return Measured::NONE;
         };
         let known = self.lamps.are_known();
-        // Moments of the light that is known to come, by what each half says is free.
+        // Moments of the known unblocked light, times the unblocked share for each half.
         let mut controlled = [[[0.0; 2]; C]; HALVES];
         if known {
             scratch.look(self, i);
@@ -109,7 +109,7 @@ impl ShadowRays {
                     continue;
                 }
                 let Some(moments) = piece.moments(&facing) else {
-                    // Then samples alone tell it.
+                    // Without known moments the lamp gets no control variate.
                     (0..HALVES).for_each(|half| scratch.free[half][piece.lamp] = 0.0);
                     continue;
                 };

@@ -1,4 +1,4 @@
-//! Lights that are no surfaces, as lamps: distant discs, bright parts of images of the sky, and points.
+//! Lights that are not surfaces, as lamps: distant discs, bright cells of sky images, and points.
 
 use glam::{DVec3, Vec3A};
 
@@ -8,30 +8,31 @@ use crate::{
     trace::{Tracer, sampling::square_to_triangle},
 };
 
-/// How far a shadow ray to a distant light goes, in unit space: out of the scene, from wherever in it.
+/// Length of a shadow ray to a distant light, in unit space: it leaves the scene from any point.
 const FAR_AWAY: f32 = 4.0;
-/// A shadow ray to a point ends before it by this, in unit space: what it is mounted on does not hide it.
+/// A shadow ray to a point light ends this far before it, in unit space, so that the surface it is mounted on does not
+/// hide it.
 const MOUNTED: f32 = 1e-5;
-/// A triangle that subtends more than this is cut before the intensity towards it is integrated, and so is one over which halves of
-/// the edge change the integral by more than this share.
+/// A triangle is cut for integrating intensity if it subtends more than this solid angle.
 const WIDE: f64 = 0.1;
+/// It is also cut if halving its edges changes the integral by more than this share.
 const EVEN: f64 = 1e-4;
-/// Cuts at most.
+/// Most successive cuts.
 const MOST_CUTS: u32 = 7;
-/// Points of a shining area, in each of two dimensions, of which what arrives unblocked is the mean.
+/// Points of a light's area in each of two dimensions. The mean over all of them gives the unblocked irradiance.
 const POINTS: usize = 4;
 
-/// A light that is no surface, in unit space. All it tells is relative to its colour, irradiance or intensity.
+/// A light that is not a surface, in unit space. All results are relative to its colour, irradiance or intensity.
 #[derive(Debug, Clone)]
 pub(super) enum Remote {
     Distant(Distant),
-    /// A part of an image of the sky.
+    /// A cell of a sky image.
     Cell(Cell),
     Point {
         at: DVec3,
         distribution: Distribution,
         area: Option<Area>,
-        /// Area in the unit of the file over that in unit space.
+        /// Ratio of areas in the file's unit to those in unit space.
         unit: f64,
     },
 }
@@ -53,7 +54,7 @@ impl Remote {
         }
     }
 
-    /// The mean irradiance of a patch if nothing stands between.
+    /// The mean unblocked irradiance of a patch.
     pub(super) fn unblocked(&self, patch: &Facing) -> f64 {
         match self {
             Remote::Distant(distant) => distant.unblocked(patch.normal),
@@ -78,13 +79,13 @@ impl Remote {
         }
     }
 
-    /// Whether [`Remote::unblocked`] is exact: not from a shining area, of which only some points are asked.
+    /// Whether [`Remote::unblocked`] is exact. It is not for a light with an area, where it uses only some points.
     pub(super) fn is_known(&self) -> bool {
         !matches!(self, Remote::Point { area: Some(_), .. })
     }
 
-    /// A path from a point of a patch to the light, and the irradiance that arrives, were all paths like it; `None` where the light is
-    /// below the patch.
+    /// A path from a point of a patch to the light, and the irradiance that this sample estimates; `None` if the light
+    /// is below the patch.
     #[inline]
     pub(super) fn sample(&self, from: &Footprint, [x, y, u, v]: [f32; 4]) -> Option<(Vec3A, Vec3A, f64)> {
         match self {
@@ -136,7 +137,7 @@ impl Remote {
         }
     }
 
-    /// What decides on its samples.
+    /// Numbers that identify the samples of the light.
     pub(super) fn words(&self) -> Vec<u64> {
         match self {
             Remote::Distant(d) => {
@@ -158,8 +159,8 @@ fn area([a, b, c]: [DVec3; 3]) -> f64 {
     0.5 * (b - a).cross(c - a).length()
 }
 
-/// The solid angle of a triangle (Van Oosterom and Strackee, "The Solid Angle of a Plane Triangle", IEEE Transactions on Biomedical
-/// Engineering 30, 1983).
+/// The solid angle of a triangle seen from a point (Van Oosterom and Strackee, "The Solid Angle of a Plane Triangle",
+/// IEEE Transactions on Biomedical Engineering 30, 1983).
 fn subtended(at: DVec3, corners: [DVec3; 3]) -> f64 {
     let [a, b, c] = corners.map(|corner| corner - at);
     let [la, lb, lc] = [a, b, c].map(DVec3::length);
@@ -181,7 +182,7 @@ fn flux(distribution: &Distribution, at: DVec3, corners: [DVec3; 3], cuts: u32) 
     let finer: f64 = parts.iter().map(|&part| subtended(at, part) * towards(part)).sum();
     let even = (finer - middle).abs() <= EVEN * finer.max(1e-3 * whole);
     if cuts >= MOST_CUTS || (cuts > 0 && whole < WIDE && even) {
-        // The error of a midpoint rule goes with the square of the edge.
+        // The error of a midpoint rule is proportional to the square of the edge.
         return (finer + (finer - middle) / 3.0).max(0.0);
     }
     parts.iter().map(|&part| flux(distribution, at, part, cuts + 1)).sum()
@@ -192,7 +193,7 @@ mod tests {
     use super::*;
     use glam::dvec3;
 
-    /// Intensity in a cone, integrated over triangles near and far: as the mean of many samples is.
+    /// The integral of intensity over near and far triangles is the mean of many samples.
     #[test]
     fn what_a_point_sends_unblocked_is_the_mean_of_its_samples() {
         let spot = Distribution::spot(dvec3(0.2, 0.1, -1.0), 0.2, 0.7);

@@ -1,9 +1,9 @@
-//! Shadow rays: paths between points of a patch and points of lamps, each free or blocked.
+//! Shadow rays: paths between points of a patch and points of lamps, each unblocked or blocked.
 //!
-//! The rays of a patch are two sequences with scrambles of their own, which take turns: what one of them says of visibility is
-//! independent of the other's samples. Halves of one sequence, which complement each other, told light behind a grille 0.3 % too
-//! large, and 2 % where the lamp is cut into hundreds of pieces; where large lamps are partly hidden, they are up to 7 % better at 64
-//! rays a patch, and alike at 256.
+//! The rays of a patch alternate between two sequences with separate scrambles, so that the visibility estimated from
+//! one is independent of the samples of the other. Halves of one sequence complement each other: they made light behind
+//! a grille 0.3 % too large, and 2 % if the lamp is cut into hundreds of pieces. For partly hidden large lamps such
+//! halves are up to 7 % better at 64 rays a patch, and equal at 256.
 
 use std::ops::Range;
 
@@ -23,11 +23,11 @@ use crate::{
     },
 };
 
-/// Halves of a patch's rays, each told by the other how much light is free.
+/// Number of halves of a patch's rays. Each half estimates visibility for the other.
 pub(super) const HALVES: usize = 2;
 
-/// A shadow ray: which piece of the lamps it went to, and its weight, negative where it was blocked, and zero where the two points
-/// did not face each other.
+/// A shadow ray: the piece of the lamps that it went to, and its weight. The weight is negative if the ray was blocked,
+/// and zero if the two points do not face each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ShadowRay {
     pub(crate) piece: u32,
@@ -42,40 +42,40 @@ impl ShadowRay {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ShadowRays {
     pub(crate) lamps: Lamps,
-    /// Where those of patch `i` begin.
+    /// Index in `rays` of the first ray of each patch.
     offsets: Vec<usize>,
     rays: Vec<ShadowRay>,
-    /// The form factor of each patch to each piece if nothing stood between; empty where these are too many.
+    /// The unblocked form factor of each patch to each piece; empty if there are too many pieces.
     unoccluded: Vec<f64>,
     /// Whether any light can reach each patch.
     is_faced: Vec<bool>,
 }
 
-/// Where rays are kept, and taken from.
+/// A store of shadow rays.
 pub(crate) trait Keep: Sync {
-    /// What is kept of a patch's rays with these numbers, from the first on.
+    /// The stored rays among the `wanted` numbers of a patch, without gaps from the first on.
     fn known(&self, patch: usize, wanted: Range<u32>) -> Result<Vec<ShadowRay>>;
-    /// Keeps the rays of patches: of each the number of the first, and all from there on.
+    /// Stores rays of patches, given as (patch, number of the first ray, all rays from it on).
     fn keep(&self, rays: &[(usize, u32, &[ShadowRay])]) -> Result<()>;
 }
 
 impl ShadowRays {
-    /// None yet.
+    /// A set without rays.
     pub(crate) fn none(lamps: Lamps) -> ShadowRays {
         ShadowRays { lamps, offsets: vec![0], ..ShadowRays::default() }
     }
 
-    /// Patches that rays were cast for.
+    /// Number of patches for which rays were cast.
     fn len(&self) -> usize {
         self.offsets.len().max(1) - 1
     }
 
-    /// Rays of all patches.
+    /// Number of rays of all patches.
     pub(crate) fn rays(&self) -> u64 {
         self.rays.len() as u64
     }
 
-    /// Rays of patch `i`.
+    /// Number of rays of patch `i`.
     pub(crate) fn count(&self, i: usize) -> u32 {
         if i < self.len() { (self.offsets[i + 1] - self.offsets[i]) as u32 } else { 0 }
     }
@@ -85,7 +85,7 @@ impl ShadowRays {
         if i < self.len() { &self.rays[self.offsets[i]..self.offsets[i + 1]] } else { &[] }
     }
 
-    /// The form factors of patch `i` to all pieces if nothing stood between; empty where they are not known.
+    /// The unblocked form factors of patch `i` to all pieces; empty if they are not known.
     pub(super) fn unoccluded(&self, i: usize) -> &[f64] {
         let many = self.lamps.pieces.len();
         if self.lamps.are_known() { &self.unoccluded[i * many..][..many] } else { &[] }
@@ -96,7 +96,7 @@ impl ShadowRays {
         size_of_val(&self.rays[..]) + size_of_val(&self.unoccluded[..]) + 9 * self.len()
     }
 
-    /// The first or second half of every patch's rays; `None` when some patch has but one.
+    /// The first or second half of every patch's rays; `None` if some patch has only one ray.
     pub(crate) fn half(&self, half: usize) -> Option<ShadowRays> {
         let mut part = ShadowRays {
             lamps: self.lamps.clone(),
@@ -116,7 +116,7 @@ impl ShadowRays {
         Some(part)
     }
 
-    /// Lets nothing arrive at these patches, in order.
+    /// Removes all light from these patches, which are sorted.
     pub(crate) fn withdraw(&mut self, patches: &[usize]) {
         let cast = self.len();
         for &i in patches.iter().filter(|&&i| i < cast) {
@@ -124,13 +124,13 @@ impl ShadowRays {
         }
     }
 
-    /// Learns what lamps send to each patch if nothing stands between.
+    /// Computes the unblocked form factors of patches to lamps, and which patches light can reach.
     pub(crate) fn face(&mut self, tracer: &Tracer, patches: &Patches) {
         let (n, known) = (patches.len(), self.is_faced.len());
         let lamps = &self.lamps;
         let many = if lamps.are_known() { lamps.pieces() } else { 0 };
         let start = self.unoccluded.len();
-        // Written where they stay: of many pieces they are the largest part of the memory.
+        // Written in place: with many pieces they take most of the memory.
         self.unoccluded.reserve_exact((n - known) * many);
         self.unoccluded.resize(start + (n - known) * many, 0.0);
         self.is_faced.resize(n, false);
@@ -149,8 +149,7 @@ impl ShadowRays {
         }
     }
 
-    /// What lamps that emit what `emission` says send to patch `i` if nothing stands between, channel by channel; `None` where that is
-    /// not known.
+    /// The unblocked irradiance of patch `i` from lamps for this emission, by channel; `None` if it is not known.
     pub(crate) fn unblocked<const C: usize>(&self, i: usize, emission: &[[f64; C]]) -> Option<[f64; C]> {
         self.lamps.are_known().then(|| {
             let mut sum = [0.0; C];
@@ -162,9 +161,9 @@ impl ShadowRays {
         })
     }
 
-    /// Casts shadow rays of patch `i` with these numbers that are not kept, and calls `found` with the half that each is in and
-    /// what it says of the irradiance: the light of each channel, were all samples like this one and no ray blocked, all channels
-    /// together at the time of casting, and whether it is free. Those that face no lamp are left out.
+    /// Casts the shadow rays of patch `i` with these numbers without storing them. For each ray it calls `found` with
+    /// the half that it is in, its unblocked irradiance by channel, the sum of the channels for the emission at which
+    /// the lamps were made, and whether it is unblocked. Rays that face no lamp are left out.
     pub(crate) fn each<const C: usize>(
         &self,
         (tracer, i, from): (&Tracer, usize, &Footprint),
@@ -186,10 +185,10 @@ impl ShadowRays {
         self.is_faced[i]
     }
 
-    /// Casts rays until every patch that light can reach has as many as `wanted` says; those cast already are kept.
+    /// Casts rays until every patch that light can reach has the `wanted` number. Rays cast before are kept.
     ///
     /// # Errors
-    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so, and what `keep` returns.
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so, and the errors of `keep`.
     pub(crate) fn extend(
         &mut self,
         tracer: &Tracer,
@@ -268,8 +267,8 @@ impl ShadowRays {
     }
 }
 
-/// Casts the shadow rays of a patch with these indices, and calls `found` with each, in the order in which they end; those whose
-/// points do not face each other are left out.
+/// Casts the shadow rays of a patch with these indices, and calls `found` with each, in the order in which they finish.
+/// Rays whose points do not face each other are left out.
 fn cast(
     tracer: &Tracer,
     lamps: &Lamps,
@@ -287,8 +286,8 @@ fn cast(
     });
 }
 
-/// The paths of a patch's shadow rays with these numbers: one turn after the other, without those whose points do not face each
-/// other.
+/// The paths of a patch's shadow rays with these numbers, one sequence after the other. Paths whose points do not face
+/// each other are left out.
 pub(super) fn paths<'a>(
     lamps: &'a Lamps,
     choice: &'a Choice<'a>,

@@ -1,11 +1,11 @@
-//! Directions to a triangle, spread evenly over the solid angle that it subtends.
+//! Directions distributed evenly over the solid angle of a triangle.
 
 use std::f64::consts::PI;
 
 use glam::DVec3;
 
-/// The direction from `point` to a triangle for a point of the unit square, and the triangle's solid angle: every direction to it is as
-/// likely as any other. `None` where rounding leaves none.
+/// Maps a point of the unit square to a direction from `point` to a triangle, with constant density over the triangle's
+/// solid angle. Also returns the solid angle. Returns `None` if rounding makes it zero.
 ///
 /// Arvo, "Stratified Sampling of Spherical Triangles", SIGGRAPH 95, as in Pharr, Jakob and Humphreys, *Physically Based
 /// Rendering*, 4th edition, section 6.5.4.
@@ -39,7 +39,8 @@ mod tests {
     use super::*;
     use glam::dvec3;
 
-    /// An octant of the sphere: π / 2, and of directions spread evenly over it the mean cosine with each axis is 1/2, of its square 1/3.
+    /// An octant of the sphere has solid angle π / 2. Over it the mean cosine with each axis is 1/2, and the mean
+    /// squared cosine 1/3.
     #[test]
     fn an_octant_is_filled_evenly() {
         let corners = [dvec3(9.0, 2.0, 3.0), dvec3(1.0, 6.0, 3.0), dvec3(1.0, 2.0, 10.0)];

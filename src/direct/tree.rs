@@ -1,14 +1,15 @@
-//! A tree of many lamps: one is chosen nearly by what it would send to a patch, in a walk as long as the tree is deep.
+//! A tree of many lamps. A walk from the root to a leaf chooses a lamp, nearly in proportion to its unblocked light at
+//! a patch.
 //!
-//! At each node the walk goes on to one of two children by their power over the squared distance, and by how far their normals
-//! may turn towards the patch (Conty Estévez and Kulla, "Importance Sampling of Many Lights with Adaptive Tree Splitting", 2018).
-//! A share of all choices goes by power alone, so that no lamp is left out by a bound.
+//! At each node the walk chooses one of two children by power over squared distance, and by bounds of the cosines at
+//! both ends (Conty Estévez and Kulla, "Importance Sampling of Many Lights with Adaptive Tree Splitting", 2018). A
+//! share of all choices follows power alone, so that no bound can exclude a lamp.
 
 use glam::DVec3;
 
 use super::Constants;
 
-/// A node: the lamps below it as a ball, and a cone of their normals.
+/// A node: a ball around the lamps below it, and a cone of their normals.
 #[derive(Debug, Clone)]
 struct Node {
     centre: DVec3,
@@ -17,7 +18,7 @@ struct Node {
     axis: DVec3,
     /// The angle between the axis and the farthest normal.
     angle: f64,
-    /// The second child, where there is one; the first is the next node.
+    /// The second child, if there is one. The first child is the next node.
     second: u32,
     /// The lamp of a leaf.
     lamp: u32,
@@ -29,17 +30,17 @@ pub(super) struct Tree {
     nodes: Vec<Node>,
     /// The leaf of each lamp.
     leaves: Vec<u32>,
-    /// Power of all lamps up to each, as a share of all.
+    /// Cumulative power of the lamps, as a share of the total.
     cumulative: Vec<f64>,
 }
 
 const NONE: u32 = u32::MAX;
 
-/// A lamp on its way into the tree.
+/// A lamp to be added: its index, centre, radius, normal and power.
 type Item = (u32, DVec3, f64, DVec3, f64);
 
 impl Tree {
-    /// Of lamps with these corners, normals and powers.
+    /// Builds a tree of lamps with these corners, normals and powers.
     pub(super) fn new(lamps: impl Iterator<Item = ([DVec3; 3], DVec3, f64)>) -> Tree {
         let ball = |[a, b, c]: [DVec3; 3]| {
             let centre = (a + b + c) / 3.0;
@@ -66,7 +67,7 @@ impl Tree {
         tree
     }
 
-    /// Halves lamps along the longest side of the box of their centres.
+    /// Builds a node, and divides its lamps in halves along the longest side of the box around their centres.
     fn build(&mut self, items: &mut [Item], parent: u32) -> u32 {
         let at = self.nodes.len() as u32;
         let bounds = |f: fn(DVec3, DVec3) -> DVec3| items.iter().map(|item| item.1).reduce(f);
@@ -110,12 +111,12 @@ impl Tree {
         at
     }
 
-    /// About what the lamps of a node send to a patch, given as a ball and a normal.
+    /// Approximate unblocked light of a node's lamps at a patch, which is given as a ball and a normal.
     fn importance(&self, node: u32, (middle, radius, normal): (DVec3, f64, DVec3)) -> f64 {
         let node = &self.nodes[node as usize];
         let path = node.centre - middle;
         let (distance, size) = (path.length(), node.radius + radius);
-        // Within this of the direction between the centres are all paths.
+        // All paths are within this angle of the direction between the centres.
         let spread = if distance > size { (size / distance).asin() } else { std::f64::consts::PI };
         let facing = |cosine: f64, more: f64| {
             let angle = (cosine.clamp(-1.0, 1.0).acos() - more).max(0.0);
@@ -138,7 +139,8 @@ impl Tree {
         a / (a + b)
     }
 
-    /// The lamp for a number in \[0, 1), what is left of the number, stretched to \[0, 1) again, and the lamp's probability.
+    /// Chooses a lamp with a number in \[0, 1). Also returns the rest of the number, stretched to \[0, 1) again, and
+    /// the probability of the lamp.
     pub(super) fn choose(&self, patch: (DVec3, f64, DVec3), u: f64) -> (usize, f64, f64) {
         let by_power = Constants::BY_POWER;
         if u < by_power {
@@ -177,7 +179,7 @@ mod tests {
     use super::*;
     use glam::dvec3;
 
-    /// Probabilities sum to one, whichever way a lamp is chosen, and are those with which it is.
+    /// Probabilities sum to one over all lamps, and equal the frequencies of choices.
     #[test]
     fn probabilities_sum_to_one() {
         let lamp = |k: usize| {

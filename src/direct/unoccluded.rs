@@ -1,4 +1,4 @@
-//! The form factor of a patch to a lamp if nothing stands between.
+//! Unblocked form factors of patches to lamps.
 
 use glam::DVec3;
 
@@ -7,36 +7,37 @@ use crate::{
     slopes,
 };
 
-/// A patch that is larger than this share of its distance to the lamp is left to the closed form, which costs ten times as much. For
-/// smaller ones the rule is right to 10⁻⁶; its error goes with the sixth power of the share.
+/// If a patch is larger than this share of its distance to the lamp, the closed form is used, which costs ten times as
+/// much as a quadrature rule. For smaller patches the rule is accurate to 10⁻⁶; its error grows with the sixth power of
+/// the share.
 const NEAR: f64 = 0.25;
-/// For one that is smaller than this share three points are as good; their error goes with the third power. A lamp that is
-/// smaller than this share is integrated by three points as well.
+/// If a patch is smaller than this share, three points suffice; their error grows with the third power. A lamp smaller
+/// than this share is integrated with three points too.
 const FAR: f64 = 0.03;
 
-/// The points, as weights of the corners, and the weights of a rule for a triangle that is exact to the fifth degree (J. Radon,
-/// "Zur mechanischen Kubatur", Monatshefte für Mathematik 52, 1948).
+/// A rule for a triangle that is exact for polynomials of degree five: points as weights of the corners, and weights
+/// (J. Radon, "Zur mechanischen Kubatur", Monatshefte für Mathematik 52, 1948).
 const FIFTH_DEGREE: [(f64, f64, f64); 3] = [
     (1.0 / 3.0, 1.0 / 3.0, 0.225),
     (0.059_715_871_789_769_82, 0.470_142_064_105_115_1, 0.132_394_152_788_506_2),
     (0.797_426_985_353_087_3, 0.101_286_507_323_456_3, 0.125_939_180_544_827_15),
 ];
 
-/// One that is exact to the second (Strang and Fix, *An Analysis of the Finite Element Method*, 1973, section 4.3).
+/// A rule that is exact for degree two (Strang and Fix, *An Analysis of the Finite Element Method*, 1973, section 4.3).
 const SECOND_DEGREE: [(f64, f64, f64); 1] = [(2.0 / 3.0, 1.0 / 6.0, 1.0 / 3.0)];
 
-/// A triangle with its front, in unit space.
+/// A triangle with the normal of its front, in unit space.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Facing {
     pub(super) corners: [DVec3; 3],
     pub(super) normal: DVec3,
 }
 
-/// The form factor of a patch to a lamp, each as far as it is in front of the other.
+/// The form factor of a patch to a lamp, between the parts that are in front of each other.
 pub(super) fn form_factor(patch: &Facing, lamp: &Facing) -> f64 {
     let Facing { corners, normal } = *patch;
     let heights = corners.map(|c| (c - lamp.corners[0]).dot(lamp.normal));
-    // What rounding lifts out of the lamp's plane is in it.
+    // Heights up to single-precision rounding count as in the lamp's plane.
     if heights.iter().all(|&h| h <= f64::from(f32::EPSILON)) {
         return 0.0;
     }
@@ -52,7 +53,7 @@ pub(super) fn form_factor(patch: &Facing, lamp: &Facing) -> f64 {
         return between_points(patch, lamp);
     }
     if size > NEAR * gap {
-        // The front of a polygon is the side that its corners run counter-clockwise on.
+        // The front of a polygon is the side where its corners run counterclockwise.
         let turned = |of: &Facing| {
             let [a, b, c] = of.corners;
             if (b - a).cross(c - a).dot(of.normal) >= 0.0 { of.corners } else { [a, c, b] }
@@ -75,7 +76,7 @@ pub(super) fn form_factor(patch: &Facing, lamp: &Facing) -> f64 {
     (1..sides.max(1) - 1).map(of_part).sum()
 }
 
-/// What of a triangle is above a plane over which its corners have these heights: a corner more at most.
+/// The part of a triangle above a plane, given the heights of its corners: up to four corners, and their number.
 fn clip(corners: [DVec3; 3], heights: [f64; 3]) -> ([DVec3; 4], usize) {
     let (mut above, mut count) = ([DVec3::ZERO; 4], 0);
     for k in 0..3 {
@@ -116,13 +117,13 @@ fn distance(lamp: &Facing, point: DVec3) -> f64 {
 /// The points and weights of a rule.
 fn nodes(rule: &[(f64, f64, f64)], [a, b, c]: [DVec3; 3]) -> impl Iterator<Item = (DVec3, f64)> {
     rule.iter().flat_map(move |&(p, q, weight)| {
-        // The middle has no others like it.
+        // The middle has no permutations.
         let all = [a * p + (b + c) * q, b * p + (c + a) * q, c * p + (a + b) * q];
         all.into_iter().take(if p == q { 1 } else { 3 }).map(move |point| (point, weight))
     })
 }
 
-/// The form factor of a patch to a lamp, both small beside their distance.
+/// The form factor of a patch to a lamp if both are small compared with their distance.
 fn between_points(patch: &Facing, lamp: &Facing) -> f64 {
     let [a, b, c] = lamp.corners;
     let area = 0.5 * (b - a).cross(c - a).length();
@@ -135,7 +136,7 @@ fn between_points(patch: &Facing, lamp: &Facing) -> f64 {
     area * nodes(&SECOND_DEGREE, patch.corners).map(|(x, w)| w * from(x)).sum::<f64>()
 }
 
-/// The mean form factor of a triangle to `above`, what it sees of the lamp.
+/// The mean form factor of a triangle to `above`, the part of the lamp in front of it.
 fn over_triangle(lamp: &Facing, above: &[DVec3], corners: [DVec3; 3], normal: DVec3) -> f64 {
     let [a, b, c] = corners;
     let size = longest(corners) / distance(lamp, (a + b + c) / 3.0);
@@ -143,10 +144,10 @@ fn over_triangle(lamp: &Facing, above: &[DVec3], corners: [DVec3; 3], normal: DV
     nodes(rule, corners).map(|(point, weight)| weight * lambert(point, normal, above)).sum()
 }
 
-/// A patch is cut so often at most where only slopes are wanted: they need not be known as well as the light itself.
+/// Most cuts of a patch for slopes, which need less accuracy than the light itself.
 const MOST_CUTS_OF_MOMENTS: usize = 2;
 
-/// The means over a patch of the basis functions of linear light times what each point sees of a lamp.
+/// The means over a patch of the basis functions of linear light, times each point's form factor to a lamp.
 pub(super) fn moments(patch: &Facing, lamp: &Facing) -> [f64; 2] {
     let Facing { corners, normal } = *patch;
     let rises = lamp.corners.map(|c| (c - corners[0]).dot(normal));
@@ -157,7 +158,7 @@ pub(super) fn moments(patch: &Facing, lamp: &Facing) -> [f64; 2] {
     moments_of_part((lamp, &above[..count], normal), corners, slopes::CORNERS, 0)
 }
 
-/// The same over a part of a patch, at whose corners the basis functions have these values.
+/// The same over a part of a patch. `basis` holds the values of the basis functions at its corners.
 fn moments_of_part(
     seen: (&Facing, &[DVec3], DVec3),
     corners: [DVec3; 3],
@@ -185,7 +186,7 @@ fn moments_of_part(
     let mut sum = [0.0; 2];
     let at_nodes = nodes(rule, corners).zip(nodes(rule, basis.map(|[p, q]| DVec3::new(p, q, 0.0))));
     for ((point, weight), (basis, _)) in at_nodes {
-        // Points behind the lamp see nothing of it.
+        // Points behind the lamp do not see it.
         if (point - lamp.corners[0]).dot(lamp.normal) > 0.0 {
             let light = weight * lambert(point, normal, above);
             sum = [sum[0] + light * basis.x, sum[1] + light * basis.y];
@@ -199,7 +200,7 @@ mod tests {
     use super::*;
     use glam::dvec3;
 
-    /// Against a fine lattice of points: small and far, large and near, and straddling the lamp's plane.
+    /// Compares with a fine lattice of points: small and far, large and near, and crossing the lamp's plane.
     #[test]
     fn moments_are_those_of_many_points() {
         const N: usize = 120;
@@ -239,7 +240,8 @@ mod tests {
         Facing { corners, normal: if normal.dot(towards) > 0.0 { normal } else { -normal } }
     }
 
-    /// Against the double contour integral: near and far, straddling the lamp's plane, and touching at an edge and at a corner.
+    /// Compares with the double contour integral: near and far, crossing the lamp's plane, and touching at an edge and
+    /// at a corner.
     #[test]
     fn form_factors_are_those_of_the_closed_form() {
         let lamp = facing([dvec3(0.0, 0.0, 1.0), dvec3(1.0, 0.0, 1.0), dvec3(0.0, 1.0, 1.0)], -DVec3::Z);
