@@ -97,7 +97,8 @@ impl EnergyLedger {
         self.worst(|c| self.solver_part[c])
     }
 
-    /// The reciprocity defect's part of the imbalance, relative to the power that is emitted and enters, in the worst channel.
+    /// The reciprocity defect's part of the imbalance, relative to the power that is emitted and enters, in the worst
+    /// channel.
     pub fn relative_reciprocity_part(&self) -> f64 {
         self.worst(|c| self.reciprocity_part[c])
     }

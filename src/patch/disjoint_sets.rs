@@ -1,10 +1,10 @@
 //! Disjoint sets of numbers (Galler and Fischer, CACM 7(5), 1964).
 
-/// Sets of numbers, of which any two can be made one.
+/// Sets of numbers. Any two of them can be united.
 pub(crate) struct DisjointSets(Vec<u32>);
 
 impl DisjointSets {
-    /// Of one member each.
+    /// `n` sets with one member each.
     pub(crate) fn new(n: usize) -> DisjointSets {
         DisjointSets((0..n as u32).collect())
     }
@@ -23,7 +23,7 @@ impl DisjointSets {
         self.0[i.max(j)] = i.min(j) as u32;
     }
 
-    /// The number of the set of each, in the order of their first members; and how many sets there are.
+    /// The index of the set of each number, in the order of their first members, and the number of sets.
     pub(crate) fn numbers(mut self) -> (Vec<u32>, usize) {
         let (mut count, mut numbers) = (0, vec![0; self.0.len()]);
         for i in 0..self.0.len() {

@@ -8,8 +8,8 @@ use crate::scene::Scene;
 /// Points have whole barycentric coordinates in units of 1/2^this.
 pub(crate) const FINEST: u32 = MAX_LEVEL as u32;
 
-/// The edges of a scene. Two triangles share an edge when both have its two vertices, whatever their winding or material.
-/// Any number of triangles can share an edge.
+/// The edges of a scene. Two triangles share an edge when both have its two vertices, whatever their winding or
+/// material. Any number of triangles can share an edge.
 #[derive(Debug)]
 pub(crate) struct Edges {
     /// For edge `k` of triangle `t`, which runs from its corner `k` to the next, at `3 t + k`: its lowest such number.
@@ -31,8 +31,8 @@ impl Edges {
         self.first[3 * t + k]
     }
 
-    /// A number for a point of triangle `t`, given by whole barycentric coordinates that sum to 2^[`FINEST`]. All triangles
-    /// that share the point's vertex or edge have the same number for it.
+    /// A number for a point of triangle `t`, given by whole barycentric coordinates that sum to 2^[`FINEST`]. All
+    /// triangles that share the point's vertex or edge have the same number for it.
     pub(crate) fn point(&self, scene: &Scene, t: usize, p: [u32; 3]) -> u64 {
         let v = scene.triangles[t].vertices;
         if let Some(k) = (0..3).find(|&k| p[k] == 1 << FINEST) {

@@ -1,8 +1,8 @@
 //! The quadtrees of all triangles, each stored as its leaves.
 //!
-//! Most trees are uniform: leaf `k` is child `k` at the tree's level. The leaves of other trees are in a list. A leaf is
-//! listed by its first descendant at the level of the smallest leaf, and ends where the next leaf begins (Gargantini, "An
-//! Effective Way to Represent Quadtrees", CACM 25, 1982).
+//! Most trees are uniform: leaf `k` is child `k` at the tree's level. The leaves of other trees are in a list. A leaf
+//! is listed by its first descendant at the level of the smallest leaf, and ends where the next leaf begins
+//! (Gargantini, "An Effective Way to Represent Quadtrees", CACM 25, 1982).
 
 use super::{Cell, quadtree};
 
@@ -67,7 +67,7 @@ impl Forest {
         self.offsets[t]
     }
 
-    /// How many leaves a tree has.
+    /// Number of leaves of a tree.
     pub(super) fn leaves(&self, t: usize) -> u32 {
         self.offsets[t + 1] - self.offsets[t]
     }
@@ -101,7 +101,7 @@ impl Forest {
         self.leaf_of(t, quadtree::child_at(barycentric, self.levels[t]))
     }
 
-    /// Where a leaf is.
+    /// The cell of a leaf.
     pub(super) fn cell(&self, t: usize, leaf: u32) -> Cell {
         let (triangle, level) = (t as u32, self.levels[t]);
         match self.list(t) {
@@ -132,8 +132,8 @@ impl Forest {
         self.leaf_of(t, first)..self.leaf_of(t, last) + 1
     }
 
-    /// Number of leaves in the family that begins with this leaf: all leaves below the highest ancestor whose leaves are at
-    /// most `levels` levels below it.
+    /// Number of leaves in the family that begins with this leaf: all leaves below the highest ancestor whose leaves
+    /// are at most `levels` levels below it.
     pub(super) fn family(&self, t: usize, leaf: u32, levels: u8) -> u32 {
         let Some(list) = self.list(t) else { return quadtree::children(levels.min(self.levels[t])) };
         let first = list[leaf as usize];

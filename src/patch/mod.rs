@@ -1,11 +1,11 @@
 //! Patches: pieces of the scene's triangles, each of constant radiosity.
 //!
 //! A quadtree cuts a triangle: level `l` has 4^l congruent children. The ray tracer holds only the triangles. The
-//! barycentric coordinates of a hit lead to the child in `l` steps ([`quadtree`]). A search follows where a triangle has
-//! patches of different sizes ([`Patches::refined`]).
+//! barycentric coordinates of a hit lead to the child in `l` steps ([`quadtree`]). A search follows where a triangle
+//! has patches of different sizes ([`Patches::refined`]).
 //!
-//! A triangle has a front and a back. Patches of fronts are always unknowns of the linear system. Patches of backs become
-//! unknowns when a ray hits them: rays never hit the inside of a closed solid.
+//! A triangle has a front and a back. Patches of fronts are always unknowns of the linear system. Patches of backs
+//! become unknowns when a ray hits them: rays never hit the inside of a closed solid.
 
 mod disjoint_sets;
 pub(crate) mod edges;
@@ -110,15 +110,15 @@ impl Patches {
         patches
     }
 
-    /// Cuts each marked front patch in four. Then cuts further patches until neighbours differ by one level at most, and
-    /// each patch has smaller neighbours on one edge at most. Triangles that share an edge count as neighbours. The result
-    /// has no back patches yet.
+    /// Cuts each marked front patch in four. Then cuts further patches until neighbours differ by one level at most,
+    /// and each patch has smaller neighbours on one edge at most. Triangles that share an edge count as neighbours. The
+    /// result has no back patches yet.
     ///
     /// # Panics
     /// When the number of marks is not the number of front patches, or when there would be 2³¹ patches or more.
     #[must_use]
     pub fn refined(&self, scene: &Scene, marked: &[bool]) -> Patches {
-        assert_eq!(marked.len(), self.fronts, "one mark a front patch is wanted");
+        assert_eq!(marked.len(), self.fronts, "marks need one value a front patch");
         let cells: Vec<Cell> = (0..self.fronts).map(|i| self.cell(i)).collect();
         let cells = restricted::restrict(scene, restricted::split(cells, marked));
         let shut_in = self.shut_in.clone();
@@ -140,8 +140,8 @@ impl Patches {
 
     /// Takes reflectance and emission of every patch anew from the scene's materials.
     ///
-    /// Form factors do not depend on them. So a scene with other lamps or other paint is solved without new rays: change
-    /// [`Scene::materials`] or call [`Scene::set_material`], then this, then [`solve`](crate::solve::solve).
+    /// Form factors do not depend on them. So a scene with other lamps or other paint is solved without new rays:
+    /// change [`Scene::materials`] or call [`Scene::set_material`], then this, then [`solve`](crate::solve::solve).
     ///
     /// # Panics
     /// When the scene has another number of triangles.
@@ -217,8 +217,8 @@ impl Patches {
         self.shut_in.get(self.triangle(i)).is_some_and(|sides| sides[side])
     }
 
-    /// The areas of the patches whose light can be seen, and zero for those that are shut in solids; all areas where nothing
-    /// else has light. `light` are interleaved values.
+    /// The areas of the patches whose light can be seen, and zero for those that are shut in solids; all areas where
+    /// nothing else has light. `light` are interleaved values.
     pub fn seen_areas(&self, light: &[f64]) -> Vec<f64> {
         let is_lit = |i: usize| light[i * self.channels..][..self.channels].iter().any(|&x| x > 0.0);
         let all = !(0..self.len()).any(|i| !self.is_shut_in(i) && is_lit(i));
@@ -298,9 +298,9 @@ impl Patches {
         (first + leaves.start) as usize..(first + leaves.end) as usize
     }
 
-    /// The front patches of `other`, another subdivision of the same scene, that overlap front patch `i`: either the one
-    /// patch that contains it, or all patches inside it. Also returns the share of their area that patch `i` covers, which is
-    /// 1 in the second case.
+    /// The front patches of `other`, another subdivision of the same scene, that overlap front patch `i`: either the
+    /// one patch that contains it, or all patches inside it. Also returns the share of their area that patch `i`
+    /// covers, which is 1 in the second case.
     pub fn overlap(&self, other: &Patches, i: usize) -> (Range<usize>, f64) {
         let cell = self.cell(i);
         let fronts = other.fronts_in(&cell);
@@ -308,8 +308,8 @@ impl Patches {
         (fronts, 0.25f64.powi(deeper.into()))
     }
 
-    /// Groups of neighbouring patches, in the order of the patches. A group holds all patches below one cell of a quadtree:
-    /// the highest cell whose patches are at most `levels` levels below it.
+    /// Groups of neighbouring patches, in the order of the patches. A group holds all patches below one cell of a
+    /// quadtree: the highest cell whose patches are at most `levels` levels below it.
     pub fn families(&self, levels: u8) -> impl Iterator<Item = Range<usize>> + '_ {
         let mut start = 0;
         std::iter::from_fn(move || {
@@ -331,8 +331,8 @@ impl Patches {
         self.triangle_areas[self.triangle(i)] / f64::from(quadtree::children(self.cell(i).level))
     }
 
-    /// Barycentric coordinates, in its triangle, of the corners of patch `i`. A patch of the back has those of the patch
-    /// on the front.
+    /// Barycentric coordinates, in its triangle, of the corners of patch `i`. A patch of the back has those of the
+    /// patch on the front.
     pub fn barycentric_corners(&self, i: usize) -> [[f64; 3]; 3] {
         let Cell { child, level, .. } = self.cell(i);
         quadtree::corners(child, level)
@@ -357,8 +357,8 @@ impl Patches {
         if self.is_front(i) { normal } else { -normal }
     }
 
-    /// Barycentric coordinates in patch `i` of a point of its triangle. Rounding may put the point just outside the patch; it
-    /// is then moved to the edge.
+    /// Barycentric coordinates in patch `i` of a point of its triangle. Rounding may put the point just outside the
+    /// patch; it is then moved to the edge.
     pub fn local(&self, i: usize, barycentric: [f32; 3]) -> [f64; 3] {
         let corners = self.barycentric_corners(i);
         // Signed areas of the triangles between the point and each edge, from two of the coordinates.

@@ -1,12 +1,14 @@
 //! Sides of faces that are shut in solids.
 //!
-//! A world of blocks often has all six faces of every block, also where two blocks touch. Such a face sends its light into the
-//! next block. That light never gets out and nobody sees it, but there may be much more of it than in the rooms.
+//! A world of blocks often has all six faces of every block, also between blocks that touch. Such a face sends its
+//! light into the next block. That light never gets out and is never seen, but it may be much more than the light in
+//! the rooms.
 //!
-//! Faces divide space into cells. Round an edge, the sides of consecutive faces bound the same cell. Where two faces with
-//! opposite fronts are at one place, a *pair*, both of their sides are inside solids, or neither is: a ray that crosses the pair
-//! enters a solid and leaves one. So cells on both sides of a pair count as one region. A region is inside solids if it sees pairs
-//! and otherwise backs only. The air in a room sees fronts, and so does the air around the blocks.
+//! Faces divide space into cells. Around an edge, the sides of consecutive faces bound the same cell. Two faces at one
+//! place with opposite fronts are called a *pair*. Either both of their sides are inside solids, or neither is: a ray
+//! that crosses the pair enters a solid and leaves one. So the cells on both sides of a pair count as one region. A
+//! region is inside solids if it sees pairs and otherwise only backs. The air in a room sees fronts, and so does the
+//! air around the blocks.
 
 use std::f64::consts::TAU;
 
@@ -18,7 +20,8 @@ use super::{
 };
 use crate::scene::Scene;
 
-/// Faces at an edge whose planes differ by less than this angle, in radians, are at one place: coordinates may be rounded.
+/// Faces at an edge whose planes differ by less than this angle, in radians, are at one place: coordinates may be
+/// rounded.
 const SAME_PLANE: f64 = 1e-4;
 
 /// Whether the front and the back of each triangle are shut in solids; empty where none is.
@@ -75,13 +78,13 @@ pub(super) fn shut_in(scene: &Scene) -> Vec<[bool; 2]> {
 /// A face at an edge.
 struct Face {
     triangle: usize,
-    /// By how much it is turned round the edge.
+    /// Rotation angle around the edge.
     angle: f64,
-    /// Whether its front looks to where angles grow.
+    /// Whether its front points towards greater angles.
     front_ahead: bool,
 }
 
-/// The faces at an edge, in their order round it. Faces at one place are consecutive.
+/// The faces at an edge, sorted by their angle around it. Faces at one place are consecutive.
 fn round(scene: &Scene, edge: &[Slot]) -> Vec<Face> {
     let [from, to] = [edge[0].0, edge[0].1].map(|v| scene.vertices[v as usize]);
     let axis = (to - from).normalize_or_zero();
@@ -97,7 +100,7 @@ fn round(scene: &Scene, edge: &[Slot]) -> Vec<Face> {
         .map(|&(first, _, slot)| {
             let away = opposite(slot);
             let angle = away.dot(side).atan2(away.dot(start)).rem_euclid(TAU);
-            // Rounded below zero, it is at one place with the first.
+            // An angle rounded to just below zero is at one place with the first face.
             let angle = if angle > TAU - SAME_PLANE { 0.0 } else { angle };
             let vertices = scene.triangles[slot as usize / 3].vertices;
             Face { triangle: slot as usize / 3, angle, front_ahead: vertices[slot as usize % 3] == first }
@@ -107,7 +110,7 @@ fn round(scene: &Scene, edge: &[Slot]) -> Vec<Face> {
     faces
 }
 
-/// Which triangles have another one at the same place with the opposite front: triangle by triangle, or two for two where a
+/// Whether each triangle has another one at the same place with the opposite front. Also finds pairs of triangles if a
 /// rectangle is cut along different diagonals.
 fn pairs(scene: &Scene, edges: &[&[Slot]]) -> Vec<bool> {
     let vertices = |t: usize| scene.triangles[t].vertices;
@@ -141,7 +144,8 @@ fn pairs(scene: &Scene, edges: &[&[Slot]]) -> Vec<bool> {
     paired
 }
 
-/// Marks the faces, as triangles with sorted corners, that have the corners of another and the opposite front.
+/// Marks faces that have the same corners as another face and the opposite front. Faces are lists of triangles with
+/// their sorted corners.
 fn mark(scene: &Scene, mut faces: Vec<([u32; 4], Vec<usize>)>, paired: &mut [bool]) {
     faces.sort_unstable();
     for pair in faces.windows(2) {
@@ -178,7 +182,7 @@ mod tests {
         shut_in(&Scene::new(triangles, vec![Material::new("m", [0.5; 3], [0.0; 3])]))
     }
 
-    /// Blocks round one that is left out: a closed room.
+    /// Blocks around an empty place: a closed room.
     fn room(with_middle: bool, other_diagonal: impl Fn(usize) -> bool) -> Vec<([DVec3; 3], u32)> {
         let places = (0..27).map(|k| (k, DVec3::new((k % 3) as f64, (k / 3 % 3) as f64, (k / 9) as f64)));
         let kept = places.filter(|(k, _)| with_middle || *k != 13);

@@ -1,4 +1,4 @@
-//! Batches of sweeps: their spread tells the standard error of their mean.
+//! Batches of sweeps. Their spread estimates the standard error of their mean.
 
 use std::ops::Range;
 
@@ -11,12 +11,12 @@ use crate::form_factor::{
     stratification::{half_differences, variance_of_all},
 };
 
-/// Batches at most.
+/// Most batches.
 pub(super) const BATCHES: usize = 16;
-/// How often their number can be halved.
+/// Number of times that the number of batches can be halved.
 const LEVELS: usize = BATCHES.ilog2() as usize;
-/// The variance of a run of batches falls with this power of its length, at least and at most: more slowly than that of
-/// independent ones where light lingers, faster where the parts of a sequence complement each other.
+/// Bounds of the power with which the variance of a run of batches falls with its length: slower than for independent
+/// batches if light lingers, faster if the parts of a sequence complement each other.
 const RATES: (f64, f64) = (0.5, 3.0);
 
 /// A factor for every batch and channel.
@@ -27,10 +27,10 @@ pub(super) struct Batches<'a, const C: usize> {
     areas: &'a [f64],
     emission: &'a [[f64; C]],
     reflectance: &'a [[f64; C]],
-    /// All light is divided by this, so that single precision and squares hold it.
+    /// All light is divided by this unit, so that single precision and squares can hold it.
     unit: f64,
     irradiance: Vec<[[f32; BATCHES]; C]>,
-    /// The power that escaped.
+    /// Escaped power in each batch.
     escaped: [[f64; BATCHES]; C],
     filled: usize,
 }
@@ -52,7 +52,7 @@ impl<'a, const C: usize> Batches<'a, C> {
         self.filled == BATCHES
     }
 
-    /// One more, of which this arrived at each patch and escaped from all.
+    /// Adds a batch, given the irradiance of each patch and the power that escaped from all.
     pub(super) fn push(&mut self, arrived: impl Fn(usize) -> [f64; C] + Sync, escaped: [f64; C]) {
         let (batch, unit) = (self.filled, self.unit);
         self.irradiance.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, of)| {
@@ -64,7 +64,7 @@ impl<'a, const C: usize> Batches<'a, C> {
         self.filled += 1;
     }
 
-    /// Makes one batch of every two.
+    /// Joins every two batches.
     pub(super) fn pair(&mut self) {
         self.filled /= 2;
         let filled = self.filled;
@@ -78,7 +78,7 @@ impl<'a, const C: usize> Batches<'a, C> {
         });
     }
 
-    /// What all that arrives and escapes in each batch has to be scaled with for its energy to balance.
+    /// Factors for the arriving and escaping light of each batch that balance its energy.
     fn scales(&self) -> Scales<C> {
         std::array::from_fn(|c| {
             let absorbed = |i: usize| {
@@ -92,12 +92,13 @@ impl<'a, const C: usize> Batches<'a, C> {
         })
     }
 
-    /// The irradiance of patch `i` in each batch, all of them scaled.
+    /// The irradiance of patch `i` in each batch, after balancing.
     fn balanced(&self, i: usize, scales: &Scales<C>) -> [[f64; BATCHES]; C] {
         std::array::from_fn(|c| std::array::from_fn(|k| scales[c][k] * f64::from(self.irradiance[i][c][k])))
     }
 
-    /// Area-weighted root mean square of the standard error of the mean of all batches, relative to the mean irradiance.
+    /// Area-weighted root mean square of the standard error of the mean of all batches, relative to the mean
+    /// irradiance.
     pub(super) fn error(&self) -> f64 {
         let scales = self.scales();
         let stratified = self.stratification(&scales);
@@ -115,8 +116,8 @@ impl<'a, const C: usize> Batches<'a, C> {
         if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
     }
 
-    /// Standard errors of the mean of all batches: of irradiance, patch by patch, and of the imbalance relative to what is
-    /// emitted, in each channel.
+    /// Standard errors of the mean of all batches: of the irradiance of each patch, and of the relative energy
+    /// imbalance of each channel.
     pub(super) fn errors(&self, siblings: &[Range<usize>]) -> (Vec<f64>, Vec<f64>) {
         let scales = self.scales();
         let stratified = self.stratification(&scales);
@@ -125,11 +126,11 @@ impl<'a, const C: usize> Batches<'a, C> {
         };
         let own: Vec<[f64; C]> =
             (0..self.areas.len()).into_par_iter().with_min_len(1024).map(variances).collect();
-        // The variance of a patch or the mean of its siblings, which know of rare paths too, whatever is larger: light that
-        // shadow rays brought is carried on in all later batches, so that what it is off by does not show in their spread.
+        // Uses the larger of the patch's own variance and the mean of its siblings, which may have found rare paths.
+        // Errors of light from shadow rays are carried into all later batches, so that they do not show in the spread.
         let error = |own: f64, mean: f64| self.unit * stratified * own.max(mean).sqrt();
         let standard_error = with_mean(siblings, &own, error);
-        // What arrives and escapes in a batch is 1 / scale of what is emitted.
+        // The arriving and escaping light of a batch is 1 / scale of the emitted light.
         let of_imbalance = scales.map(|scales| {
             let [_, error] = mean_and_error(&scales.map(|scale| 1.0 - 1.0 / scale)[..self.filled]);
             stratified * error
@@ -137,11 +138,11 @@ impl<'a, const C: usize> Batches<'a, C> {
         (standard_error, of_imbalance.into())
     }
 
-    /// The standard error of the mean of the batches over what it would be, were they independent.
+    /// Ratio of the standard error of the mean of the batches to its value for independent batches.
     ///
-    /// Batches are parts of one sequence and complement each other; but light that one overestimates is reflected in the
-    /// next. Where light has not come to rest the halves are farther apart than shorter runs foretell: what is in excess is an
-    /// error too, in the mean of all as large as in half the difference if the light comes to rest within them.
+    /// Batches are parts of one sequence and complement each other, but errors of one batch are reflected into the
+    /// next. If the light has not settled, the halves differ more than shorter runs predict. The excess counts as
+    /// error: if the light settles within the batches, the mean of all is wrong by about half the difference.
     fn stratification(&self, scales: &Scales<C>) -> f64 {
         let sums = ordered_sum(self.areas.len(), |i| self.half_differences(i, scales));
         let levels = self.filled.ilog2() as usize;
@@ -150,7 +151,7 @@ impl<'a, const C: usize> Batches<'a, C> {
         }
         let of_run = |levels, batches| variance_of_all(&sums.as_slice()[..levels], batches, RATES);
         let half = self.filled / 2;
-        // Of the longest runs, the halves or next to them, nothing is foretold.
+        // The prediction excludes the longest runs, which are the halves or nearly so.
         let drift = match levels {
             3.. => (sums[LEVELS + 1] - (of_run(levels - 1, half) - of_run(levels - 1, 2 * half))).max(0.0),
             _ => 0.0,
@@ -158,8 +159,9 @@ impl<'a, const C: usize> Batches<'a, C> {
         ((of_run(levels, self.filled) + drift) / sums[LEVELS]).sqrt()
     }
 
-    /// Of patch `i`, times its area: the mean squares of half the differences of neighbouring runs of 1, 2, 4 and 8 batches, the
-    /// variance of the mean of all, were they independent, and the square of half the difference of the first half and the last.
+    /// For patch `i`, times its area: the mean squares of half the differences of neighbouring runs of 1, 2, 4 and 8
+    /// batches, the variance of the mean if batches were independent, and the squared half difference of the first and
+    /// the last half.
     fn half_differences(&self, i: usize, scales: &Scales<C>) -> SVector<f64, { LEVELS + 2 }> {
         let mut sums = SVector::zeros();
         let half = self.filled / 2;
@@ -176,7 +178,7 @@ impl<'a, const C: usize> Batches<'a, C> {
     }
 }
 
-/// What brings a sum of powers to what is emitted.
+/// The factor that brings a sum of powers to the emitted power.
 pub(super) fn balancing(emitted: f64, lost: f64) -> f64 {
     if emitted > 0.0 && lost > 0.0 { emitted / lost } else { 1.0 }
 }

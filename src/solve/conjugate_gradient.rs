@@ -5,12 +5,12 @@
 //!
 //!   (I - W s W) y = G⁻¹ ρ F Be
 //!
-//! is symmetric and, unless light is caught for ever, positive definite. No division by ρ occurs: black patches simply
-//! have y = 0. Hestenes and Stiefel 1952; the channels run side by side through one product an iteration.
+//! is symmetric and, unless light is trapped for ever, positive definite. No division by ρ occurs: black patches simply
+//! have y = 0 (Hestenes and Stiefel 1952). One product in each iteration serves all channels.
 //!
-//! The iterations are in single precision, which takes half the time, and start anew from the true residual, which is in double
-//! (iterative refinement: Wilkinson, "Rounding Errors in Algebraic Processes", 1963). Where that does not help they are
-//! in double precision too.
+//! The iterations run in single precision, which takes half the time. They restart from the true residual, which is
+//! computed in double precision (iterative refinement: Wilkinson, "Rounding Errors in Algebraic Processes", 1963). If
+//! that does not converge, the iterations use double precision too.
 
 use super::{Iterate, SolveOptions, System};
 use crate::{
@@ -19,19 +19,20 @@ use crate::{
 };
 use rayon::prelude::*;
 
-/// By how much iterations in single precision reduce the residual at most: its rounding, times some hundreds.
+/// Greatest reduction of the residual by iterations in single precision: some hundred times their rounding.
 const SINGLE: f64 = 3e-6;
 
-/// The least share of light that surfaces and openings absorb in the mean, and the least area of a patch, relative to the mean,
-/// for which iterations are in single precision.
+/// Least mean share of light that surfaces and openings absorb for iterations in single precision.
 const LEAST_LOSS: f64 = 1e-3;
+/// Least area of a patch, relative to the mean, for iterations in single precision.
 const LEAST_AREA: f64 = 1e-6;
 
-/// Patches that reflect less are expected to reflect nothing: what they do would be lost in the rounding of what they emit.
+/// Patches that reflect less than this start without reflected light, which would be lost in the rounding of their
+/// emission.
 const LEAST_REFLECTANCE: f64 = 1e-3;
 
 /// Iterates until the true residual is small. Recursive residuals drift from the true ones in ill-conditioned rooms
-/// (reflectances of 1 - 10⁻⁶ and up), so that convergence is judged by the true residual and restarted where needed.
+/// (reflectances of 1 - 10⁻⁶ and more). So the true residual decides convergence, and the iteration restarts if needed.
 /// Returns the irradiance as well.
 pub(super) fn solve<const C: usize>(
     system: &System<C>,
@@ -45,21 +46,21 @@ pub(super) fn solve<const C: usize>(
         (radiosity, irradiance, residual)
     };
     let begin = start.map(|start| start.as_chunks().0.to_vec()).or_else(|| expected(system));
-    // What was expected may have been of other light.
+    // The expected radiosity may belong to other light.
     let begin = begin.map(judged).filter(|&(.., residual)| residual < 1.0);
     let (mut radiosity, mut irradiance, mut residual) =
         begin.unwrap_or_else(|| judged(system.source.to_vec()));
     let (mut iterations, mut single) = (0, suits_single(system));
-    // Negated, so that NaN ends it too.
+    // Negated, so that NaN ends the loop too.
     while !(residual <= options.tolerance) && iterations < options.max_iterations {
         let most = options.max_iterations - iterations;
-        // A margin, since the norm here is another one than that of the tolerance.
+        // With a margin, because the tolerance uses another norm.
         let reduction = 0.5 * options.tolerance / residual;
         let (correction, taken) = if single {
-            // In as many steps as it takes, each as long as the others.
+            // Divided into steps of equal reduction.
             let steps = (reduction.ln() / SINGLE.ln()).ceil();
             let reduction = reduction.powf(steps.recip());
-            // Four lanes are a vector, three are not.
+            // Four lanes fill a vector register, three do not.
             match C {
                 3 => correct::<f32, C, 4>(system, &radiosity, &irradiance, reduction, most, progress),
                 _ => correct::<f32, C, C>(system, &radiosity, &irradiance, reduction, most, progress),
@@ -73,7 +74,7 @@ pub(super) fn solve<const C: usize>(
             corrected.map(|(b, d)| std::array::from_fn(|c| (b[c] + d[c]).max(0.0))).collect();
         let corrected = judged(corrected);
         let stalled = !(corrected.2 <= 0.5 * residual);
-        // What single precision made worse is forgotten.
+        // Results of single precision that are worse are dropped.
         if corrected.2 < residual || !single {
             (radiosity, irradiance, residual) = corrected;
         }
@@ -84,8 +85,8 @@ pub(super) fn solve<const C: usize>(
     Ok(((radiosity, iterations), irradiance))
 }
 
-/// Whether single precision helps: where hardly anything absorbs it does not converge, and what it does to the smallest patches
-/// does not show in the residual.
+/// Whether single precision helps. It does not converge if hardly any light is absorbed, and its errors on the smallest
+/// patches do not show in the residual.
 fn suits_single<const C: usize>(system: &System<C>) -> bool {
     let (areas, escaped) = (system.form_factors.areas(), system.form_factors.escaped());
     let (all, least) = areas.iter().fold((0.0, f64::INFINITY), |(sum, least), &a| (sum + a, least.min(a)));
@@ -96,8 +97,8 @@ fn suits_single<const C: usize>(system: &System<C>) -> bool {
     least * areas.len() as f64 > LEAST_AREA * all && (0..C).all(|c| lost(c) > LEAST_LOSS * all)
 }
 
-/// What the form factors were calibrated with, if it is of as many channels: S and ρ times something, since the rest of what
-/// leaves black patches would never be corrected.
+/// The radiosity that calibrated the form factors, if it has the same number of channels. It is brought to the form S
+/// plus ρ times something, because corrections have that form and could not repair other errors on black patches.
 fn expected<const C: usize>(system: &System<C>) -> Option<Vec<[f64; C]>> {
     let (known, n) = (system.form_factors.expected().as_chunks::<C>().0, system.source.len());
     let unit = system.form_factors.magnitude(system.emission.as_flattened());
@@ -112,8 +113,9 @@ fn expected<const C: usize>(system: &System<C>) -> Option<Vec<[f64; C]>> {
     known_to_all.then(|| (0..n).into_par_iter().with_min_len(SHORT).map(of_patch).collect())
 }
 
-/// Solves for the correction that removes the present residual, down to `reduction` times it, with `most` iterations at most, in
-/// `W` lanes of which `C` are in use. Returns how many it took.
+/// Solves for the correction that removes the present residual. Stops when the residual has fallen to `reduction` times
+/// itself, or after `most` iterations. Uses `W` lanes, of which `C` hold channels. Returns the number of iterations
+/// too.
 fn correct<T: Real, const C: usize, const W: usize>(
     system: &System<C>,
     radiosity: &[[f64; C]],
@@ -126,14 +128,14 @@ fn correct<T: Real, const C: usize, const W: usize>(
     let (left, right) = system.form_factors.scaling();
     let patches = || (0..n).into_par_iter().with_min_len(SHORT);
     let gain = |i: usize, c: usize| (system.reflectance[i][c] * left[i] / right[i]).sqrt();
-    // B = G y: the residual of B is ρ times something, so that it can be divided by G.
+    // B = G y. The residual of B is a multiple of ρ, so that it can be divided by G.
     let residual: Vec<[f64; C]> = patches()
         .map(|i| {
             let residual = system.residual(i, &radiosity[i], &irradiance[i]);
             std::array::from_fn(|c| if gain(i, c) > 0.0 { residual[c] / gain(i, c) } else { 0.0 })
         })
         .collect();
-    // In a unit in which single precision holds it.
+    // In a unit in which single precision can hold it.
     let unit = magnitude(residual.as_flattened());
     let lanes = |value: &dyn Fn(usize) -> f64| -> [T; W] {
         std::array::from_fn(|c| T::of(if c < C { value(c) } else { 0.0 }))
@@ -143,7 +145,7 @@ fn correct<T: Real, const C: usize, const W: usize>(
     let mut r: Vec<[T; W]> = patches().map(|i| lanes(&|c| residual[i][c] / unit)).collect();
     drop(residual);
     let (mut y, mut p) = (vec![[T::of(0.0); W]; n], vec![[T::of(0.0); W]; n]);
-    // W p, and s times it.
+    // W p, and s W p.
     let (mut weighted, mut image) = (p.clone(), p.clone());
     let mut rr: [f64; W] = in_order(r.par_chunks(SHORT).map(|r| dot(r, r)));
     let start = rr;
@@ -203,7 +205,7 @@ fn unscaled<T: Real, const C: usize, const W: usize>(
     patches.map(|(i, y)| std::array::from_fn(|c| gain(i, c) * y[c].into() * unit)).collect()
 }
 
-/// Σ a b of some patches.
+/// Σ a b over some patches.
 fn dot<T: Real, const W: usize>(a: &[[T; W]], b: &[[T; W]]) -> [f64; W] {
     let mut sum = [0.0; W];
     for (a, b) in a.iter().zip(b) {
@@ -214,7 +216,7 @@ fn dot<T: Real, const W: usize>(a: &[[T; W]], b: &[[T; W]]) -> [f64; W] {
     sum
 }
 
-/// The sum of what runs of patches sum to, whatever the number of threads.
+/// The sum over runs of patches, in the same order for any number of threads.
 fn in_order<const W: usize>(runs: impl IndexedParallelIterator<Item = [f64; W]>) -> [f64; W] {
     let runs: Vec<[f64; W]> = runs.collect();
     std::array::from_fn(|c| runs.iter().map(|run| run[c]).sum())

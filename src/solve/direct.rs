@@ -1,4 +1,4 @@
-//! Dense LU decomposition of I - ρ F: the oracle for small scenes, a system a channel.
+//! Dense LU decomposition of I - ρ F, one system for each channel. Tests compare other solvers with it in small scenes.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -23,8 +23,8 @@ pub(super) fn solve<const C: usize>(system: &System<C>) -> Result<Iterate<C>> {
     let drained = system.drained();
     for c in 0..C {
         let mut matrix = DMatrix::<f64>::identity(n, n);
-        // Where light would be caught none enters, or there were no equilibrium: those rows, singular together, say
-        // B = 0 instead.
+        // Patches whose light could never be absorbed or escape receive none, or there would be no equilibrium. Their
+        // rows would be singular together, so they are replaced by B = 0.
         for i in (0..n).filter(|&i| drained[i][c]) {
             let (columns, values) = row(&rows, i);
             for (&j, &s) in columns.iter().zip(values) {

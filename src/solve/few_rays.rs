@@ -1,6 +1,7 @@
-//! The light as few rays of each patch tell it, however often it is reflected: what each ray met is remembered, 4 bytes a ray, and
-//! the sparse system that it makes is solved by BiCGSTAB (van der Vorst, "Bi-CGSTAB: a fast and smoothly converging variant of
-//! Bi-CG for the solution of nonsymmetric linear systems", 1992). A product is but 32 look-ups a patch.
+//! The light at equilibrium, estimated by few rays of each patch. The targets of the rays are stored, 4 bytes a ray,
+//! and the sparse system that they form is solved by BiCGSTAB (van der Vorst, "Bi-CGSTAB: a fast and smoothly
+//! converging variant of Bi-CG for the solution of nonsymmetric linear systems", 1992). A product takes only 32
+//! look-ups a patch.
 
 use nalgebra::SVector;
 use rayon::prelude::*;
@@ -16,36 +17,36 @@ use crate::{
 
 /// Hemisphere rays of each patch.
 pub(super) const RAYS: u32 = 32;
-/// The residual is brought to this share of what arrives first. What is left in the light is more, by the number of bounces that
-/// it lasts, and relative to the light in far corners; sampling does more to both.
+/// Tolerance of the residual, relative to the light that arrives first. The error of the light is larger by the number
+/// of bounces, and relative to the light in dark corners. Sampling errors are larger still.
 const TOLERANCE: f64 = 1e-8;
-/// Iterations at most: three digits of reflectance next to 1 take some tens.
+/// Most iterations. Reflectances within 10⁻³ of 1 take some tens.
 const MOST: usize = 500;
 
-/// An irradiance, or the like, of every patch.
+/// Irradiance, or a similar quantity, of every patch.
 type Light<const C: usize> = Vec<[f64; C]>;
 
-/// What few rays of every patch met.
+/// Targets of few rays of every patch.
 pub(super) struct FewRays {
-    /// What those of each patch met.
+    /// Targets of each patch's rays.
     met: Vec<[u32; RAYS as usize]>,
-    /// How many there were.
+    /// Number of rays.
     pub(super) tally: Tally,
 }
 
 impl FewRays {
-    /// Casts the hemisphere rays that begin with the index `first`.
+    /// Casts hemisphere rays, from index `first` on.
     pub(super) fn cast(sweeper: &Sweeper<'_>, first: u32, progress: &Progress) -> Result<Self> {
         let (met, tally) = sweeper.met(first, progress)?;
         Ok(FewRays { met, tally })
     }
 
-    /// Share of the rays of patch `i` that met nothing.
+    /// Share of the rays of patch `i` that escape.
     pub(super) fn escaping(&self, i: usize) -> f64 {
         self.met[i].iter().filter(|met| **met == ESCAPED).count() as f64 / f64::from(RAYS)
     }
 
-    /// What arrives at each patch of what all send.
+    /// Irradiance of each patch from the light that all patches send.
     pub(super) fn gather<const C: usize>(&self, sent: &[[f64; C]]) -> Light<C> {
         let gathered = |met: &[u32; _]| {
             let patches = met.iter().filter(|j| **j != ESCAPED);
@@ -55,7 +56,7 @@ impl FewRays {
         self.met.par_iter().with_min_len(64).map(gathered).collect()
     }
 
-    /// The irradiance e = first + F (ρ e), or None where the iterations do not get there.
+    /// The irradiance e = first + F (ρ e), or `None` if the iterations do not converge.
     pub(super) fn solve<const C: usize>(
         &self,
         first: &[[f64; C]],
@@ -78,7 +79,7 @@ impl FewRays {
         for _ in 0..MOST {
             progress.check()?;
             let left = dot(&residual, &residual);
-            // Channels that have come to rest stay.
+            // Channels that have converged stay unchanged.
             let moves: [bool; C] = std::array::from_fn(|c| left[c] > wanted[c]);
             if moves == [false; C] {
                 light.iter_mut().flatten().for_each(|e| *e *= unit);
@@ -109,7 +110,7 @@ fn dot<const C: usize>(p: &[[f64; C]], q: &[[f64; C]]) -> SVector<f64, C> {
     ordered_sum(p.len(), |i| SVector::from(p[i]).component_mul(&SVector::from(q[i])))
 }
 
-/// Changes a light by itself and two others, value by value.
+/// Replaces each value of `light` by `value` of itself and of the values of two other lights.
 fn update<const C: usize>(
     light: &mut [[f64; C]],
     by: [&[[f64; C]]; 2],

@@ -1,5 +1,5 @@
-//! Gauss-Seidel iteration: as Jacobi, but every patch gathers what the patches before it have just become. It
-//! converges about twice as fast, but each patch waits for the one before: a sweep runs on one thread.
+//! Gauss-Seidel iteration. It is like Jacobi, but every patch gathers the new values of the patches before it. It
+//! converges about twice as fast, but a sweep runs on one thread because each patch waits for the one before.
 
 use super::{Iterate, SolveOptions, System};
 use crate::{
@@ -7,8 +7,8 @@ use crate::{
     form_factor::{Matrix, row},
 };
 
-/// Sweeps until the true residual is small. It costs a product, so it is computed only once the change of a sweep,
-/// which is of the same order, is small enough.
+/// Repeats sweeps until the true residual is small. The residual costs a product, so it is computed only when the
+/// change of a sweep, which is of the same order, is small enough.
 pub(super) fn solve<const C: usize>(
     system: &System<C>,
     options: &SolveOptions,
@@ -29,7 +29,7 @@ pub(super) fn solve<const C: usize>(
     Ok((radiosity, options.max_iterations))
 }
 
-/// One sweep over all patches; returns by how much each changed.
+/// Sweeps once over all patches. Returns the change of each.
 fn sweep<const C: usize>(system: &System<C>, rows: &Matrix, radiosity: &mut [[f64; C]]) -> Vec<[f64; C]> {
     let (left, right) = system.form_factors.scaling();
     (0..radiosity.len())

@@ -1,9 +1,9 @@
-//! Jacobi iteration: B ← Be + ρ F B, one bounce of light a sweep.
+//! Jacobi iteration: B ← Be + ρ F B, one bounce of light in each sweep.
 
 use super::{Iterate, SolveOptions, System};
 use crate::{Progress, Result};
 
-/// Sweeps until the residual, which is the change a sweep makes, is small.
+/// Repeats sweeps until the residual, which is the change of a sweep, is small.
 pub(super) fn solve<const C: usize>(
     system: &System<C>,
     options: &SolveOptions,

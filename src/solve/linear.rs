@@ -1,13 +1,13 @@
 //! Light that varies linearly over each patch, by defect correction.
 //!
-//! The system has constant light on each patch. Its solution tells how irradiance varies over the patches: the same rays have
-//! first moments over the points that they start from, which give two slopes a patch. With the light ρ(x) E(x) where rays land,
-//! instead of its mean over the patch, they bring ΔE more to each patch. The system is then solved once more with ΔE beside the
-//! direct light. Matrix and solver stay as they are (defect correction: Stetter, "The Defect Correction Principle and
-//! Discretization Methods", Numerische Mathematik 29, 1978).
+//! The system has constant light on each patch. First moments of the same rays over their starting points show how the
+//! irradiance of its solution varies, with two slopes a patch. If the rays carry the light ρ(x) E(x) at the points they
+//! hit, instead of its mean over the patch, they bring ΔE more to each patch. The system is then solved once more with
+//! ΔE added to the direct light. Matrix and solver stay the same (defect correction: Stetter, "The Defect Correction
+//! Principle and Discretization Methods", Numerische Mathematik 29, 1978).
 //!
-//! Slopes move light and make none. What ΔE brings to all patches, and out of the scene, sums to zero, so the energy ledger stays
-//! as exact as it was.
+//! Slopes redistribute light and create none. ΔE, summed over all patches and the light that escapes, is zero, so that
+//! the energy ledger stays as exact as before.
 
 use crate::{
     Progress, Result,
@@ -25,39 +25,41 @@ use crate::{
     trace::Tracer,
 };
 
-/// The largest share of the light F U₀ that comes through form factors which ΔE may take from a patch. Then no light is negative:
-/// U - U₀/2 = S/2 + ρ (ΔE + F U₀/2) + ρ F (U - U₀/2), in which all terms are positive.
+/// ΔE may reduce the light of a patch by at most this share of F U₀, the light that arrives through form factors. Then
+/// no light becomes negative: U - U₀/2 = S/2 + ρ (ΔE + F U₀/2) + ρ F (U - U₀/2), where all terms are positive.
 const MOST_TAKEN: f64 = 0.5;
 
-/// How irradiance varies over the patches, and what that changed.
+/// Variation of irradiance over the patches, and its effect.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct LinearLight {
-    /// The two slopes of irradiance of each patch and channel, W/m²: with the barycentric coordinates b of a point in its patch,
-    /// the irradiance there is the mean plus the first times b₀ - b₁ plus the second times b₀ + b₁ - 2 b₂. It is never negative.
+    /// The two slopes of irradiance of each patch and channel, W/m². At a point with barycentric coordinates b in its
+    /// patch, the irradiance is the mean plus the first slope times b₀ - b₁ plus the second times b₀ + b₁ - 2 b₂. It is
+    /// never negative.
     pub slopes: Vec<[f64; 2]>,
     /// Irradiance with constant light on each patch, W/m², interleaved channels.
     pub constant: Vec<f64>,
-    /// Power that escapes more than with constant light, W, for each channel.
+    /// Escaped power minus that of constant light, W, for each channel.
     pub escaped: Vec<f64>,
-    /// What each replicate of the rays brought to a patch more than with constant light: deviations from the mean, in this unit.
+    /// Deviation from the mean, in each replicate, of the light that patches gain over constant light, divided by
+    /// `unit`.
     pub(crate) deviations: Vec<[f32; REPLICATES]>,
     pub(crate) unit: f64,
 }
 
-/// By how much the irradiance of patch `i`, R G B, exceeds its mean at a point with these barycentric coordinates in the patch; not
-/// at all where there are no slopes.
+/// Irradiance of patch `i`, R G B, at a point with these barycentric coordinates in the patch, minus its mean; 0 if
+/// there are no slopes.
 pub(crate) fn rise_at(slopes: &[[f64; 2]], i: usize, channels: usize, barycentric: [f64; 3]) -> [f64; 3] {
     let (basis, last) = (basis(barycentric), channels - 1);
     std::array::from_fn(|c| slopes.get(i * channels + c.min(last)).map_or(0.0, |slopes| rise(slopes, basis)))
 }
 
-/// Solves as [`solve()`] does, and then for light that is linear over each patch. The result has the mean irradiance of each patch,
-/// and [`Solution::linear`] has its slopes. Light stays constant where the options say so, or where form factors come from elsewhere
-/// and so have no rays.
+/// Solves like [`solve()`], and then again for light that is linear over each patch. The result has the mean irradiance
+/// of each patch, and [`Solution::linear`] has its slopes. Light stays constant if the options say so, or if the form
+/// factors were not cast from rays.
 ///
 /// # Errors
-/// As [`solve()`].
+/// Those of [`solve()`].
 ///
 /// # Panics
 /// When the sizes disagree.
@@ -88,7 +90,7 @@ fn corrected<const C: usize>(
 ) -> Result<Solution> {
     let radiometry = Radiometry::from(patches);
     let reflectance: &[[f64; C]] = radiometry.reflectance.as_chunks().0;
-    // In a unit in which squares and single precision hold it.
+    // In a unit in which squares and single precision can hold it.
     let unit = magnitude(&constant.radiosity);
     let scaled = |values: &[f64]| -> Vec<[f64; C]> {
         values.as_chunks::<C>().0.iter().map(|values| values.map(|x| x / unit)).collect()
@@ -116,7 +118,7 @@ fn corrected<const C: usize>(
     unscaled(shifted.irradiance.as_flattened_mut());
     unscaled(carried.as_flattened_mut());
     let system = System::<C>::with_more(form_factors, radiometry, &shifted.irradiance);
-    // The algorithm was the user's to choose for the light itself. Corrections may be negative, which not all suit.
+    // The user's choice of solver is for the light itself. Corrections may be negative, which not all solvers support.
     let again = SolveOptions { solver: Solver::Auto, ..*options };
     let found = system.solve(Some(carried.as_flattened()), &again, progress)?;
     for (slopes, more) in slopes.iter_mut().zip(&shifted.slopes) {
@@ -142,14 +144,14 @@ fn varies(scene: &Scene, triangle: usize) -> bool {
     scene.material(triangle).reflectance_map.is_some() || scene.colours.get(triangle).is_some()
 }
 
-/// Slopes shrunk by what sampling adds to them: the share of their spread that is not noise (Wiener's filter).
+/// Reduces slopes by the share of their spread that is noise (Wiener filter).
 fn believed<const C: usize>(found: &Measured<C>) -> Slopes<C> {
     let spread = spread(&found.slopes);
     let share = if spread > 0.0 { (1.0 - found.noise / spread).max(0.0) } else { 0.0 };
     found.slopes.map(|slopes| slopes.map(|slope| share * slope))
 }
 
-/// Flattens slopes until the light is nowhere negative. The mean stays.
+/// Reduces slopes until the light is nowhere negative. The mean does not change.
 fn keep_positive<const C: usize>(slopes: &mut [Slopes<C>], irradiance: &[[f64; C]]) {
     for (slopes, irradiance) in slopes.iter_mut().zip(irradiance) {
         for (slopes, mean) in slopes.iter_mut().zip(irradiance) {
@@ -162,8 +164,9 @@ fn keep_positive<const C: usize>(slopes: &mut [Slopes<C>], irradiance: &[[f64; C
     }
 }
 
-/// Makes sure that what linear light brings to all patches and out of the scene sums to zero, and takes no more from a patch than
-/// comes `through` form factors. The larger of what is brought and what is taken is scaled down, so that no light becomes negative.
+/// Makes the changes of all patches and of the escaping light sum to zero, and takes from each patch at most a share of
+/// the light that arrives `through` form factors. Scales down the larger of gains and losses, so that no light becomes
+/// negative.
 fn balance<const C: usize>(shifted: &mut Shifted<C>, through: &[[f64; C]], areas: &[f64]) {
     let shift = &mut shifted.irradiance;
     for c in 0..C {
@@ -172,7 +175,7 @@ fn balance<const C: usize>(shifted: &mut Shifted<C>, through: &[[f64; C]], areas
         }
         let sum = |sign: f64| ordered_sum(areas.len(), |i| areas[i] * (sign * shift[i][c]).max(0.0));
         let (brought, taken) = (sum(1.0), sum(-1.0));
-        // More escapes than all that is taken only where nearly nothing arrives.
+        // The escaping light exceeds all losses only if almost no light arrives.
         let escaped = shifted.escaped[c].clamp(-brought, taken);
         let more = brought + escaped - taken;
         let (of_brought, of_taken) = if more > 0.0 {
@@ -185,7 +188,7 @@ fn balance<const C: usize>(shifted: &mut Shifted<C>, through: &[[f64; C]], areas
         for shift in shift.iter_mut() {
             shift[c] *= if shift[c] > 0.0 { of_brought } else { of_taken };
         }
-        // What rounding leaves is counted where light leaves.
+        // The rounding error is added to the escaping light.
         shifted.escaped[c] = -ordered_sum(areas.len(), |i| areas[i] * shift[i][c]);
     }
 }

@@ -1,11 +1,11 @@
 //! The radiosity equation E = D + F (B - Bd), B = Be + ρ E.
 //!
-//! Bd is what lamps emit, whose light D comes straight. With U = B - Bd it is U = (Be - Bd + ρ D) + ρ F U: the same system as
-//! without lamps, of another source.
+//! Bd is the emission of lamps, and D the direct light of lamps and other lights. With U = B - Bd the equation becomes
+//! U = (Be - Bd + ρ D) + ρ F U: the same system as without lamps, with another source.
 //!
-//! All solvers work on every channel in one pass over the matrix and report the same three things: iterations, the
-//! true relative residual of what they return, and a certified bound on its distance from the exact solution of the
-//! discrete system. Not converging is an error, never a silent result.
+//! All solvers handle every channel in one pass over the matrix. They report their iterations, the true relative
+//! residual of the result, and a certified bound on its distance from the exact solution of the discrete system. A
+//! solver that does not converge returns an error.
 
 mod batches;
 pub mod conjugate_gradient;
@@ -27,21 +27,22 @@ use crate::{
 pub use linear::{LinearLight, solve_linear};
 use stochastic_jacobi::StochasticSolution;
 
-/// Which algorithm.
+/// The solver for the radiosity system.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Solver {
-    /// Conjugate gradients where the form factors are reciprocal, else Gauss-Seidel.
+    /// Conjugate gradients if the form factors are reciprocal, otherwise Gauss-Seidel.
     #[default]
     Auto,
-    /// [`jacobi`]: every patch gathers from the last sweep. Simple, parallel, slow in bright rooms.
+    /// [`jacobi`]: every patch gathers from the last sweep. Simple and parallel, but slow in bright rooms.
     Jacobi,
-    /// [`gauss_seidel`]: every patch gathers from the newest values; about half the sweeps of Jacobi, serial.
+    /// [`gauss_seidel`]: every patch gathers from the newest values. Takes about half the sweeps of Jacobi, but is
+    /// serial.
     GaussSeidel,
-    /// [`southwell`]: the patch with most unshot power shoots (progressive refinement).
+    /// [`southwell`]: the patch with the most unshot power shoots (progressive refinement).
     Southwell,
-    /// [`conjugate_gradient`] on the symmetrised system: few iterations even where hardly anything absorbs.
+    /// [`conjugate_gradient`] on the symmetrised system: few iterations even if hardly any light is absorbed.
     ConjugateGradient,
-    /// [`direct`]: dense LU decomposition, for small scenes and as the oracle of the others.
+    /// [`direct`]: dense LU decomposition, for small scenes and for testing the other solvers.
     Direct,
 }
 
@@ -59,18 +60,19 @@ impl Solver {
     }
 }
 
-/// How to solve.
+/// Options for solving.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct SolveOptions {
-    /// Which algorithm.
+    /// The solver.
     pub solver: Solver,
-    /// Stop when Σ A |residual| is at most this share of Σ A Be, in every channel, or as small as rounding lets it become.
-    /// The energy imbalance left by the solver is then at most as large.
+    /// Stop when Σ A |residual| is at most this share of the power that is emitted and enters, in every channel, or is
+    /// as small as rounding permits. The energy imbalance left by the solver is then at most as large.
     pub tolerance: f64,
-    /// Give up after this many iterations (for Southwell: as many times the number of patches shoot).
+    /// Give up after this many iterations. For Southwell the limit is this number times the number of patches, in
+    /// shots.
     pub max_iterations: usize,
-    /// Whether [`solve_linear`] lets light vary over each patch; else it is as constant as that of [`solve()`].
+    /// Whether [`solve_linear`] lets light vary over each patch. Otherwise light is constant, as with [`solve()`].
     pub linear: bool,
 }
 
@@ -89,16 +91,16 @@ impl Default for SolveOptions {
 }
 
 impl SolveOptions {
-    /// The same, no more precise than what tells how large an error is needs to be.
+    /// These options with a tolerance that suffices for estimating errors.
     pub(crate) fn rough(&self) -> SolveOptions {
         SolveOptions { tolerance: self.tolerance.max(1e-4), ..*self }
     }
 }
 
-/// What the surfaces emit and reflect: the right-hand side and the diagonal of the system.
+/// Emission and reflectance of the patches: the right-hand side and the diagonal of the system.
 #[derive(Debug, Clone, Copy)]
 pub struct Radiometry<'a> {
-    /// 1 or 3; values are interleaved.
+    /// Number of channels, 1 or 3. Values are interleaved.
     pub channels: usize,
     /// Emitted radiosity Be, W/m².
     pub emission: &'a [f64],
@@ -116,26 +118,27 @@ impl<'a> From<&'a Patches> for Radiometry<'a> {
     }
 }
 
-/// The light on every patch, `channels` interleaved values each.
+/// The light on every patch, `channels` interleaved values a patch.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Solution {
-    /// 1 or 3.
+    /// Number of channels, 1 or 3.
     pub channels: usize,
-    /// Radiosity B, W/m²: what leaves, emitted and reflected.
+    /// Radiosity B, W/m²: emitted and reflected light.
     pub radiosity: Vec<f64>,
-    /// Irradiance E, W/m²: what arrives.
+    /// Irradiance E, W/m²: arriving light.
     pub irradiance: Vec<f64>,
     /// The solver that ran; never [`Solver::Auto`].
     pub solver: Solver,
-    /// Its iterations: sweeps, products with the matrix, or shots.
+    /// Its number of iterations: sweeps, products with the matrix, or shots.
     pub iterations: usize,
-    /// Σ A |Be + ρ E - B| over what is emitted and enters, of the worst channel, computed from the result itself.
+    /// Σ A |Be + ρ E - B|, relative to the power that is emitted and enters, in the worst channel, computed from the
+    /// result itself.
     pub residual: f64,
-    /// No patch's radiosity is farther than this from the exact solution of the discrete system, W/m². Infinite where
-    /// a patch reflects everything and loses nothing.
+    /// Upper bound on the distance of each patch's radiosity from the exact solution of the discrete system, W/m².
+    /// Infinite if a patch reflects everything and no light escapes from it.
     pub error_bound: f64,
-    /// How irradiance varies over each patch; `None` where light was taken as constant.
+    /// Variation of irradiance over each patch; `None` if light is constant.
     pub linear: Option<Box<LinearLight>>,
 }
 
@@ -150,7 +153,7 @@ impl Solution {
         rgb(&self.irradiance, self.channels, i)
     }
 
-    /// Irradiance as it is with constant light on each patch, W/m², interleaved channels.
+    /// Irradiance computed with constant light on each patch, W/m², interleaved channels.
     pub(crate) fn constant_irradiance(&self) -> &[f64] {
         self.linear.as_ref().map_or(&self.irradiance, |linear| &linear.constant)
     }
@@ -160,14 +163,14 @@ fn rgb(values: &[f64], channels: usize, i: usize) -> [f64; 3] {
     std::array::from_fn(|c| values[i * channels + if channels == 1 { 0 } else { c }])
 }
 
-/// The light on every patch, however it was found: what files show.
+/// The light on every patch, from any solver, for writing files.
 #[derive(Debug, Clone, Copy)]
 pub struct Light<'a> {
     /// Radiosity B, W/m²; interleaved channels.
     pub radiosity: &'a [f64],
     /// Irradiance E, W/m².
     pub irradiance: &'a [f64],
-    /// Slopes of irradiance ([`LinearLight::slopes`]); empty where light is constant over each patch.
+    /// Slopes of irradiance ([`LinearLight::slopes`]); empty if light is constant over each patch.
     pub slopes: &'a [[f64; 2]],
 }
 
@@ -196,11 +199,11 @@ impl<'a> From<&'a StochasticSolution> for Light<'a> {
     }
 }
 
-/// Solves for the light of these form factors and lamps. The emission may be another than that the rays were cast for: patches that
-/// were no lamps send their light through form factors.
+/// Solves for the light of these form factors and lamps. The emission may differ from the emission that the rays were
+/// cast for. Patches that were not lamps then send their light through form factors.
 ///
 /// # Errors
-/// [`Error::NoEquilibrium`] when light enters a part of the scene that nothing leaves and nothing absorbs in;
+/// [`Error::NoEquilibrium`] when light enters a part of the scene that absorbs nothing and lets nothing out;
 /// [`Error::NotConverged`] when the iterations run out; [`Error::Setting`] when the solver does not suit the system;
 /// [`Error::Stopped`].
 ///
@@ -215,7 +218,8 @@ pub fn solve<'a>(
     solve_from(None, form_factors, radiometry, options, progress)
 }
 
-/// As [`solve`], from a radiosity that is near: conjugate gradients take fewer iterations then, the others do not look at it.
+/// Like [`solve`], from a radiosity near the solution. Conjugate gradients then take fewer iterations. The other
+/// solvers ignore it.
 pub(crate) fn solve_from<'a>(
     start: Option<&[f64]>,
     form_factors: &FormFactors,
@@ -230,11 +234,11 @@ pub(crate) fn solve_from<'a>(
     together(|| match radiometry.channels {
         1 => System::<1>::new(form_factors, radiometry).solve(start, options, progress),
         3 => System::<3>::new(form_factors, radiometry).solve(start, options, progress),
-        c => panic!("{c} channels: there are 1 or 3"),
+        c => panic!("{c} channels: must be 1 or 3"),
     })
 }
 
-/// The system U = S + ρ F U with its number of channels known to the compiler.
+/// The system U = S + ρ F U, with the number of channels known at compile time.
 pub(crate) struct System<'a, const C: usize> {
     pub(crate) form_factors: &'a FormFactors,
     /// S = Be - Bd + ρ D.
@@ -242,13 +246,13 @@ pub(crate) struct System<'a, const C: usize> {
     pub(crate) reflectance: &'a [[f64; C]],
     /// Be.
     emission: &'a [[f64; C]],
-    /// D, where there are lamps or other lights.
+    /// D, if there are lamps or other lights.
     direct: Option<Vec<[f64; C]>>,
-    /// What of it enters from outside the patches, as a power.
+    /// Power of the part of D that enters from outside the patches.
     entered: [f64; C],
 }
 
-/// What an algorithm hands back: radiosity and iterations done.
+/// The result of an algorithm: radiosity, and iterations done.
 type Iterate<const C: usize> = (Vec<[f64; C]>, usize);
 
 impl<'a, const C: usize> System<'a, C> {
@@ -261,7 +265,7 @@ impl<'a, const C: usize> System<'a, C> {
         Self::with_direct(form_factors, radiometry, direct, entered)
     }
 
-    /// With so much more light on each patch beside the direct light.
+    /// The system with `more` irradiance on each patch in addition to the direct light.
     fn with_more(form_factors: &'a FormFactors, radiometry: Radiometry<'a>, more: &[[f64; C]]) -> Self {
         let mut system = Self::new(form_factors, radiometry);
         let mut direct = system.direct.take().unwrap_or_else(|| vec![[0.0; C]; more.len()]);
@@ -319,7 +323,7 @@ impl<'a, const C: usize> System<'a, C> {
         self.finish(solver, (radiosity, iterations), irradiance, options)
     }
 
-    /// Judges the result by its own residual, whatever the algorithm believed.
+    /// Checks the result by its own residual, independently of the algorithm.
     fn finish(
         &self,
         solver: Solver,
@@ -372,7 +376,7 @@ impl<'a, const C: usize> System<'a, C> {
         std::array::from_fn(|c| self.source[i][c] + self.reflectance[i][c] * irradiance[c] - radiosity[c])
     }
 
-    /// Σ A Be and what enters, for each channel.
+    /// Σ A Be plus the power that enters, for each channel.
     pub(crate) fn emitted(&self) -> [f64; C] {
         let mut sum = self.entered;
         for (area, emission) in self.form_factors.areas().iter().zip(self.emission) {
@@ -383,7 +387,7 @@ impl<'a, const C: usize> System<'a, C> {
         sum
     }
 
-    /// Σ A |r| / Σ A Be of the worst channel; a dark channel has none.
+    /// Σ A |r| relative to the power that is emitted and enters, in the worst channel; 0 for a dark channel.
     pub(crate) fn relative(&self, residuals: impl Iterator<Item = [f64; C]>) -> f64 {
         let mut sum = [0.0; C];
         for (area, r) in self.form_factors.areas().iter().zip(residuals) {
@@ -397,9 +401,10 @@ impl<'a, const C: usize> System<'a, C> {
             .fold(0.0, |a, b| if b > a || b.is_nan() { b } else { a })
     }
 
-    /// The relative residual that rounding leaves whatever the algorithm: eight units in the last place of what leaves and
-    /// what arrives, each summed and scaled. Where all but 10⁻⁷ is reflected it exceeds a tolerance of 10⁻¹⁰, since what is
-    /// emitted is so little beside it. Who demands more than that of all light alike is not given it.
+    /// The relative residual that rounding leaves in any algorithm: eight units in the last place of the leaving and
+    /// the arriving light, each summed and scaled. If surfaces reflect all but 10⁻⁷ of the light, it exceeds a
+    /// tolerance of 10⁻¹⁰, because the emitted light is so small in comparison. A tolerance below eight roundings is
+    /// not relaxed.
     fn attainable(&self, radiosity: &[[f64; C]], tolerance: f64) -> f64 {
         const ROUNDINGS: f64 = 8.0 * f64::EPSILON;
         if tolerance < ROUNDINGS {
@@ -413,8 +418,8 @@ impl<'a, const C: usize> System<'a, C> {
         self.relative((0..radiosity.len()).map(|i| self.residual(i, &radiosity[i], &irradiance[i])))
     }
 
-    /// Max-norm bound ‖B - B*‖ ≤ ‖r‖ / (1 - max ρ_i Σ_j F_ij): the rows of ρF sum to less than one, so its Neumann
-    /// series is bounded by a geometric one.
+    /// Max-norm bound ‖B - B*‖ ≤ ‖r‖ / (1 - max ρ_i Σ_j F_ij): the row sums of ρF are less than one, so that a
+    /// geometric series bounds its Neumann series.
     fn error_bound(&self, radiosity: &[[f64; C]], irradiance: &[[f64; C]]) -> f64 {
         let escaped = self.form_factors.escaped();
         let mut worst = 0f64;
@@ -434,8 +439,8 @@ impl<'a, const C: usize> System<'a, C> {
         worst
     }
 
-    /// Refuses a scene in which light is caught: an emitter from which no path of light leads to anything that absorbs
-    /// or to the outside.
+    /// Refuses a scene that traps light: an emitter from which no path of light leads to an absorbing surface or to the
+    /// outside.
     fn check_equilibrium(&self) -> Result<()> {
         let is_caught =
             |(drained, source): (&[bool; C], &[f64; C])| (0..C).any(|c| !drained[c] && source[c] > 0.0);
@@ -445,15 +450,15 @@ impl<'a, const C: usize> System<'a, C> {
         Ok(())
     }
 
-    /// Whether a path of light leads from each patch to anything that absorbs or to the outside, in each channel.
+    /// Whether a path of light leads from each patch to an absorbing surface or to the outside, in each channel.
     pub(crate) fn drained(&self) -> Vec<[bool; C]> {
         let loses = |(reflectance, &escaped): (&[f64; C], &f64)| {
             reflectance.map(|rho| if rho < 1.0 || escaped > 0.0 { 1.0 } else { 0.0 })
         };
         let mut drained: Vec<[f64; C]> =
             self.reflectance.iter().zip(self.form_factors.escaped()).map(loses).collect();
-        // From the losing patches backwards along the light, a bounce each time: a product needs no rows of the matrix, and
-        // is right for hits that are not mutual too.
+        // Goes backwards along the light from the absorbing patches, a bounce at a time. A product needs no rows of the
+        // matrix, and is also right for one-way form factors.
         let mut changed = drained.as_flattened().contains(&0.0);
         while changed {
             changed = false;

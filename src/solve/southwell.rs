@@ -1,6 +1,6 @@
 //! Southwell relaxation, known in graphics as progressive refinement (Cohen, Chen, Wallace and Greenberg, SIGGRAPH 88;
-//! Gortler, Cohen and Slusallek, "Radiosity and relaxation methods", 1993): the patch with the most unshot power shoots
-//! it to all that it sees. Every intermediate solution is a picture.
+//! Gortler, Cohen and Slusallek, "Radiosity and relaxation methods", 1993). The patch with the most unshot power shoots
+//! it to all patches that it sees. Every intermediate solution can be shown as a picture.
 
 use std::{cmp::Ordering, collections::BinaryHeap};
 
@@ -33,7 +33,7 @@ impl Ord for Queued {
     }
 }
 
-/// Shooting in progress, `C` channels. What is unshot is exactly the residual Be + ρ F B - B of what was shot.
+/// A shooting solution in progress, with `C` channels. The unshot radiosity is exactly the residual Be + ρ F B - B.
 pub struct Shooting<'a, const C: usize> {
     system: System<'a, C>,
     /// Column i of the matrix as a row. A symmetric matrix is its own transpose.
@@ -41,16 +41,16 @@ pub struct Shooting<'a, const C: usize> {
     radiosity: Vec<[f64; C]>,
     unshot: Vec<[f64; C]>,
     queue: BinaryHeap<Queued>,
-    /// The power with which each patch stands in the queue; zero where it does not.
+    /// The power of each patch in the queue; zero if it is not queued.
     queued: Vec<f64>,
     shots: usize,
 }
 
 impl<'a, const C: usize> Shooting<'a, C> {
-    /// Nothing has been shot yet: the radiosity is zero, all emission is unshot.
+    /// Starts with zero radiosity and all emission unshot.
     ///
     /// # Panics
-    /// When `radiometry` has not `C` channels.
+    /// When `radiometry` does not have `C` channels.
     pub fn new(form_factors: &'a FormFactors, radiometry: impl Into<Radiometry<'a>>) -> Self {
         let radiometry = radiometry.into();
         assert_eq!(radiometry.channels, C, "channels disagree");
@@ -79,8 +79,8 @@ impl<'a, const C: usize> Shooting<'a, C> {
         self.system.form_factors.areas()[i] * self.unshot[i].iter().sum::<f64>()
     }
 
-    /// Queues patch `i` anew once its power has doubled: the queue stays short, and what shoots has at least half of
-    /// the greatest power.
+    /// Queues patch `i` again once its power has doubled. The queue stays short, and the patch that shoots has at least
+    /// half of the greatest power.
     fn enqueue(&mut self, i: usize) {
         let power = self.power(i);
         if power > 2.0 * self.queued[i] {
@@ -89,9 +89,9 @@ impl<'a, const C: usize> Shooting<'a, C> {
         }
     }
 
-    /// The patch with the most unshot power shoots it; returns which, or `None` when nothing is unshot.
+    /// Lets the patch with the most unshot power shoot. Returns the patch, or `None` if nothing is unshot.
     pub fn shoot(&mut self) -> Option<usize> {
-        // An entry is not removed when its patch is queued again: such stale ones are dropped here.
+        // Queueing a patch again leaves its old entry in the queue, which is dropped here.
         let i = loop {
             let Queued { power, patch } = self.queue.pop()?;
             if self.queued[patch as usize] == power {
@@ -104,7 +104,7 @@ impl<'a, const C: usize> Shooting<'a, C> {
             self.radiosity[i][c] += shot[c];
         }
         let (left, right) = self.system.form_factors.scaling();
-        // Taken out for the loop, which changes the rest of self.
+        // Taken out for the loop, which changes other fields of self.
         let transposed = std::mem::replace(&mut self.transposed, Matrix::zero((0, 0)));
         let (columns, values) = row(&transposed, i);
         for (&j, &s) in columns.iter().zip(values) {
@@ -120,17 +120,17 @@ impl<'a, const C: usize> Shooting<'a, C> {
         Some(i)
     }
 
-    /// Shots so far.
+    /// Number of shots so far.
     pub fn shots(&self) -> usize {
         self.shots
     }
 
-    /// Σ A |unshot| / Σ A Be of the worst channel: the relative residual.
+    /// The relative residual: Σ A |unshot| relative to the power that is emitted and enters, in the worst channel.
     pub fn residual(&self) -> f64 {
         self.system.relative(self.unshot.iter().copied())
     }
 
-    /// The radiosity so far, with what is unshot counted where it waits.
+    /// The radiosity so far, including the unshot radiosity.
     pub fn radiosity(&self) -> Vec<[f64; C]> {
         self.radiosity.iter().zip(&self.unshot).map(|(b, u)| std::array::from_fn(|c| b[c] + u[c])).collect()
     }
@@ -150,7 +150,7 @@ pub(super) fn solve<const C: usize>(
     let n = system.form_factors.len();
     let mut shooting = Shooting::<C>::new(system.form_factors, radiometry);
     while shooting.shots() < options.max_iterations.saturating_mul(n) {
-        // The residual costs a pass over all patches: look at it after every n shots.
+        // The residual costs a pass over all patches, so it is computed after every n shots.
         let round = shooting.shots();
         while shooting.shots() < round + n {
             if shooting.shoot().is_none() {

@@ -1,13 +1,14 @@
-//! Stochastic Jacobi iteration: every sweep casts its rays anew through the light that the sweeps before have found, and no
-//! matrix is ever held (Neumann and Neumann, "Stochastic iteration", 1999, and Bekaert, *Hierarchical and Stochastic Algorithms for
-//! Radiosity*, 1999). Memory is in proportion to the patches, whatever the number of rays.
+//! Stochastic Jacobi iteration. Every sweep casts new rays through the light that the earlier sweeps have found, and no
+//! matrix is stored (Neumann and Neumann, "Stochastic iteration", 1999, and Bekaert, *Hierarchical and Stochastic
+//! Algorithms for Radiosity*, 1999). Memory is proportional to the number of patches for any number of rays.
 //!
-//! One sweep is a noisy product: E = F_s B, B ← Be + ρ E. It is linear in B, and its rays are independent of the light they meet:
-//! the mean of the sweeps is off by noise and by what they started from, which decays as slowly as light moves, over hundreds of
-//! sweeps in a long bright corridor. So they start from the light as few rays tell it at equilibrium (`few_rays`), off by noise
-//! alone. What sweeps bring is averaged in 16 batches. Their spread tells the standard error, with how they depend on each other
-//! read off runs of batches of all patches together; what drifts from the first half to the last counts as error. Noise that
-//! lasts for longer than all sweeps together does not show.
+//! One sweep is a noisy product: E = F_s B, B ← Be + ρ E. It is linear in B, and its rays are independent of the light
+//! they meet. So the mean of the sweeps has two errors: noise, and the error of the start. The latter decays as slowly
+//! as light spreads, over hundreds of sweeps in a long bright corridor. Sweeps therefore start from an equilibrium
+//! estimated by few rays (`few_rays`), whose only error is noise. The results are averaged in 16 batches, whose spread
+//! estimates the standard error. The dependence between batches is estimated from runs of batches over all patches.
+//! Drift from the first half to the last counts as error. Noise that lasts longer than all sweeps together cannot be
+//! detected.
 
 use std::ops::Range;
 
@@ -27,35 +28,37 @@ use crate::{
     },
 };
 
-/// Shadow rays of each patch before the first sweep. They and the hemisphere rays before it come from a far part of the sequences.
+/// Shadow rays of each patch before the first sweep.
 const FIRST_SHADOW: u32 = 32;
+/// Index of the rays before the first sweep, in a part of the sequences that sweeps do not reach.
 const FAR: u32 = u32::MAX - ((1 << 16) - 1);
-/// Hemisphere rays that a sweep has at least, where there are enough.
+/// Least number of hemisphere rays of a patch in a sweep, if there are enough rays.
 const LEAST_RAYS: f64 = 4.0;
 /// Share of all rays that are shadow rays.
 const SHADOW: f64 = 0.25;
-/// Weight of the newest sweep in the light that the next one meets: less noise is carried on, and later.
+/// Weight of the newest sweep in the light that the next sweep meets. A smaller weight carries less noise to the next
+/// sweep, but reacts more slowly.
 const NEWEST: f64 = 0.5;
 
-/// An imbalance of energy within so many standard errors is taken for noise. Of 9 to 16 batches, more is one case in 950 to
-/// 6,300 (Student's t distribution with 8 to 15 degrees of freedom).
+/// An energy imbalance within this many standard errors counts as noise. With 9 to 16 batches noise exceeds it in one
+/// of 950 to 6,300 cases (Student's t distribution with 8 to 15 degrees of freedom).
 const NOISE: f64 = 5.0;
-/// Share of the energy that may be lost beside it: unoccluded light of lamps is known to so much.
+/// Share of the energy that may be missing besides: the accuracy of the unblocked light of lamps.
 const KNOWN: f64 = 1e-6;
 
 /// The name used on the command line and in reports.
 pub const NAME: &str = "stochastic-jacobi";
 
-/// How to sample.
+/// Options for sampling.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct StochasticOptions {
-    /// Mean number of rays a patch, those before the first sweep not counted.
+    /// Mean number of rays a patch, without the rays before the first sweep.
     pub rays: f64,
 }
 
 impl Default for StochasticOptions {
-    /// 256 rays a patch, as many as [`Quality::MEDIUM`](crate::Quality::MEDIUM) has.
+    /// 256 rays a patch, as in [`Quality::MEDIUM`](crate::Quality::MEDIUM).
     fn default() -> Self {
         StochasticOptions { rays: 256.0 }
     }
@@ -65,52 +68,52 @@ setters!(StochasticOptions {
     with_rays(rays: f64),
 });
 
-/// How far the sweeps have come.
+/// Progress of the sweeps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Reached {
-    /// Rays a patch, those before the first sweep not counted.
+    /// Rays a patch, without the rays before the first sweep.
     pub rays: f64,
     /// Area-weighted root mean square of the standard error of irradiance, relative to its mean.
     pub error: f64,
-    /// Share of the rays so far that the next batch adds.
+    /// Rays of the next batch, as a share of the rays so far.
     pub next: f64,
 }
 
-/// The light on every patch, with its statistical errors; `channels` interleaved values each.
+/// The light on every patch, with its standard errors; `channels` interleaved values a patch.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct StochasticSolution {
-    /// 1 or 3.
+    /// Number of channels, 1 or 3.
     pub channels: usize,
     /// Radiosity B = Be + ρ E, W/m².
     pub radiosity: Vec<f64>,
     /// Irradiance E, W/m².
     pub irradiance: Vec<f64>,
-    /// Standard error of the irradiance, W/m²; rather too large.
+    /// Standard error of the irradiance, W/m². It is rather too large than too small.
     pub standard_error: Vec<f64>,
-    /// Sweeps.
+    /// Number of sweeps.
     pub sweeps: u32,
-    /// Their rays, and those before them.
+    /// Number of rays of the sweeps, and of those before the first one.
     pub tally: Tally,
-    /// Rays a patch and error of those sweeps that count.
+    /// Rays a patch and error of the sweeps that count.
     pub reached: Reached,
     /// Σ A Be, W.
     pub emitted: Vec<f64>,
     /// Σ A (1 - ρ) E, W.
     pub absorbed: Vec<f64>,
-    /// What left the scene, W.
+    /// Power that left the scene, W.
     pub escaped: Vec<f64>,
-    /// (emitted - absorbed - escaped) / emitted of each channel as the rays say, of statistical nature: before all that arrives
-    /// and escapes is scaled so that none remains.
+    /// (emitted - absorbed - escaped) / emitted of each channel as the rays estimate it, before all arriving and
+    /// escaping light is scaled to balance.
     pub imbalance: Vec<f64>,
-    /// Its standard error.
+    /// Standard error of the imbalance.
     pub imbalance_error: Vec<f64>,
 }
 
 impl StochasticSolution {
-    /// Whether what the rays miss in energy is no more in any channel than its own noise and the sampling error of patches: what
-    /// makes it balance moves no patch by more than it is uncertain by anyway. If not, something was never sampled, or the sweeps
+    /// Whether in every channel the imbalance of energy is within its own noise and the sampling error of patches.
+    /// Balancing then moves no patch by more than its uncertainty. If not, some light was never sampled, or the sweeps
     /// have not settled.
     pub fn is_balanced(&self) -> bool {
         let both = self.imbalance.iter().zip(&self.imbalance_error);
@@ -118,13 +121,13 @@ impl StochasticSolution {
         both.into_iter().all(|(imbalance, &error)| imbalance.abs() <= allowed(error))
     }
 
-    /// The imbalance of the channel where it is worst, and its standard error.
+    /// The imbalance of the worst channel, and its standard error.
     pub fn worst_imbalance(&self) -> (f64, f64) {
         let both = self.imbalance.iter().copied().zip(self.imbalance_error.iter().copied());
         both.fold((0.0, 0.0), |worst: (f64, f64), one| if one.0.abs() > worst.0.abs() { one } else { worst })
     }
 
-    /// (emitted - absorbed - escaped) / emitted of the worst channel, once it was balanced.
+    /// (emitted - absorbed - escaped) / emitted of the worst channel, after balancing.
     pub fn balanced_to(&self) -> f64 {
         let powers = self.emitted.iter().zip(&self.absorbed).zip(&self.escaped);
         let left = powers.filter(|((emitted, _), _)| **emitted > 0.0).map(|((b, a), e)| (b - a - e) / b);
@@ -138,7 +141,7 @@ impl StochasticSolution {
 /// [`Error::NoEquilibrium`] when nothing absorbs and nothing escapes; [`Error::Stopped`].
 ///
 /// # Panics
-/// When the radiometry is not of those patches.
+/// When the radiometry does not belong to those patches.
 pub fn solve<'a>(
     sweeper: &Sweeper<'_>,
     radiometry: impl Into<Radiometry<'a>>,
@@ -148,8 +151,9 @@ pub fn solve<'a>(
     solve_while(sweeper, radiometry, options, |_| false, progress)
 }
 
-/// As [`solve`], and then for as long as `more` says so, batch by batch. Whenever there are 16 batches, they become 8 that are
-/// twice as long; so the answer is the mean of 9 to 16, and each adds at most an eighth to the rays before.
+/// Like [`solve`], and then continues batch by batch while `more` returns true. 16 full batches are joined to 8 that
+/// are twice as long. So the result is the mean of 9 to 16 batches, and each batch adds at most an eighth to the rays
+/// before.
 ///
 /// # Errors
 /// As [`solve`].
@@ -177,12 +181,13 @@ struct Iteration<'a, const C: usize> {
     emission: &'a [[f64; C]],
     reflectance: &'a [[f64; C]],
     radiosity: Vec<[f64; C]>,
-    /// What patches other than lamps send, averaged over the newest sweeps.
+    /// Reflected light and emission of patches that are not lamps at each patch, averaged over the newest sweeps.
     indirect: Vec<[f64; C]>,
-    /// What lamps send to each patch if nothing stands between, where that is known.
+    /// Unblocked irradiance of each patch from lamps, if it is known.
     unblocked: Vec<Option<[f64; C]>>,
-    /// All that came by shadow rays, and in the present batch.
+    /// Light that rays brought in all sweeps.
     whole: Vec<Arrived<C>>,
+    /// Light that rays brought in the present batch.
     batch: Vec<Arrived<C>>,
     batches: Batches<'a, C>,
     tally: Tally,
@@ -225,7 +230,8 @@ impl<'a, const C: usize> Iteration<'a, C> {
         progress.begin("stochastic Jacobi", steps(u64::from(RAYS) + BATCHES as u64 * sweeps));
 
         self.start(progress)?;
-        // Shadow rays know nothing of other patches' light: all of them count.
+        // Only hemisphere rays before the first sweep are dropped. Shadow rays do not depend on the light of other
+        // patches and all count.
         self.whole.iter_mut().for_each(|whole| (whole.met, whole.escaped) = ([0.0; C], 0.0));
         let (mut counted, mut first) = (0, true);
         loop {
@@ -249,13 +255,13 @@ impl<'a, const C: usize> Iteration<'a, C> {
         }
     }
 
-    /// One more batch: the sweeps of these numbers.
+    /// Adds a batch of sweeps with these numbers.
     fn fill_batch(&mut self, numbers: Range<u64>, rays: [u32; 2], progress: &Progress) -> Result<()> {
         let many = (numbers.end - numbers.start) as f64 * f64::from(rays[0]);
         self.batch.fill(Arrived::NOTHING);
         let mut escaped = SVector::<f64, C>::zeros();
         for number in numbers {
-            // Sequences end before the far part; who gets there begins them again.
+            // Sequences start again before they reach the far part.
             let first = rays.map(|rays| (number * u64::from(rays) % u64::from(FAR)) as u32);
             escaped += self.sweep(first, rays, progress)? / many;
         }
@@ -268,15 +274,15 @@ impl<'a, const C: usize> Iteration<'a, C> {
         Ok(())
     }
 
-    /// Casts a sweep whose hemisphere rays and shadow rays have these indices and those that follow, and lets the patches
-    /// reflect what comes. Returns the power that escaped, times the number of hemisphere rays.
+    /// Casts a sweep with `rays` hemisphere and shadow rays from the indices `first` on, and updates the radiosity.
+    /// Returns the power that escaped, times the number of hemisphere rays.
     fn sweep(&mut self, first: [u32; 2], rays: [u32; 2], progress: &Progress) -> Result<SVector<f64, C>> {
         let [hemisphere, shadow] = [0, 1].map(|k| first[k]..first[k] + rays[k]);
         let (came, tally) = self.sweeper.sweep(&self.radiosity, hemisphere, shadow, progress)?;
         self.tally.add(tally);
         self.sweeps += 1;
         let (sweeper, areas, unblocked) = (self.sweeper, self.sweeper.areas(), &self.unblocked);
-        // By the light that this sweep started from.
+        // Escaping power uses the light before the sweep.
         let left = |i: usize| areas[i] * came[i].escaped * SVector::from(self.radiosity[i]);
         let escaped = ordered_sum(came.len(), left);
         let patches = self.radiosity.par_iter_mut().zip(&mut self.indirect).zip(&mut self.whole);
@@ -295,7 +301,8 @@ impl<'a, const C: usize> Iteration<'a, C> {
         Ok(escaped)
     }
 
-    /// Begins with the light as few rays tell it: right after any number of bounces, but for their sampling error.
+    /// Starts from the light that few rays estimate, which is correct after any number of bounces except for sampling
+    /// error.
     fn start(&mut self, progress: &Progress) -> Result<()> {
         let (sweeper, n) = (self.sweeper, self.emission.len());
         if sweeper.has_lamps() {
@@ -305,7 +312,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
         }
         let few = FewRays::cast(sweeper, FAR, progress)?;
         self.tally.add(few.tally);
-        // What arrives first, from lamps by shadow rays and from others by hemisphere rays.
+        // Direct light: from lamps by shadow rays, and from other emitters by hemisphere rays.
         let direct = |i: usize| sweeper.direct(&self.unblocked[i], &self.whole[i], &self.whole[i]);
         let direct: Vec<[f64; C]> = (0..n).map(direct).collect();
         let dim: Vec<[f64; C]> =
@@ -329,7 +336,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
         Ok(())
     }
 
-    /// Whether light is reflected, and none of it absorbed where few rays met it, nor let out.
+    /// Whether light is reflected, but no surface absorbs any and none escapes, as far as few rays show.
     fn is_caught(&self, light: &[[f64; C]], few: &FewRays) -> bool {
         (0..C).any(|c| {
             let powers = |i: usize| {
@@ -348,7 +355,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
     }
 
     fn finish(self, counted: f64, reached: Reached) -> StochasticSolution {
-        // Ratios of whole sums, which are less biased than those of batches.
+        // Ratios of total sums have less bias than ratios of batches.
         let sampled = |i: usize| {
             let whole = &self.whole[i];
             let direct = self.sweeper.direct(&self.unblocked[i], whole, whole);
@@ -360,8 +367,8 @@ impl<'a, const C: usize> Iteration<'a, C> {
         let mut imbalance = vec![];
         for c in 0..C {
             let sent = self.emitted(c);
-            // What escapes is told by all rays together and the mean light: summed over sweeps it is too much, since of one
-            // sequence the rays that follow on many that met light are rather those that escape.
+            // Escaping power is estimated from all rays and the mean light. A sum over sweeps is too large: within a
+            // sequence, rays that follow many hits of bright patches are more likely to escape.
             let lost = |i: usize| {
                 let (e, rho) = (irradiance[i][c], self.reflectance[i][c]);
                 let escaping = self.whole[i].escaped / counted;
