@@ -1,7 +1,7 @@
-//! What stands between points, in double precision: a bounding volume hierarchy over the polygons as they were given.
+//! Blockers between points, in double precision: a bounding volume hierarchy over the given polygons.
 //!
-//! Points on polygons need no offset here. A polygon whose plane holds an end of a path does not block it, and rounding is 10⁻¹⁶ of
-//! the scene, so that gaps of a millionth of it are as open as they are drawn.
+//! Points on polygons need no offset. A polygon does not block a path with an end in its plane. Rounding is 10⁻¹⁶ of
+//! the scene, so that gaps of a millionth of it stay open.
 
 use std::{cell::Cell, collections::HashMap};
 
@@ -12,18 +12,18 @@ use super::{polygon::Polygon, shaft::Shaft};
 /// A point this close to a plane, in unit space, lies in it: some roundings of coordinates up to 1.
 const IN_PLANE: f64 = 1e-14;
 
-/// The most polygons of a leaf.
+/// Most blockers of a leaf.
 const LEAF: usize = 4;
 
 /// A triangle or parallelogram that blocks from both sides.
 pub(super) struct Blocker {
     origin: DVec3,
     normal: DVec3,
-    /// What gives a point of the plane in multiples of the two edges at the origin.
+    /// Dual vectors, which give the coordinates of a point in multiples of the two edges at the origin.
     duals: [DVec3; 2],
     pub(super) corners: [DVec3; 4],
     triangle: bool,
-    /// The polygons with these corners, which differ in the way they face, are one.
+    /// The name of its polygons. Polygons with the same corners share a name, whichever way they face.
     name: u32,
 }
 
@@ -62,7 +62,7 @@ impl Blocker {
             && self.holds(from + (to - from) * (h / (h - g)))
     }
 
-    /// Where a ray meets it, and whether it meets the side where the corners run counter-clockwise.
+    /// Distance at which a ray meets it, and whether it meets the side where the corners run counterclockwise.
     fn met(&self, from: DVec3, direction: DVec3) -> Option<(f64, bool)> {
         let (h, speed) = ((from - self.origin).dot(self.normal), direction.dot(self.normal));
         if h * speed >= 0.0 || h.abs() <= IN_PLANE {
@@ -76,9 +76,9 @@ impl Blocker {
 struct Node {
     low: DVec3,
     high: DVec3,
-    /// Of a leaf the first blocker, else the second child; the first one follows its parent.
+    /// For a leaf the first blocker, otherwise the second child. The first child follows its parent.
     at: u32,
-    /// Blockers of a leaf, else 0.
+    /// Number of blockers of a leaf; 0 for other nodes.
     count: u32,
     /// The axis along which the first child lies before the second.
     axis: usize,
@@ -88,16 +88,18 @@ struct Node {
 pub(super) struct Blockers {
     nodes: Vec<Node>,
     list: Vec<Blocker>,
-    /// Of each polygon given, the name of the blockers at its place.
+    /// For each given polygon, the name of the blockers at its place.
     names: Vec<u32>,
-    /// Of each name, the polygons with its corners: the first that runs as the blocker does, and the first that runs the other way.
+    /// For each name, the first polygon with its corners that faces like the blocker, and the first that faces the
+    /// other way.
     sides: Vec<[Option<u32>; 2]>,
-    /// Of each name, all polygons with its corners.
+    /// For each name, all polygons with its corners.
     sources: Vec<Vec<u32>>,
 }
 
 impl Blockers {
-    /// Of whole polygons, in order of their `source`, and of obstacles, which have no side that anybody sees.
+    /// Builds the hierarchy from whole polygons, in the order of their `source`, and from obstacles, which have no
+    /// visible side.
     pub(super) fn new(polygons: &[Polygon], obstacles: &[Polygon]) -> Blockers {
         let mut known: HashMap<Vec<[u64; 3]>, u32> = HashMap::new();
         let (mut list, mut names, mut sides): (Vec<Blocker>, Vec<u32>, Vec<[Option<u32>; 2]>) =
@@ -146,8 +148,8 @@ impl Blockers {
         if sides[mine] == Some(source) { sides[1 - mine] } else { None }
     }
 
-    /// Whether nothing but blockers of these two names stands between two points. `last` is the blocker that was found last: it often
-    /// blocks the next path as well, and is asked first.
+    /// Whether no blockers except those of two names are between two points. `last` is the blocker that was found last.
+    /// It often blocks the next path as well and is tested first.
     pub(super) fn free(&self, from: DVec3, to: DVec3, except: [u32; 2], last: &Cell<u32>) -> bool {
         let blocks = |blocker: &Blocker| !except.contains(&blocker.name) && blocker.blocks(from, to);
         if self.list.get(last.get() as usize).is_some_and(blocks) {
@@ -167,12 +169,13 @@ impl Blockers {
         )
     }
 
-    /// Whether none of these blockers stands between two points.
+    /// Whether none of these blockers is between two points.
     pub(super) fn free_of(&self, some: &[u32], from: DVec3, to: DVec3) -> bool {
         !some.iter().any(|&b| self.list[b as usize].blocks(from, to))
     }
 
-    /// Whether what a ray meets first, but for the blockers of a name, is a front. One that is at the same place as a back counts.
+    /// Whether the first blocker that a ray meets, except those of one name, shows a front. A front at the same place
+    /// as a back counts.
     pub(super) fn first(&self, from: DVec3, direction: DVec3, except: u32) -> Option<bool> {
         let met: Cell<Option<(f64, u32, bool)>> = Cell::new(None);
         let limit = || met.get().map_or(f64::INFINITY, |(t, ..)| t);
@@ -192,8 +195,8 @@ impl Blockers {
         met.get().map(|(_, name, front)| self.sides[name as usize][usize::from(!front)].is_some())
     }
 
-    /// Walks through the nodes that `enters` accepts, in the order in which a ray comes to them, and gives `meet` the blockers of each
-    /// leaf with the index of the first. `meet` returns whether to go on. Returns whether the walk came to its end.
+    /// Walks through the nodes that `enters` accepts, in the order of the ray, and calls `meet` with the blockers of
+    /// each leaf and the index of the first. The walk stops if `meet` returns false. Returns whether it was completed.
     fn walk(
         &self,
         ray: &Ray,
@@ -226,7 +229,7 @@ impl Blockers {
         true
     }
 
-    /// The polygons whose bounds come as near to those of some corners as this, in order.
+    /// The polygons whose bounds are within `margin` of the bounds of some corners, sorted.
     pub(super) fn near(&self, corners: &[DVec3], margin: f64) -> Vec<u32> {
         let (low, high) = bounds(corners);
         let (low, high) = (low - margin, high + margin);
@@ -252,7 +255,7 @@ impl Blockers {
         sources
     }
 
-    /// Appends the blockers in a shaft but for those of two names, up to `most`. Whether that is all of them.
+    /// Appends the blockers in a shaft except those of two names, up to `most`. Returns whether these are all.
     pub(super) fn within(&self, shaft: &Shaft, except: [u32; 2], most: usize, found: &mut Vec<u32>) -> bool {
         self.walk(
             &Ray::NONE,
@@ -279,17 +282,17 @@ struct Ray {
 }
 
 impl Ray {
-    /// For walks that have no direction.
+    /// For walks without a direction.
     const NONE: Ray = Ray { from: DVec3::ZERO, inverse: DVec3::ZERO };
 
     fn new(from: DVec3, direction: DVec3) -> Ray {
         Ray { from, inverse: direction.recip() }
     }
 
-    /// Whether it enters the box of a node before a limit.
+    /// Whether the ray enters the box of a node before a limit.
     fn enters(&self, node: &Node, limit: f64) -> bool {
         let (a, b) = ((node.low - self.from) * self.inverse, (node.high - self.from) * self.inverse);
-        // `min` and `max` leave out what is not a number: a ray in the plane of a side.
+        // `min` and `max` ignore NaN, which a ray in the plane of a side gives.
         let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
         near.max(0.0) <= far * (1.0 + 4.0 * f64::EPSILON) && near <= limit
     }
@@ -301,30 +304,30 @@ fn bounds<'a>(points: impl IntoIterator<Item = &'a DVec3>) -> (DVec3, DVec3) {
     points.into_iter().fold(none, |(low, high), p| (low.min(*p), high.max(*p)))
 }
 
-/// The corners in an order that does not depend on where they begin and which way they run.
+/// The corners in an order that does not depend on the first corner and the direction.
 fn sorted(corners: &[DVec3]) -> Vec<[u64; 3]> {
-    // Zeros of both signs are one place.
+    // Zeros of both signs are the same place.
     let mut bits: Vec<[u64; 3]> =
         corners.iter().map(|p| (*p + DVec3::ZERO).to_array().map(f64::to_bits)).collect();
     bits.sort_unstable();
     bits
 }
 
-/// What the corners of a quadrilateral may be off those of a parallelogram by, relative to its diagonal: files round.
+/// Largest deviation of a quadrilateral from a parallelogram, relative to its diagonal, because files round.
 const SKEW: f64 = 1e-5;
 
 fn is_parallelogram(corners: &[DVec3]) -> bool {
     matches!(*corners, [p, q, r, s] if (r - q - (s - p)).length() <= SKEW * (r - p).length())
 }
 
-/// Sorts the blockers into a hierarchy: halves them at the middle of the axis along which they are spread most.
+/// Sorts the blockers into a hierarchy. Divides them in halves along the longest axis of their bounds.
 fn build(list: &mut [Blocker], first: usize, nodes: &mut Vec<Node>) {
     if list.is_empty() {
         return;
     }
     let (low, high) = bounds(list.iter().flat_map(Blocker::corners));
     let at = nodes.len();
-    // As large as rounding may ask for.
+    // Margin for the rounding of the box test.
     let margin = DVec3::splat(4.0 * f64::EPSILON);
     let axis = (high - low).max_position();
     let count = list.len() as u32;

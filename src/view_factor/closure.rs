@@ -1,23 +1,25 @@
-//! Rows that sum to one: what sampling left over is given back where it is least certain.
+//! Closes rows to a sum of one. The deviation left by sampling is distributed to the least certain entries.
 //!
-//! Of all changes that close the rows, the one is made that is smallest in units of the standard errors: exchange area x_ij with
-//! variance v_ij changes by v_ij (λ_i + λ_j), where the multipliers λ solve a symmetric system (adjustment of observations with
-//! conditions; C. F. Gauss, *Theoria combinationis observationum*, 1828). What is known stays; formulas yield by their own small error.
+//! Of all changes that close the rows, this one is smallest in units of the standard errors: an exchange area x_ij with
+//! variance v_ij changes by v_ij (λ_i + λ_j), where the multipliers λ solve a symmetric system (adjustment of
+//! observations with conditions; C. F. Gauss, *Theoria combinationis observationum*, 1828). Entries known by formulas
+//! change only within their own small error.
 
 use nalgebra::DMatrix;
 
 use super::rows::Cell;
 
-/// What rows may be off by after it, as a share of their area.
+/// Deviation of closed rows, as a share of their area.
 const CLOSED: f64 = 1e-14;
-/// Steps of conjugate gradients at most.
+/// Most steps of conjugate gradients.
 const STEPS: usize = 2000;
-/// Rounds, in each of which exchange areas that would be below zero become zero and stay so.
+/// Most rounds. In each of them, exchange areas that would become negative are set to zero and stay zero.
 const ROUNDS: usize = 20;
-/// Surfaces up to which the standard errors after the change are computed; of more each changes by little.
+/// Up to this number of surfaces the standard errors after closing are computed. With more surfaces each error changes
+/// little.
 const FEW: usize = 400;
 
-/// Brings the sums of these rows to `targets`, and the errors to what they are then.
+/// Changes the sums of the given rows to `targets`, and updates the standard errors.
 pub(super) fn close(cells: &mut [Vec<Cell>], targets: &[f64], rows: &[bool]) {
     let n = targets.len();
     let mut variances: Vec<Vec<f64>> =
@@ -50,13 +52,13 @@ pub(super) fn close(cells: &mut [Vec<Cell>], targets: &[f64], rows: &[bool]) {
     }
 }
 
-/// What is missing to the sums of rows.
+/// The difference of each row sum from its target.
 fn missing(cells: &[Vec<Cell>], targets: &[f64], rows: &[bool]) -> Vec<f64> {
     let sums = sums(cells, targets.len(), |cell| cell.exchange);
     (0..targets.len()).map(|i| if rows[i] { targets[i] - sums[i] } else { 0.0 }).collect()
 }
 
-/// Sums over the rows of a symmetric matrix, of which these are the upper triangle.
+/// Row sums of a symmetric matrix, from its upper triangle.
 pub(super) fn sums(cells: &[Vec<Cell>], n: usize, value: impl Fn(&Cell) -> f64) -> Vec<f64> {
     let mut sums = vec![0.0; n];
     for (i, row) in cells.iter().enumerate() {
@@ -139,7 +141,8 @@ fn multipliers(
     x
 }
 
-/// The variances of adjusted observations: v_ij - v_ij² (Z_ii + 2 Z_ij + Z_jj), where Z is the inverse of the system's matrix.
+/// The variances of adjusted observations: v_ij - v_ij² (Z_ii + 2 Z_ij + Z_jj), where Z is the inverse of the system's
+/// matrix.
 fn tighten(cells: &mut [Vec<Cell>], variances: &[Vec<f64>]) {
     let n = cells.len();
     let mut system = DMatrix::<f64>::zeros(n, n);
@@ -154,10 +157,10 @@ fn tighten(cells: &mut [Vec<Cell>], variances: &[Vec<f64>]) {
             }
         }
     }
-    // Scaled to a diagonal of one: areas, and with them variances, may differ by much.
+    // Scaled to a unit diagonal, because areas and thus variances may differ widely.
     let scale: Vec<f64> =
         (0..n).map(|i| if system[(i, i)] > 0.0 { system[(i, i)].sqrt().recip() } else { 0.0 }).collect();
-    // A little on the diagonal: rows that say the same twice have no inverse else.
+    // The small diagonal term keeps linearly dependent rows invertible.
     let entry = |i: usize, j: usize| system[(i, j)] * scale[i] * scale[j] + if i == j { 1e-12 } else { 0.0 };
     let Some(inverse) = DMatrix::from_fn(n, n, entry).cholesky().map(|c| c.inverse()) else { return };
     let z = |i: usize, j: usize| inverse[(i, j)] * scale[i] * scale[j];

@@ -1,8 +1,9 @@
 //! Polygons that lie on each other.
 //!
-//! Front to front (a box on a floor) they see each other where they touch, and nothing else there: as with a gap that goes to zero.
-//! Facing the same way (a window drawn in the plane of a wall) the smaller one is in front, and hides the other there. Both times what
-//! is left of a polygon is cut into convex pieces that see the rest of the scene.
+//! Polygons front to front (a box on a floor) see each other where they touch, and nothing else there, like in the
+//! limit of a narrow gap. If polygons face the same way (a window drawn in the plane of a wall), the smaller one is in
+//! front and hides the other. In both cases the rest of a polygon is cut into convex pieces, which see the rest of the
+//! scene.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -13,26 +14,26 @@ use super::{
 };
 use crate::{form_factor::exact::clip, trace::sampling::mix};
 
-/// How far apart two fronts may be, in the extent of the scene and in radii of the smaller, and still touch: what rounding leaves.
-/// A wider gap is a gap.
+/// Largest gap between two touching fronts, in the extent of the scene and in radii of the smaller polygon. It allows
+/// for rounding; a wider gap is a real gap.
 const GAP: (f64, f64) = (1e-7, 1e-5);
-/// How deep a polygon may be sunk into the one that it lies on: files round to six digits.
+/// Depth to which a polygon may be sunk into the one that it lies on, because files round to six digits.
 const SUNK: (f64, f64) = (5e-6, 1e-3);
-/// What normals of polygons in one plane may differ by.
+/// Largest difference between the normals of polygons in one plane.
 const TURNED: f64 = 1e-4;
 /// Overlaps below this share of the smaller polygon are the rounding of neighbours' edges.
 const OVERLAP: f64 = 1e-6;
 
-/// Directions that tell on which side of a sheet the inside of a body is.
+/// Number of directions that decide on which side of a sheet the inside of a body is.
 const LOOKS: u64 = 16;
 
-/// What the polygons are once what touches or is hidden was taken off.
+/// The polygons without touching and hidden areas.
 pub(super) struct Parts {
-    /// Convex pieces, by polygons.
+    /// Convex pieces, in the order of the polygons.
     pub(super) pieces: Vec<Polygon>,
-    /// Surfaces that touch, the first not after the second, and the areas they do it with.
+    /// Pairs of touching surfaces with the area of contact. The first index is not greater than the second.
     pub(super) touching: Vec<(u32, u32, f64)>,
-    /// Of each polygon, the area that others in its plane hide.
+    /// For each polygon, the area that others in its plane hide.
     pub(super) hidden: Vec<f64>,
 }
 
@@ -40,11 +41,11 @@ pub(super) struct Parts {
 struct Overlap {
     p: usize,
     q: usize,
-    /// Whether they face each other; else the first hides the second.
+    /// Whether they face each other. Otherwise the first hides the second.
     touch: bool,
 }
 
-/// Takes off what touches, and what is hidden in its own plane.
+/// Removes areas that touch others, or are hidden in their own plane.
 pub(super) fn separate(polygons: Vec<Polygon>, blockers: &Blockers) -> Parts {
     let mut overlaps: Vec<Overlap> =
         (0..polygons.len()).into_par_iter().flat_map_iter(|i| overlaps_of(&polygons, i, blockers)).collect();
@@ -100,7 +101,7 @@ fn overlaps_of<'a>(
         let limit = |(extent, radii): (f64, f64)| (radii * small).min(extent);
         let opposed = cosine < 0.0;
         let (gap, sunk) = (limit(GAP), limit(if opposed { SUNK } else { GAP }));
-        // Heights of the smaller one, whose plane reaches less far.
+        // Heights of the smaller polygon, whose corners depart less from a common plane.
         let (plane, other) = if p.radius >= q.radius { (p, q) } else { (q, p) };
         let mut heights = other.corners.iter().map(|&v| plane.height(v));
         if !heights.all(|h| h <= gap && h >= -sunk) {
@@ -118,10 +119,11 @@ fn overlaps_of<'a>(
     })
 }
 
-/// Whether two polygons in one plane that face opposite ways do so front to front.
+/// Whether two polygons in one plane that face opposite ways touch front to front.
 ///
-/// Two sides of one sheet look the same; there nobody is inside a body. Where both polygons have two sides, those that come
-/// first in the list touch, and the others, behind them, do not.
+/// The two sides of a sheet have the same corners. They touch only if the front of one of them sees mostly backs, the
+/// inside of a body. If both polygons have another one behind them, the pair that comes first in the list touches, and
+/// the polygons behind them do not.
 fn in_contact(p: &Polygon, q: &Polygon, blockers: &Blockers) -> bool {
     if blockers.name(p.source) == blockers.name(q.source) {
         return [p, q].iter().any(|polygon| is_inside(polygon, blockers));
@@ -132,7 +134,7 @@ fn in_contact(p: &Polygon, q: &Polygon, blockers: &Blockers) -> bool {
     }
 }
 
-/// Whether most of what the front of a polygon sees are backs.
+/// Whether the front of a polygon sees mostly backs.
 fn is_inside(polygon: &Polygon, blockers: &Blockers) -> bool {
     let across = polygon.normal.any_orthonormal_vector();
     let along = polygon.normal.cross(across);
@@ -148,7 +150,7 @@ fn is_inside(polygon: &Polygon, blockers: &Blockers) -> bool {
     2 * backs.count() as u64 > LOOKS
 }
 
-/// What is left of pieces of a polygon where another one in its plane is taken off, and the area taken.
+/// The parts of the pieces of a polygon that another polygon in its plane does not cover, and the covered area.
 fn without(pieces: Vec<Vec<DVec3>>, of: &Polygon, other: &Polygon) -> (Vec<Vec<DVec3>>, f64) {
     let normal = of.normal * of.normal.dot(other.normal).signum();
     let (mut left, mut taken) = (Vec::new(), 0.0);

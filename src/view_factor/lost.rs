@@ -1,5 +1,5 @@
-//! Where the light goes that no surface gets: rays from all polygons tell which backs it meets, and whether it leaves upward or
-//! downward.
+//! Light that reaches no surface. Rays from all polygons estimate how much of it meets backs, and how much leaves the
+//! scene upward and downward.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -10,33 +10,35 @@ use crate::{
     trace::sampling::{around, mix, sobol_4d, square_to_cosine_hemisphere},
 };
 
-/// Rays for the look round, by area, and the fewest of a polygon: small ones have a look as well.
+/// Number of rays for looking around, distributed by area.
 const LOOK: f64 = 131_072.0;
+/// Fewest of these rays for a polygon.
 const FEWEST: f64 = 32.0;
-/// The most rays that divide what escapes of a surface, and of all. They are as many as leave a standard error of 10⁻³ of what escapes.
+/// Most rays that divide the escaping light of a surface. They give a standard error of 10⁻³ of the escaping light.
 const MOST: f64 = (1u32 << 18) as f64;
+/// Most rays that divide the escaping light of all surfaces.
 const MOST_IN_ALL: f64 = (1u32 << 22) as f64;
 
-/// What rays from a polygon or a surface met.
+/// Counts of what rays from a polygon or a surface met.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Sight {
-    /// Rays cast.
+    /// Number of rays cast.
     pub rays: u64,
-    /// Of them, those that met the back of a polygon,
+    /// Rays that met the back of a polygon.
     pub backs: u64,
-    /// those that left the scene upward or level,
+    /// Rays that left the scene upward or level.
     pub up: u64,
-    /// and those that left it downward.
+    /// Rays that left the scene downward.
     pub down: u64,
 }
 
 impl Sight {
-    /// Those that met no front.
+    /// Rays that met no front.
     pub fn lost(&self) -> u64 {
         self.backs + self.up + self.down
     }
 
-    /// The sum of what two saw.
+    /// The sum of two counts.
     pub fn and(self, other: Sight) -> Sight {
         Sight {
             rays: self.rays + other.rays,
@@ -47,7 +49,7 @@ impl Sight {
     }
 }
 
-/// What `rays` from a piece meet.
+/// Casts `rays` from a piece and counts what they meet.
 fn sight(piece: &Polygon, blockers: &Blockers, up: DVec3, rays: u64, seed: u64) -> Sight {
     let name = blockers.name(piece.source);
     let mut sight = Sight { rays, ..Sight::default() };
@@ -65,7 +67,7 @@ fn sight(piece: &Polygon, blockers: &Blockers, up: DVec3, rays: u64, seed: u64) 
     sight
 }
 
-/// What the pieces see, each.
+/// Counts what rays from each piece meet.
 pub(super) fn look(pieces: &[Polygon], blockers: &Blockers, up: DVec3) -> Vec<Sight> {
     let total: f64 = pieces.iter().map(|piece| piece.area).sum();
     let of_piece = |k: usize| {
@@ -84,22 +86,22 @@ pub struct Share {
     pub error: f64,
 }
 
-/// The shares of a surface's light that no surface gets.
+/// The shares of a surface's light that reach no surface.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Lost {
-    /// All of it.
+    /// All of these shares together.
     pub escaped: Share,
-    /// What meets backs,
+    /// The share that meets backs.
     pub backs: Share,
-    /// and what leaves the scene.
+    /// The share that leaves the scene.
     pub left: Share,
-    /// Of that what does so upward or level,
+    /// The part of `left` that leaves upward or level.
     pub up: Share,
-    /// and what does so downward.
+    /// The part of `left` that leaves downward.
     pub down: Share,
 }
 
-/// How what escapes from each surface, known with a standard error, is divided. `error` is the standard error wanted.
+/// Divides the escaping share of each surface, which has a standard error. `error` is the wanted standard error.
 pub(super) fn divide(
     escaped: &[Share],
     pieces: &[Polygon],
@@ -137,10 +139,10 @@ pub(super) fn divide(
             [sight.backs, sight.up + sight.down, sight.up, sight.down].map(|k| k as f64 / lost)
         };
         let spread = shares(&first).map(|s| s * (1.0 - s)).into_iter().fold(0.0, f64::max);
-        // Rays that agree tell so to one over their number.
+        // The spread of rays that agree is known only to one over their number.
         let wanted = (all.value * spread / (error * error)).max(1.0 / error).min(most);
         let seen = if wanted > first.rays as f64 { cast(wanted, 1) } else { first };
-        // Where the rays told of nothing lost, all that is lost leaves upward as far as is known.
+        // If no ray is lost, the small escaping share is counted as leaving upward.
         let parts = if seen.lost() == 0 { [0.0, 1.0, 1.0, 0.0] } else { shares(&seen) };
         let lost = seen.lost().max(1) as f64;
         let part = |s: f64| {

@@ -1,12 +1,14 @@
-//! View factors between all pairs of some surfaces, as heat transfer wants them: each accurate by itself, where a lighting solution
-//! wants but their sums.
+//! View factors between all pairs of surfaces, as heat transfer needs them: each is accurate by itself, while a
+//! lighting solution needs only accurate sums.
 //!
-//! What two polygons exchange with nothing between them is known: by Gauss-Legendre products where they are apart, by [closed
-//! forms](crate::form_factor::exact) where they are near. Whether something is between them is decided by their shaft, without a
-//! ray. Only where something is, rays tell what it hides, by an estimator without bias whose replicates tell its standard error.
-//! Rays go to pairs in proportion to their standard deviations, which lowers the sum of variances most (Neyman, 1934).
+//! The exchange of two polygons with nothing between them is known: from Gauss-Legendre products if they are far apart,
+//! from [closed forms](crate::form_factor::exact) if they are near. Their shaft shows without rays whether something is
+//! between them. Only then rays estimate how much is hidden, by an unbiased estimator whose replicates give its
+//! standard error. The number of rays of a pair is proportional to its standard deviation, which minimises the sum of
+//! variances (Neyman, 1934).
 //!
-//! A surface may be of several polygons: their exchange areas A_i F_ij sum up, and so do the variances of these.
+//! A surface may consist of several polygons. Its exchange areas A_i F_ij are the sums of theirs, and so are the
+//! variances.
 
 mod blockers;
 mod closure;
@@ -30,16 +32,17 @@ use crate::{Error, Progress, Result, form_factor::BeforeAfter};
 
 pub use lost::{Lost, Share, Sight};
 
-/// How accurate view factors are wanted, and what else is.
+/// Options for view factors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ViewFactorOptions {
-    /// RMS standard error over all view factors that are not zero. What nothing hides has a relative error of 10⁻⁵, whatever is wanted.
+    /// RMS standard error over all non-zero view factors. View factors between which nothing stands have a relative
+    /// error of 10⁻⁵ in any case.
     pub error: f64,
-    /// Whether the polygons enclose a room and show it their fronts: then rows sum to one exactly, else what is missing from
-    /// them escapes: it meets backs, or leaves the scene.
+    /// Whether the polygons enclose a room and show it their fronts. Rows then sum to one exactly. Otherwise the
+    /// missing light escapes: it meets backs, or leaves the scene.
     pub enclosed: bool,
-    /// Which way is up, for what leaves the scene upward and downward.
+    /// The upward direction, which divides the light that leaves the scene.
     pub up: DVec3,
     /// The same seed gives the same bytes, whatever the number of threads.
     pub seed: u64,
@@ -53,30 +56,31 @@ setters!(ViewFactorOptions {
 });
 
 impl Default for ViewFactorOptions {
-    /// 10⁻⁴, enclosed, y up, seed 0.
+    /// Error 10⁻⁴, enclosed, y up, seed 0.
     fn default() -> Self {
         ViewFactorOptions { error: 1e-4, enclosed: true, up: DVec3::Y, seed: 0 }
     }
 }
 
-/// View factors, and how they came about.
+/// View factors, their errors, and how they were computed.
 #[derive(Debug, Clone)]
 pub struct ViewFactors {
-    /// Rays cast for pairs between which something stands.
+    /// Number of rays cast, all for pairs with something between them.
     pub rays: u64,
-    /// RMS standard error of all view factors that are not zero, before rows were closed.
+    /// RMS standard error of all non-zero view factors, before rows were closed.
     pub error: f64,
-    /// Sums of the rows before they were closed.
+    /// Row sums before rows were closed.
     pub row_sums: Vec<f64>,
-    /// Where the light of each surface goes that no surface gets.
+    /// For each surface, where the light goes that reaches no surface.
     pub lost: Vec<Lost>,
-    /// Of each surface, the area that others in its plane hide. It has no part in view factors.
+    /// For each surface, the area that others in its plane hide. It takes no part in view factors.
     pub hidden: Vec<f64>,
     enclosed: bool,
     areas: Vec<f64>,
-    /// What the sum of a row may be off one by, as far as its errors tell.
+    /// Deviation of each row sum from one that its errors allow.
     allowed: Vec<f64>,
-    /// Rows of exchange areas in units of the mean area, and of their standard errors: both triangles.
+    /// Rows of exchange areas in units of the mean area, and of their standard errors. Holds both triangles of the
+    /// matrices.
     starts: Vec<usize>,
     columns: Vec<u32>,
     exchange: Vec<f64>,
@@ -85,7 +89,7 @@ pub struct ViewFactors {
 }
 
 impl ViewFactors {
-    /// How many surfaces there are.
+    /// Number of surfaces.
     pub fn len(&self) -> usize {
         self.areas.len()
     }
@@ -95,22 +99,23 @@ impl ViewFactors {
         self.areas.is_empty()
     }
 
-    /// The areas of the surfaces that can be seen, in the square of the unit of length.
+    /// The visible areas of the surfaces, in the square of the unit of length.
     pub fn areas(&self) -> &[f64] {
         &self.areas
     }
 
-    /// The share of each surface's light that no surface gets.
+    /// The share of surface `i`'s light that reaches no surface.
     pub fn escaped(&self, i: usize) -> f64 {
         self.lost[i].escaped.value
     }
 
-    /// F_ij of a row that are not zero, by columns.
+    /// The non-zero F_ij of row `i` as (j, F_ij), sorted by j.
     pub fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
         self.entries(i).map(|(j, f, _)| (j, f)).filter(|&(_, f)| f > 0.0)
     }
 
-    /// Columns, F_ij and standard errors of a row, by columns; also of those that rays found to be zero but might not be.
+    /// Columns, F_ij and standard errors of row `i`, sorted by column. Includes pairs that rays found to be zero but
+    /// whose error is not.
     pub fn entries(&self, i: usize) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
         let area = self.areas[i] / self.unit;
         (self.starts[i]..self.starts[i + 1]).map(move |k| {
@@ -123,7 +128,7 @@ impl ViewFactors {
         self.entry(i, j).map_or(0.0, |k| self.exchange[k] / (self.areas[i] / self.unit))
     }
 
-    /// The standard error of F_ij. Where nothing hides the two from each other it is that of the formula.
+    /// The standard error of F_ij. If nothing is between the two surfaces, it is the error of the formula.
     pub fn standard_error(&self, i: usize, j: usize) -> f64 {
         self.entry(i, j).map_or(0.0, |k| f64::from(self.errors[k]) / (self.areas[i] / self.unit))
     }
@@ -133,18 +138,18 @@ impl ViewFactors {
         self.columns[start..self.starts[i + 1]].binary_search(&(j as u32)).ok().map(|k| start + k)
     }
 
-    /// How many F_ij are not zero.
+    /// Number of non-zero F_ij.
     pub fn non_zeros(&self) -> usize {
         self.exchange.iter().filter(|&&x| x > 0.0).count()
     }
 
-    /// The largest standard error of an F_ij that is not zero, and which it is.
+    /// The largest standard error of a non-zero F_ij, as (i, j, error).
     pub fn largest_standard_error(&self) -> Option<(usize, usize, f64)> {
         let of_row = |i: usize| self.entries(i).filter(|e| e.1 > 0.0).map(move |(j, _, error)| (i, j, error));
         (0..self.len()).flat_map(of_row).reduce(|a, b| if b.2 > a.2 { b } else { a })
     }
 
-    /// Largest |sum of a row + what escapes - 1|; before closure of rows that were to be closed alone.
+    /// Largest |row sum + escaped share - 1|. `before` covers enclosed rooms only.
     pub fn row_sum_deviation(&self) -> BeforeAfter {
         let largest = |off: &dyn Fn(usize) -> f64| {
             (0..self.len()).filter(|&i| self.areas[i] > 0.0).map(off).fold(0.0, f64::max)
@@ -166,21 +171,22 @@ impl ViewFactors {
         BeforeAfter { before: after, after }
     }
 
-    /// The surfaces whose view factors summed up to more than 1 before rows were closed, beyond what chance explains: there are
-    /// others at the same place.
+    /// The surfaces whose row sums exceeded 1 before closing by more than their errors allow. Other surfaces are at the
+    /// same place.
     pub fn overfull_rows(&self) -> Vec<usize> {
         (0..self.len()).filter(|&i| self.row_sums[i] > 1.0 + self.allowed[i]).collect()
     }
 }
 
-/// View factors between convex planar polygons, each by its corners, counter-clockwise where it is seen. They see each other from that
-/// side, and block each other from both.
+/// View factors between convex planar polygons. Each is given by its corners, counterclockwise as seen from its front.
+/// Polygons see each other by their fronts, and block each other from both sides.
 ///
 /// # Errors
-/// [`Error::NotEnclosed`] when they were said to enclose a room and do not, [`Error::Stopped`] when `progress` says so.
+/// [`Error::NotEnclosed`] when the options say that the polygons enclose a room and they do not, [`Error::Stopped`]
+/// when `progress` says so.
 ///
 /// # Panics
-/// When a polygon is not convex or not planar, or has no area, or no positive error is wanted.
+/// When a polygon is not convex or not planar or has no area, or when the wanted error is not positive.
 pub fn view_factors(
     polygons: &[Vec<DVec3>],
     options: &ViewFactorOptions,
@@ -190,8 +196,8 @@ pub fn view_factors(
     view_factors_of_surfaces(&surfaces, options, progress)
 }
 
-/// What rays from each surface meet, which tells whether the surfaces enclose a room and where they do not. Each polygon casts some.
-/// Obstacles block from both sides and count as backs.
+/// Counts what rays from each surface meet. The counts show whether the surfaces enclose a room, and where they do not.
+/// Every polygon casts some rays. Obstacles block from both sides and count as backs.
 ///
 /// # Panics
 /// As [`view_factors`].
@@ -207,7 +213,7 @@ pub fn look(surfaces: &[impl AsRef<[Vec<DVec3>]>], obstacles: &[Vec<DVec3>], up:
     seen
 }
 
-/// View factors between surfaces, each a list of polygons as [`view_factors`] takes them. A surface may see itself.
+/// View factors between surfaces, each a list of polygons as in [`view_factors`]. A surface may see itself.
 ///
 /// # Errors
 /// Those of [`view_factors`].
@@ -222,8 +228,8 @@ pub fn view_factors_of_surfaces(
     view_factors_among(surfaces, &[], options, progress)
 }
 
-/// View factors between surfaces as by [`view_factors_of_surfaces`], where obstacles stand among them: polygons that block from both sides
-/// and have no view factors of their own. What meets them escapes, as what meets backs does.
+/// View factors between surfaces as in [`view_factors_of_surfaces`], with obstacles: polygons that block from both
+/// sides and have no view factors of their own. Light that meets them escapes, like light that meets backs.
 ///
 /// # Errors
 /// Those of [`view_factors`].
@@ -255,7 +261,8 @@ pub fn view_factors_among(
     let sums = |cells: &[Vec<Cell>], value: fn(&Cell) -> f64| divided(&closure::sums(cells, n, value));
     let row_sums = sums(&found.cells, |cell| cell.exchange);
     let errors = row_errors(&found.cells, &areas);
-    // Rays that agree may be wrong of all pairs of a row in the same way: along an edge that few reach.
+    // If rays agree by chance, all pairs of a row may be wrong in the same way, for example along an edge that few rays
+    // reach.
     let doubts = sums(&found.cells, |cell| f64::from(cell.doubt));
     let allowed: Vec<f64> = errors
         .iter()
@@ -287,7 +294,7 @@ pub fn view_factors_among(
         progress,
     )?;
 
-    // In units of the mean area no standard error leaves the range of single precision.
+    // In units of the mean area all standard errors are in the range of single precision.
     let unit = (areas.iter().sum::<f64>() / n.max(1) as f64).max(f64::MIN_POSITIVE);
     let (starts, columns, exchange, errors) = both_triangles(found.cells, n, unit);
     let square = scale * scale;
@@ -308,12 +315,12 @@ pub fn view_factors_among(
     })
 }
 
-/// The sum of a row is off one where it is so by more than this many standard errors, and by more than what polygons that adjoin but
-/// for rounding leave open.
+/// A row sum differs from one if the difference exceeds this many standard errors plus [`ROUNDING`].
 const STANDARD_ERRORS: f64 = 5.0;
+/// Gap left by polygons that adjoin except for rounding.
 const ROUNDING: f64 = 2e-5;
 
-/// The standard errors of the sums of rows: variances add up, and the formula's errors may all have one sign.
+/// The standard errors of row sums. Variances add up, but the formula's errors may all have the same sign.
 fn row_errors(cells: &[Vec<Cell>], areas: &[f64]) -> Vec<f64> {
     let n = areas.len();
     let variances = closure::sums(cells, n, |cell| f64::from(cell.spread).powi(2));
@@ -338,7 +345,7 @@ fn row_errors(cells: &[Vec<Cell>], areas: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Rows of a symmetric matrix, of which these are the upper triangle.
+/// All rows of a symmetric matrix, from its upper triangle.
 fn both_triangles(cells: Vec<Vec<Cell>>, n: usize, unit: f64) -> (Vec<usize>, Vec<u32>, Vec<f64>, Vec<f32>) {
     let mut starts = vec![0; n + 1];
     for (i, row) in cells.iter().enumerate() {
@@ -355,7 +362,7 @@ fn both_triangles(cells: Vec<Vec<Cell>>, n: usize, unit: f64) -> (Vec<usize>, Ve
         (columns[k], exchange[k], errors[k]) =
             (column as u32, cell.exchange.max(0.0) / unit, (cell.error() / unit) as f32);
     };
-    // Row by row, so that the columns of every row come in order, and the memory of each is free once it is there.
+    // Row by row, so that the columns of each row come in order and the memory of `cells` is freed on the way.
     for (i, row) in cells.into_iter().enumerate() {
         for cell in &row {
             let j = cell.column as usize;

@@ -1,4 +1,4 @@
-//! Paths between two polygons, chosen nearly in proportion to what they carry.
+//! Paths between two polygons, sampled nearly in proportion to what they carry.
 
 use std::{borrow::Cow, f64::consts::PI};
 
@@ -6,20 +6,21 @@ use glam::DVec3;
 
 use super::polygon::Area;
 
-/// The distance of centres, in sums of radii, from which points are chosen evenly on both. The kernel varies little there.
-/// Nearer it may have a singularity, and its square no integral.
+/// Distance of the centres, in sums of radii, beyond which points are chosen evenly on both polygons. The kernel varies
+/// little there. At smaller distances it may be singular and have an infinite variance.
 const APART: f64 = 3.0;
 
-/// How paths are chosen. Each has a weight, whose mean over all paths is what the two exchange with nothing between them.
+/// A way of sampling paths. The mean weight of the paths is the exchange of the two polygons with nothing between them.
 pub(super) enum Paths<'a> {
-    /// Points evenly on both.
+    /// Points distributed evenly on both.
     Apart(Cow<'a, Area>, Cow<'a, Area>),
-    /// A point evenly on the first, and from it a direction evenly by solid angle to the second: the weight has a bound.
+    /// A point distributed evenly on the first, and from it a direction distributed evenly over the solid angle of the
+    /// second. The weight is bounded.
     Near(Cow<'a, Area>, Cow<'a, Area>),
 }
 
 impl<'a> Paths<'a> {
-    /// Between the parts of two polygons that are in front of each other.
+    /// Paths between the parts of two polygons that are in front of each other.
     pub(super) fn between(p: Cow<'a, Area>, q: Cow<'a, Area>) -> Paths<'a> {
         let ball = |area: &Area| {
             let corners = area.corners();
@@ -36,7 +37,7 @@ impl<'a> Paths<'a> {
         }
     }
 
-    /// The ends of a path and its weight, by a point of the unit hypercube.
+    /// Maps a point of the unit hypercube to the ends of a path and its weight.
     pub(super) fn path(&self, [x, y, u, v]: [f64; 4]) -> (DVec3, DVec3, f64) {
         match self {
             Paths::Apart(p, q) => {
@@ -63,7 +64,7 @@ impl<'a> Paths<'a> {
     }
 }
 
-/// A direction from a point to a convex polygon, evenly by solid angle, and that angle.
+/// A direction from a point to a convex polygon, distributed evenly over its solid angle, and the solid angle.
 fn toward(from: DVec3, corners: &[DVec3], u: f64, v: f64) -> Option<(DVec3, f64)> {
     let sight = |k: usize| (corners[k] - from).normalize_or_zero();
     let triangles = corners.len() - 2;
@@ -82,12 +83,13 @@ fn toward(from: DVec3, corners: &[DVec3], u: f64, v: f64) -> Option<(DVec3, f64)
     None
 }
 
-/// A. van Oosterom and J. Strackee, "The Solid Angle of a Plane Triangle", IEEE Trans. Biomed. Eng. 30(2), 1983.
+/// The solid angle of a triangle given by unit vectors (A. van Oosterom and J. Strackee, "The Solid Angle of a Plane
+/// Triangle", IEEE Trans. Biomed. Eng. 30(2), 1983).
 fn solid_angle(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     2.0 * a.dot(b.cross(c)).abs().atan2(1.0 + a.dot(b) + b.dot(c) + c.dot(a))
 }
 
-/// A point of a spherical triangle of this area: J. Arvo, "Stratified Sampling of Spherical Triangles", SIGGRAPH 95.
+/// A point of a spherical triangle with this area (J. Arvo, "Stratified Sampling of Spherical Triangles", SIGGRAPH 95).
 fn in_triangle(a: DVec3, b: DVec3, c: DVec3, area: f64, u: f64, v: f64) -> DVec3 {
     let (to_b, to_c) = (a.cross(b), a.cross(c));
     let alpha = to_b.cross(to_c).length().atan2(to_b.dot(to_c));
@@ -108,7 +110,7 @@ mod tests {
     use super::*;
     use crate::form_factor::exact::exchange_area_to;
 
-    /// Weights of a lattice of paths, near and far, mean what the two exchange; near ones stay below their bound.
+    /// The mean weight of a lattice of paths is the exchange, near and far. Near weights stay below their bound.
     #[test]
     fn weights_mean_what_is_exchanged() {
         let floor =
@@ -126,7 +128,7 @@ mod tests {
             let n = 1 << 18;
             let (mut sum, mut most) = (0.0, 0f64);
             for k in 0..n {
-                // A lattice by the powers of the root of x⁵ = x + 1 (M. Roberts' R4 sequence).
+                // A lattice given by the powers of the root of x⁵ = x + 1 (M. Roberts' R4 sequence).
                 let g = 1.1673039782614187f64;
                 let point = [1, 2, 3, 4].map(|d| (0.5 + f64::from(k) / g.powi(d)).fract());
                 let (from, to, weight) = paths.path(point);

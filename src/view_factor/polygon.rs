@@ -1,4 +1,4 @@
-//! Convex polygons in unit space: what they exchange with nothing between them, and points on them.
+//! Convex polygons in unit space: their exchange with nothing between them, and points on them.
 
 use glam::{DVec3, Vec3A};
 
@@ -10,42 +10,43 @@ use crate::{
     scene::centre_and_extent,
 };
 
-/// What corners may be off a polygon's plane by, relative to its diameter: files round to six digits.
+/// Largest distance of a corner from a polygon's plane, relative to the polygon's radius, because files round to six
+/// digits.
 const SKEW: f64 = 1e-5;
 
 /// A corner this far below a plane, relative to the radius of the plane's polygon, still counts as on it.
 const ON_PLANE: f64 = 1e-9;
 
-/// Gauss-Legendre points a side, and the distance from which they do: that of the other polygon from this one's centre, in radii
-/// of this one. With them exchange areas of squares and triangles in 20,000 random positions were off by at most
-/// [`FORMULA`] relatively (test `products_are_as_precise_as_told`).
+/// Gauss-Legendre points in each direction, and the distance from which they suffice: from this polygon's centre to the
+/// other polygon, in radii of this one. With them, exchange areas of squares and triangles in 20,000 random positions
+/// had relative errors of at most [`FORMULA`] (test `products_are_as_precise_as_stated`).
 const RULES: [(usize, f64); 3] = [(2, 40.0), (3, 12.0), (4, 6.0)];
 
 /// Relative error of an exchange area with nothing between the polygons.
 pub(super) const FORMULA: f64 = 1e-5;
 
-/// Relative precision of the exchange areas of polygons that are too near for [`RULES`], and from how many radii on points do for
-/// that instead of contour integrals.
+/// Relative precision of exchange areas of polygons that are too near for [`RULES`].
 const NEAR_PRECISION: f64 = 1e-6;
+/// Number of radii from which points replace contour integrals for that precision.
 const RADII: f64 = 2.0;
 
 /// A convex polygon, or a piece of one.
 pub(super) struct Polygon {
     /// The surface that it belongs to.
     pub(super) surface: u32,
-    /// Which of the given polygons it is a piece of.
+    /// The given polygon that it is a piece of.
     pub(super) source: u32,
-    /// Counter-clockwise where it is seen.
+    /// Counterclockwise as seen from the front.
     pub(super) corners: Vec<DVec3>,
     pub(super) normal: DVec3,
     pub(super) area: f64,
     pub(super) centre: DVec3,
     pub(super) radius: f64,
-    /// By [`RULES`]: points as offsets from the centre, with weights that sum to the area.
+    /// For each of the [`RULES`], points as offsets from the centre, with weights that sum to the area.
     nodes: [Vec<(Vec3A, f32)>; RULES.len()],
     /// The normal in single precision.
     facing: Vec3A,
-    /// Its corners, for points on it.
+    /// Its outline, for choosing points on it.
     pub(super) whole: Area,
 }
 
@@ -62,7 +63,7 @@ impl Polygon {
         polygon
     }
 
-    /// A piece of a polygon that has an area.
+    /// A piece of a polygon. It must have an area.
     pub(super) fn piece(corners: Vec<DVec3>, surface: u32, source: u32) -> Polygon {
         let vector = area_vector(&corners);
         let area = vector.length();
@@ -77,17 +78,17 @@ impl Polygon {
         Polygon { surface, source, corners, normal, area, centre, radius, nodes, facing, whole }
     }
 
-    /// The height of a point above its plane.
+    /// The height of a point above the polygon's plane.
     pub(super) fn height(&self, point: DVec3) -> f64 {
         (point - self.centre).dot(self.normal)
     }
 
-    /// What a corner may be below its plane by.
+    /// Depth below the plane at which a corner still counts as on it.
     fn slack(&self) -> f64 {
         (ON_PLANE * self.radius).max(8.0 * f64::EPSILON)
     }
 
-    /// Whether it lies wholly, and whether it lies partly, in front of another polygon's plane.
+    /// Whether the polygon lies wholly, and whether it lies partly, in front of another polygon's plane.
     pub(super) fn in_front(&self, of: &Polygon) -> (bool, bool) {
         let (slack, height) = (of.slack(), of.height(self.centre));
         if height > self.radius {
@@ -100,12 +101,13 @@ impl Polygon {
         (heights().all(|h| h >= -slack), heights().any(|h| h > slack))
     }
 
-    /// Its corners in front of another polygon's plane.
+    /// The part of the polygon in front of another polygon's plane.
     pub(super) fn part_in_front(&self, of: &Polygon) -> Option<Vec<DVec3>> {
         clip(&self.corners, of.centre, of.normal, of.slack())
     }
 
-    /// A_i F_ij were nothing between the two, relatively to [`FORMULA`]. `whole` tells that both lie wholly in front of each other.
+    /// A_i F_ij if nothing is between the two, with the relative error [`FORMULA`]. `whole` states that both lie wholly
+    /// in front of each other.
     pub(super) fn exchange(&self, other: &Polygon, whole: bool) -> f64 {
         let path = other.centre - self.centre;
         let distance = path.length();
@@ -124,7 +126,7 @@ impl Polygon {
     }
 }
 
-/// Half the sum of the cross products: as long as the area, and pointing to the front.
+/// Half the sum of the cross products. Its length is the area, and it points to the front.
 pub(super) fn area_vector(corners: &[DVec3]) -> DVec3 {
     let o = corners[0];
     0.5 * corners.windows(2).map(|e| (e[0] - o).cross(e[1] - o)).sum::<DVec3>()
@@ -139,7 +141,7 @@ fn is_convex(corners: &[DVec3], normal: DVec3) -> bool {
     })
 }
 
-/// Corners that points are chosen on.
+/// A convex outline on which points are chosen.
 #[derive(Clone)]
 pub(super) struct Area {
     corners: Vec<DVec3>,
@@ -178,7 +180,7 @@ impl Area {
         self.corners.iter().sum::<DVec3>() / self.corners.len() as f64
     }
 
-    /// A point by one of the unit square, uniform by area.
+    /// Maps a point of the unit square to a point of the outline, uniformly by area.
     pub(super) fn point(&self, u: f64, v: f64) -> DVec3 {
         let at = u * self.area();
         let k = self.sums.partition_point(|&sum| sum <= at).min(self.sums.len() - 1);
@@ -189,8 +191,8 @@ impl Area {
     }
 }
 
-/// The polygons of surfaces and those of obstacles, recentred and rescaled so that their largest coordinate is 1, and how many of their
-/// lengths that is.
+/// The polygons of surfaces and of obstacles, recentred and rescaled so that their largest coordinate is 1, and the
+/// scale that was divided by.
 pub(super) fn in_unit_space(
     surfaces: &[impl AsRef<[Vec<DVec3>]>],
     obstacles: &[Vec<DVec3>],
@@ -214,9 +216,9 @@ mod tests {
     use super::*;
     use crate::trace::sampling::mix;
 
-    /// Random squares and triangles that face each other, from those that nearly touch to some that are a hundred sizes apart.
+    /// Random squares and triangles that face each other, from nearly touching to a hundred sizes apart.
     #[test]
-    fn products_are_as_precise_as_told() {
+    fn products_are_as_precise_as_stated() {
         let random = |k: u64, i: u64| mix(&[k, i]) as f64 / 2f64.powi(64);
         let (mut worst, mut met) = (0f64, 0);
         for k in 0..4000 {
@@ -258,7 +260,7 @@ mod tests {
         let n = 400;
         let at = |k: u32| (f64::from(k) + 0.5) / f64::from(n);
         let mean = (0..n * n).map(|k| area.point(at(k / n), at(k % n))).sum::<DVec3>() / f64::from(n * n);
-        // The centroid: of a rectangle 2 x 1 and a triangle 2 x 2 on it.
+        // The centroid of a rectangle of 2 x 1 with a triangle of 2 x 2 on it.
         let exact = (dvec3(1.0, 0.5, 0.0) + dvec3(2.0 / 3.0, 1.0 + 2.0 / 3.0, 0.0)) / 2.0;
         assert!(mean.distance(exact) < 1e-4, "{mean}");
     }

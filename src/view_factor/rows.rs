@@ -1,4 +1,5 @@
-//! All pairs, row by row: none is kept that exchanges nothing, so that memory goes with what is seen.
+//! All pairs, row by row. Pairs that exchange nothing are not stored, so that memory is proportional to the number of
+//! visible pairs.
 
 use std::{borrow::Cow, f64::consts::PI, ops::Range};
 
@@ -15,36 +16,40 @@ use super::{
 };
 use crate::{Progress, Result, form_factor::ordered_sum};
 
-/// View factors below the error wanted, within these bounds, are found by two rays a pair: none of them matters by itself, and their
-/// sum is as right as its standard error says.
+/// Bounds of the limit below which view factors are tiny. Each is estimated by [`FEWEST`] rays: none matters by itself,
+/// and their sum has the standard error that is stated.
 const TINY: (f64, f64) = (1e-7, 1e-4);
+/// Rays of a tiny pair.
 const FEWEST: u32 = 2;
-/// Rays of a pair that tell how many it shall have: the fewest, the most, and about how many for all pairs. These do not enter its
-/// estimate: it would be too low wherever few paths are free, since those pairs would stop early whose first rays were all blocked.
+/// Fewest and most rays of a pilot, which decides the number of rays of a pair. Pilot rays do not enter the estimate.
+/// It would otherwise be too low where few paths are free, because pairs whose first rays were all blocked would stop
+/// early.
 const PILOT: (u32, u32) = (8, 1024);
+/// Approximate number of pilot rays for all pairs.
 const PILOTS: usize = 1 << 20;
-/// The most rays of a pair.
+/// Most rays of a pair.
 const MOST: f64 = (1u32 << 28) as f64;
-/// Polygons in a shaft up to which each is asked in turn; beyond it paths go through the hierarchy.
+/// Up to this number of polygons in a shaft each is tested in turn. With more, paths go through the hierarchy.
 const SOME: usize = 24;
-/// Pairs of polygons that tell at what pace rays are given.
+/// Number of pairs of polygons that determine the pace of casting rays.
 const SAMPLE: u64 = 1 << 19;
-/// How much smaller an error the pace aims at than is wanted, and how often it is mended.
+/// The pace aims at this share of the wanted error.
 const MARGIN: f64 = 0.97;
+/// Most corrections of the pace.
 const TRIES: u32 = 5;
-/// A round that leaves more of the error than this share is the last.
+/// A round that leaves more than this share of the error is the last.
 const USEFUL: f64 = 0.98;
 
-/// What two surfaces exchange, as far as known, in unit space.
+/// The estimated exchange of two surfaces, in unit space.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Cell {
     /// A_i F_ij.
     pub(super) exchange: f64,
     /// The surface with the larger index.
     pub(super) column: u32,
-    /// The standard error by the spread of rays,
+    /// The standard error from the spread of rays.
     pub(super) spread: f32,
-    /// and the largest that rays which agree may hide.
+    /// The largest standard error that may be missing because rays agree by chance.
     pub(super) doubt: f32,
 }
 
@@ -54,14 +59,15 @@ impl Cell {
         Cell { exchange, column: 0, spread: variance.sqrt() as f32, doubt: doubt as f32 }
     }
 
-    /// The standard error: that of rays, and the formula's.
+    /// The standard error, from rays and from the formula.
     pub(super) fn error(&self) -> f64 {
         let [spread, doubt] = [self.spread, self.doubt].map(f64::from);
         let formula = FORMULA * self.exchange;
         (spread * spread + doubt * doubt + formula * formula).sqrt()
     }
 
-    /// Adds what other pairs of polygons exchange. Rays of several pairs do not all agree by chance.
+    /// Adds the exchange of other pairs of polygons. Rays of several pairs do not all agree by chance, so the largest
+    /// doubt counts.
     fn merge(&mut self, other: &Cell) {
         self.exchange += other.exchange;
         self.spread = self.spread.hypot(other.spread);
@@ -72,7 +78,7 @@ impl Cell {
 /// The blocker that was found last.
 type Last = std::cell::Cell<u32>;
 
-/// Where a piece is, which way it faces and how large it is: so little decides most pairs.
+/// Position, direction and size of a piece, which decide most pairs.
 struct Ball {
     centre: DVec3,
     normal: DVec3,
@@ -81,13 +87,13 @@ struct Ball {
 }
 
 impl Ball {
-    /// Whether two pieces see nothing of each other because one is wholly behind the other.
+    /// Whether two pieces cannot see each other because one is wholly behind the other.
     fn is_behind(&self, other: &Ball) -> bool {
         let path = other.centre - self.centre;
         path.dot(self.normal) < -other.radius || -path.dot(other.normal) < -self.radius
     }
 
-    /// At least what two pieces exchange: cosines and distance are bounded.
+    /// An upper bound of the exchange of two pieces, from bounds of cosines and distance.
     fn exchange_at_most(&self, other: &Ball) -> f64 {
         let path = other.centre - self.centre;
         let least = path.length() - self.radius - other.radius;
@@ -101,60 +107,60 @@ impl Ball {
     }
 }
 
-/// What is needed to compute a pair.
+/// The data for computing pairs.
 struct Pairs<'a> {
     pieces: &'a [Polygon],
     balls: Vec<Ball>,
-    /// Of surfaces.
+    /// Areas of the surfaces.
     areas: &'a [f64],
     blockers: &'a Blockers,
     sequence: Sequence,
     seed: u64,
-    /// Rays of a pilot.
+    /// Number of rays of a pilot.
     pilot: u32,
-    /// Below this view factors do not matter by themselves.
+    /// Limit below which view factors do not matter by themselves.
     tiny: f64,
-    /// The error wanted.
+    /// The wanted error.
     error: f64,
 }
 
-/// Two pieces of which something may stand between the parts that are in front of each other.
+/// Two pieces with parts that are in front of each other, with or without something between them.
 struct Pair<'a> {
     ends: [usize; 2],
     parts: [Cow<'a, Area>; 2],
-    /// Whether these parts are all of both.
+    /// Whether these parts are the whole pieces.
     whole: bool,
     names: [u32; 2],
-    /// All that may block, where it is known to be little.
+    /// All possible blockers, if they are known to be few.
     blockers: Option<Vec<u32>>,
-    /// What an error of the exchange area is in both view factors together.
+    /// Factor from an error of the exchange area to the errors of both view factors, added in squares.
     weight: f64,
 }
 
-/// What is seen of a pair without sampling.
+/// Visibility of a pair, found without sampling.
 enum Seen<'a> {
     Nothing,
     All(f64),
-    /// Too little to matter by itself.
+    /// The exchange is too small to matter by itself.
     Tiny(Pair<'a>),
-    /// With what is exchanged where nothing stands between.
+    /// A pair with something between, and its exchange if there were nothing.
     Part(Pair<'a>, f64),
 }
 
-/// A pair with more rays than the fewest, or with a larger error than is wanted, which may need more.
+/// A pair with more rays than the fewest, or with an error above the wanted one. It may need more rays.
 struct Sampled {
     ends: [u32; 2],
     unoccluded: f64,
     deviation: f64,
-    /// Whether rays of the pilot were free.
+    /// Whether some rays of the pilot were free.
     seen: bool,
     estimate: Estimate,
 }
 
-/// What is known of the pairs of a piece with later ones.
+/// The pairs of a piece with later ones.
 #[derive(Default)]
 struct Row {
-    /// By surfaces; all but the sampled.
+    /// Exchange with other surfaces, without the sampled pairs.
     cells: Vec<Cell>,
     sampled: Vec<Sampled>,
     rays: u64,
@@ -200,8 +206,8 @@ impl<'a> Pairs<'a> {
         p.exchange(q, pair.whole)
     }
 
-    /// What is seen without sampling. A path between the middles that is blocked tells at once that something stands between; the
-    /// shaft tells where nothing does.
+    /// Determines visibility without sampling. A blocked path between the middles shows at once that something is
+    /// between. Otherwise the shaft shows whether nothing is.
     fn look(&self, i: usize, j: usize, last: &Last) -> Seen<'a> {
         let Some(mut pair) = self.facing(i, j) else { return Seen::Nothing };
         let [from, to] = [&pair.parts[0], &pair.parts[1]].map(|part| part.middle());
@@ -222,7 +228,7 @@ impl<'a> Pairs<'a> {
         if pair.weight * unoccluded < self.tiny { Seen::Tiny(pair) } else { Seen::Part(pair, unoccluded) }
     }
 
-    /// What stands between a pair, where it is little.
+    /// The blockers between a pair, if they are few.
     fn blockers_between(&self, pair: &Pair) -> Option<Vec<u32>> {
         let [ours, theirs] = [&pair.parts[0], &pair.parts[1]].map(|part| (part.corners(), part.normal()));
         let mut found = Vec::new();
@@ -240,14 +246,14 @@ impl<'a> Pairs<'a> {
         Sample::cast(&paths, rays, is_free, &self.sequence, [mix(self.seed, stage), i, j])
     }
 
-    /// What two rays tell of a pair that does not matter by itself, unless they see nothing.
+    /// The estimate of a tiny pair by two rays; `None` if both are blocked.
     fn tiny(&self, pair: &Pair, last: &Last) -> Option<Cell> {
         let sample = self.cast(pair, FEWEST, 1, last);
-        // Where all was blocked it is too little to be missed, if it is there at all.
+        // If there is any exchange, it is too small to be missed.
         (!sample.is_blocked()).then(|| Cell::of(&sample.estimate(self.unoccluded(pair))))
     }
 
-    /// What a piece exchanges with later ones.
+    /// The exchange of a piece with later ones.
     fn row(&self, i: usize, pace: f64) -> Row {
         let mut row = Row::default();
         let last = Last::new(u32::MAX);
@@ -270,13 +276,13 @@ impl<'a> Pairs<'a> {
                     }
                     let estimate = self.cast(&pair, wanted, 1, &last).estimate(unoccluded);
                     row.rays += u64::from(estimate.rays + pilot.rays());
-                    // The pilot may have missed what the sample met.
+                    // The pilot may have missed light that the sample met.
                     if wanted > REPLICATES || Cell::of(&estimate).error() * pair.weight > self.error {
                         let ends = [i as u32, j as u32];
                         row.sampled.push(Sampled { ends, unoccluded, deviation, seen, estimate });
                         continue;
                     }
-                    // Too little to be missed, if it is there at all.
+                    // If there is any exchange, it is too small to be missed.
                     if estimate.exchange == 0.0 && estimate.doubt * pair.weight < self.tiny {
                         continue;
                     }
@@ -290,7 +296,7 @@ impl<'a> Pairs<'a> {
         row
     }
 
-    /// Samples a pair anew where it wants more rays at this pace. Returns how many were cast.
+    /// Samples a pair again if it needs more rays at this pace. Returns the number of rays cast.
     fn sample_again(&self, sampled: &mut Sampled, pace: f64) -> u64 {
         let [i, j] = sampled.ends.map(|k| k as usize);
         let Some(mut pair) = self.facing(i, j) else { return 0 };
@@ -308,13 +314,13 @@ impl<'a> Pairs<'a> {
     }
 }
 
-/// How many rays a pair shall have, by what its pilot told.
+/// The number of rays that a pair needs, from its pilot.
 fn wanted(pair: &Pair, deviation: f64, unoccluded: f64, seen: bool, pace: f64) -> u32 {
     let rays = estimate::rays(pair.weight, deviation, unoccluded, seen, pace);
     rays.clamp(f64::from(REPLICATES), MOST).ceil() as u32
 }
 
-/// Adds a cell to those of its column, which is the last or a new one.
+/// Adds a cell to the last one if both have the same column, otherwise appends it.
 fn add(cells: &mut Vec<Cell>, cell: Cell) {
     match cells.last_mut() {
         Some(last) if last.column == cell.column => last.merge(&cell),
@@ -330,11 +336,11 @@ fn mix(seed: u64, stage: u64) -> u64 {
 pub(super) struct Rows {
     pub(super) cells: Vec<Vec<Cell>>,
     pub(super) rays: u64,
-    /// RMS standard error of view factors that are not zero.
+    /// RMS standard error of non-zero view factors.
     pub(super) error: f64,
 }
 
-/// What all pairs of surfaces exchange, to the error wanted. `touching` are the areas that surfaces touch each other with.
+/// The exchange of all pairs of surfaces, to the wanted error. `touching` lists the areas by which surfaces touch.
 pub(super) fn rows(
     pieces: &[Polygon],
     areas: &[f64],
@@ -353,7 +359,8 @@ pub(super) fn rows(
         sequence: Sequence::new(),
         seed: options.seed,
         pilot: (PILOTS / all_pairs).clamp(PILOT.0 as usize, PILOT.1 as usize) as u32,
-        // A surface of many pieces has the square of their number of pairs with another one, and their variances add up.
+        // A surface of many pieces has as many pairs with another one as the product of their numbers of pieces, and
+        // the variances add up.
         tiny: (options.error * areas.len() as f64 / pieces.len().max(1) as f64).clamp(TINY.0, TINY.1),
         error: options.error,
     };
@@ -372,7 +379,7 @@ pub(super) fn rows(
         rays += sample_again(&pairs, &mut rows, pace, progress)?;
         let before = error;
         error = rms(areas, |i| merged(&rows, i));
-        // What is left is not the rays': more of them would only take time.
+        // The rest of the error does not come from rays, so that more of them would only take time.
         if error > USEFUL * before {
             break;
         }
@@ -380,13 +387,13 @@ pub(super) fn rows(
     let mut cells = Vec::with_capacity(areas.len());
     for (i, of) in pieces_of.iter().enumerate() {
         cells.push(merged(&rows, i));
-        // Its memory is wanted for the next ones.
+        // Frees memory for the next rows.
         rows[of.clone()].fill_with(Row::default);
     }
     Ok(Rows { cells, rays, error })
 }
 
-/// The pieces of each surface, which follow each other.
+/// The pieces of each surface, which are consecutive.
 fn pieces_of(pieces: &[Polygon], surfaces: usize) -> Vec<Range<usize>> {
     let mut next = 0;
     let of = |surface: usize| {
@@ -397,18 +404,18 @@ fn pieces_of(pieces: &[Polygon], surfaces: usize) -> Vec<Range<usize>> {
     (0..surfaces).map(of).collect()
 }
 
-/// Columns and areas of what touches, by the surface of the lower index.
+/// Columns and areas of contacts, by the surface with the lower index.
 fn by_row(touching: &[(u32, u32, f64)], surfaces: usize) -> Vec<Vec<Cell>> {
     let mut rows = vec![Vec::new(); surfaces];
     for &(i, j, area) in touching {
-        // Both of two polygons of one surface touch the other.
+        // Two touching polygons of one surface exchange in both directions.
         let exchange = if i == j { 2.0 * area } else { area };
         rows[i as usize].push(Cell { exchange, column: j, ..Cell::default() });
     }
     rows
 }
 
-/// The row of a surface: what its pieces exchange with those of later surfaces and with each other.
+/// The row of a surface: the exchange of its pieces with each other and with the pieces of later surfaces.
 fn merged(rows: &[Row], surface: usize, pairs: &Pairs, touching: &[Cell]) -> Vec<Cell> {
     let of_sampled = |sampled: &Sampled| {
         let column = pairs.pieces[sampled.ends[1] as usize].surface;
@@ -418,7 +425,7 @@ fn merged(rows: &[Row], surface: usize, pairs: &Pairs, touching: &[Cell]) -> Vec
         .iter()
         .flat_map(|row| row.cells.iter().copied().chain(row.sampled.iter().map(of_sampled)))
         .map(|cell| {
-            // Both of two pieces of one surface see the other.
+            // Two pieces of one surface exchange in both directions.
             let twice = if cell.column as usize == surface { 2.0 } else { 1.0 };
             let Cell { exchange, column, spread, doubt } = cell;
             Cell {
@@ -437,7 +444,7 @@ fn merged(rows: &[Row], surface: usize, pairs: &Pairs, touching: &[Cell]) -> Vec
     merged
 }
 
-/// RMS standard error of both view factors of all pairs that are not zero.
+/// RMS standard error of all non-zero view factors, both of each pair.
 fn rms(areas: &[f64], row: impl Fn(usize) -> Vec<Cell> + Sync) -> f64 {
     let of_row = |i: usize| {
         let mut sums = [0.0, 0.0];
@@ -454,7 +461,7 @@ fn rms(areas: &[f64], row: impl Fn(usize) -> Vec<Cell> + Sync) -> f64 {
     if count > 0.0 { (squares / count).sqrt() } else { 0.0 }
 }
 
-/// Rows of all pieces.
+/// The rows of all pieces.
 fn all_rows(pairs: &Pairs, pace: f64, progress: &Progress) -> Result<Vec<Row>> {
     let n = pairs.pieces.len();
     progress.begin("view factors", n as u64);
@@ -467,7 +474,7 @@ fn all_rows(pairs: &Pairs, pace: f64, progress: &Progress) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// Samples pairs anew that want more rays at this pace. Returns how many rays were cast.
+/// Samples the pairs again that need more rays at this pace. Returns the number of rays cast.
 fn sample_again(pairs: &Pairs, rows: &mut [Row], pace: f64, progress: &Progress) -> Result<u64> {
     progress.begin("more rays", rows.len() as u64);
     let row = |row: &mut Row| {
@@ -482,17 +489,17 @@ fn sample_again(pairs: &Pairs, rows: &mut [Row], pace: f64, progress: &Progress)
     Ok(rays)
 }
 
-/// The pace at which rays leave the error wanted, as the pilots of a sample of rows tell.
+/// The pace that gives the wanted error, estimated by the pilots of a sample of rows.
 fn pace(pairs: &Pairs, error: f64, progress: &Progress) -> Result<f64> {
     let n = pairs.pieces.len() as u64;
     let step = (n * n / 2 / SAMPLE).max(1) as usize;
     progress.begin("planning rays", n / step as u64);
-    /// Weights, deviations and unoccluded exchange areas of what is seen in part, and the count of what is seen.
-    /// And the largest product of weight and deviation.
-    type Told = (Vec<(f64, f64, f64)>, u64, f64);
+    /// Weights, deviations and unoccluded exchange areas of partly visible pairs, the number of visible pairs, and the
+    /// largest product of weight and deviation.
+    type Pilots = (Vec<(f64, f64, f64)>, u64, f64);
     let row = |i: usize| {
         progress.advance(1);
-        let (mut told, mut seen, mut most): Told = (Vec::new(), 0, 0.0);
+        let (mut partial, mut seen, mut most): Pilots = (Vec::new(), 0, 0.0);
         let others = if progress.is_stopped() { 0..0 } else { i + 1..pairs.pieces.len() };
         let last = Last::new(u32::MAX);
         for j in others {
@@ -506,14 +513,14 @@ fn pace(pairs: &Pairs, error: f64, progress: &Progress) -> Result<f64> {
                     most = most.max(pair.weight * deviation);
                     if !pilot.is_blocked() {
                         seen += 1;
-                        told.push((pair.weight, deviation, unoccluded));
+                        partial.push((pair.weight, deviation, unoccluded));
                     }
                 }
             }
         }
-        (told, seen, most)
+        (partial, seen, most)
     };
-    let rows: Vec<Told> =
+    let rows: Vec<Pilots> =
         (0..pairs.pieces.len()).into_par_iter().step_by(step).with_max_len(1).map(row).collect();
     progress.check()?;
     let seen = rows.iter().map(|(_, seen, _)| seen).sum::<u64>().max(1) as f64;
@@ -524,10 +531,10 @@ fn pace(pairs: &Pairs, error: f64, progress: &Progress) -> Result<f64> {
         };
         ordered_sum(rows.len(), |k| rows[k].0.iter().map(pair).sum::<f64>())
     };
-    // Both view factors of a pair.
+    // Counts both view factors of a pair.
     let enough = |pace: f64| squares(pace) <= 2.0 * seen * error * error;
     let most = rows.iter().map(|row| row.2).fold(0.0, f64::max);
-    // The pair that varies most has the fewest rays.
+    // At this pace even the pair with the largest deviation gets only the fewest rays.
     let least = if most > 0.0 { f64::from(REPLICATES) / most } else { 0.0 };
     if enough(least) {
         return Ok(least);
