@@ -42,9 +42,9 @@ const YIELD: f64 = 0.1;
 /// of other patches hit it.
 pub(super) const LEAST_LANDING: f64 = 1e-3;
 
-/// Newton's method starts when no row deviates by more than this. It continues as long as each step
+/// Newton's method starts when no row deviates by more than this.
 const NEAR: f64 = 0.1;
-/// leaves at most this share of the deviation.
+/// Newton's method continues as long as each step leaves at most this share of the deviation.
 const PROGRESS: f64 = 0.5;
 /// Smallest share of the residual to which a Newton step is solved: some hundred times the rounding of single
 /// precision.
@@ -147,8 +147,7 @@ fn step(
     let dot =
         |a: &[f32], b: &(dyn Fn(usize) -> f32 + Sync)| ordered_sum(n, |i| f64::from(a[i]) * f64::from(b(i)));
     let mut size = dot(&residual, &|i| direction[i]);
-    // More precision is useless: limited by the gain of the Newton step, by single precision, and by the precision
-    // wanted.
+    // A step needs no more precision than Newton's method gains, single precision can hold, or `precision` requires.
     let enough = deviation.max(0.1 * precision / deviation).clamp(LEAST_STEP, 1e-1).powi(2) * size;
     for _ in 0..MOST {
         // Negated, so that NaN ends the loop too.

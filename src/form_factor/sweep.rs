@@ -179,8 +179,8 @@ impl<'a> Sweeper<'a> {
         let mut more = 0.0;
         for turn in 0..2 {
             let other = &whole.shadow[1 - turn];
-            let told = if other.all > 0.0 { other } else { &whole.shadow[turn] };
-            let share = if told.all > 0.0 { told.free / told.all } else { 0.0 };
+            let used = if other.all > 0.0 { other } else { &whole.shadow[turn] };
+            let share = if used.all > 0.0 { used.free / used.all } else { 0.0 };
             more += share * (came.shadow[turn].rays * all - came.shadow[turn].all) / many;
         }
         std::array::from_fn(|c| (lit[c] + more * (unblocked[c] / all)).max(0.0))

@@ -217,8 +217,8 @@ impl Patches {
         self.shut_in.get(self.triangle(i)).is_some_and(|sides| sides[side])
     }
 
-    /// The areas of the patches whose light can be seen, and zero for those that are shut in solids; all areas where
-    /// nothing else has light. `light` are interleaved values.
+    /// The area of each patch whose light can be seen, and zero for patches shut in solids. If no visible patch has
+    /// light, all areas are kept. `light` holds interleaved values.
     pub fn seen_areas(&self, light: &[f64]) -> Vec<f64> {
         let is_lit = |i: usize| light[i * self.channels..][..self.channels].iter().any(|&x| x > 0.0);
         let all = !(0..self.len()).any(|i| !self.is_shut_in(i) && is_lit(i));
@@ -331,8 +331,8 @@ impl Patches {
         self.triangle_areas[self.triangle(i)] / f64::from(quadtree::children(self.cell(i).level))
     }
 
-    /// Barycentric coordinates, in its triangle, of the corners of patch `i`. A patch of the back has those of the
-    /// patch on the front.
+    /// Barycentric coordinates of the corners of patch `i` in its triangle. A back patch has the same coordinates as
+    /// its front patch.
     pub fn barycentric_corners(&self, i: usize) -> [[f64; 3]; 3] {
         let Cell { child, level, .. } = self.cell(i);
         quadtree::corners(child, level)
@@ -457,7 +457,7 @@ mod tests {
         for i in 0..patches.len() {
             let [a, b, c] = patches.corners(&scene, i);
             let cross = (b - a).cross(c - a);
-            // Binary fractions: no rounding but that of the centroid's thirds.
+            // Binary fractions have no rounding errors, except in the centroid's thirds.
             assert_eq!(0.5 * cross.length(), patches.area(i));
             assert_eq!(cross.normalize(), patches.normal(&scene, i));
             assert_eq!(patches.normal(&scene, i), if patches.is_front(i) { DVec3::Z } else { -DVec3::Z });

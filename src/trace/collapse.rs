@@ -24,7 +24,7 @@ pub(super) struct Collapse<'a> {
 }
 
 impl<'a> Collapse<'a> {
-    /// For a hierarchy with one triangle in each leaf.
+    /// The cheapest collapses of a hierarchy with one triangle in each leaf.
     pub(super) fn new(binary: &'a Bvh2, triangles: &'a [UnitTriangle]) -> Self {
         let n = binary.nodes.len();
         let mut collapse =
@@ -67,7 +67,7 @@ impl<'a> Collapse<'a> {
         }
     }
 
-    /// The least cost of two subtrees as `trees` trees together, and how many of these belong to the first.
+    /// The least cost of two subtrees as `trees` trees together, and the number of trees of the first.
     fn split(&self, a: usize, b: usize, trees: usize) -> (f32, usize) {
         (1..trees)
             .map(|of_a| (self.forests[a][of_a - 1] + self.forests[b][trees - of_a - 1], of_a))

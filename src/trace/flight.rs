@@ -1,8 +1,8 @@
 //! Casts several rays at a time: while one waits for memory, the others proceed.
 //!
-//! The next node of a ray depends on the node it has just read. In a hierarchy larger than the nearest caches, a single ray
-//! waits for memory most of the time. Independent rays therefore take turns, one node or leaf each, and meanwhile the next
-//! nodes of the others are fetched.
+//! The next node of a ray depends on the node it has just read. In a hierarchy larger than the nearest caches, a single
+//! ray waits for memory most of the time. Independent rays therefore take turns, one node or leaf each, and meanwhile
+//! the next nodes of the others are fetched.
 
 use std::mem::MaybeUninit;
 
@@ -15,10 +15,11 @@ use super::{
     wide::Lanes,
 };
 
-/// Number of rays at a time. With a million triangles, 4, 8 and 12 took a half, a third and a quarter of the time of one ray
-/// after the other.
+/// Number of rays at a time. With a million triangles, 4, 8 and 12 take a half, a third and a quarter of the time of
+/// rays cast one by one.
 const FLIGHTS: usize = 12;
-/// A hierarchy up to this number of bytes stays in a near cache. Rays then go one after the other, since turns cost time too.
+/// A hierarchy up to this number of bytes stays in a near cache. Rays are then cast one by one, because turns cost time
+/// too.
 const NEAR: usize = 1 << 20;
 
 /// A ray on its way, with the name that its caller gave it.
@@ -30,8 +31,8 @@ struct Flight<'a, T, Q> {
 }
 
 impl Bvh {
-    /// Casts rays. Each has a name, an origin and a direction. Calls `answered` with the name of a ray and its answer, in the order
-    /// in which rays end. This order depends on the rays alone.
+    /// Casts rays. Each has a name, an origin and a direction. Calls `answered` with the name of a ray and its answer,
+    /// in the order in which rays end. This order depends on the rays alone.
     #[inline(always)]
     pub(super) fn ask_each<L: Lanes, Q: Query, T>(
         &self,
@@ -102,7 +103,7 @@ mod tests {
         },
     };
 
-    /// Where all of these rays, taken in turns, end, and whether they are free; by their places.
+    /// For each ray, cast in turns, its hit and whether it is free.
     fn in_turns(tracer: &Tracer, rays: &[(Vec3A, Vec3A)]) -> Vec<[Option<(u32, u32)>; 2]> {
         let mut found = vec![[Some((u32::MAX, 0)); 2]; rays.len()];
         let named = || rays.iter().enumerate().map(|(k, &(from, to))| (k, from, to - from));
@@ -125,7 +126,7 @@ mod tests {
         rays.iter().map(ask).collect()
     }
 
-    /// Ordinary rays and degenerate ones; fewer rays than flights, and more.
+    /// Ordinary and degenerate rays.
     fn some_rays(count: usize, random: &mut Random) -> Vec<(Vec3A, Vec3A)> {
         let ray = |k: usize| match k % 4 {
             0 => (random.odd_vector(), random.odd_vector()),
@@ -146,7 +147,7 @@ mod tests {
         }
     }
 
-    /// The order in which rays end is the same with wide instructions and without, where they do take turns.
+    /// The order in which rays end is the same with and without wide instructions, if they take turns.
     #[test]
     #[cfg_attr(miri, ignore = "too many triangles")]
     fn rays_end_in_one_order() {

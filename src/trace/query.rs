@@ -66,8 +66,8 @@ impl Query for Nearest {
         front.min(back * 1.0003)
     }
 
-    /// A ray that grazes the outline of a body hits a front and a back at distances that differ only by rounding. It came
-    /// from outside, so that the front counts.
+    /// A ray that grazes the outline of a body hits a front and a back at distances that differ only by rounding. It
+    /// came from outside, so that the front counts.
     #[inline(always)]
     fn answer(self) -> Option<(u32, Met)> {
         match (self.front, self.back) {

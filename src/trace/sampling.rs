@@ -26,7 +26,7 @@ pub fn sobol_4d(index: u32, seed: u64) -> [f32; 4] {
     sobol_burley::sample_4d(index % SEQUENCE, 0, seed_of(seed, index))
 }
 
-/// The seed of the sequence that point `index` is in.
+/// The seed of the sequence that contains point `index`.
 #[inline]
 pub(super) fn seed_of(seed: u64, index: u32) -> u32 {
     let seed = if index < SEQUENCE { seed } else { mix(&[seed, (index / SEQUENCE) as u64]) };
@@ -45,8 +45,8 @@ pub fn square_to_triangle(x: f32, y: f32) -> [f32; 3] {
     [b0, b1, (1.0 - b0 - b1).max(0.0)]
 }
 
-/// Direction on the hemisphere round +z with density cos θ / π (Malley's method: a uniform disk, lifted), from a
-/// point of the unit square.
+/// Maps a point of the unit square to a direction on the hemisphere around +z with density cos θ / π (Malley's method:
+/// a uniform disk, lifted).
 ///
 /// Shirley and Chiu, "A Low Distortion Map Between Disk and Square", JGT 2(3), 1997.
 #[inline]
@@ -65,8 +65,8 @@ pub(crate) fn cosine_hemisphere(x: f32, y: f32) -> [f32; 3] {
     [r * cos, r * sin, (1.0 - r * r).max(0.0).sqrt()]
 }
 
-/// Sine and cosine of an angle between -π/4 and π/4, to 10⁻⁷. They are the same on every machine; the functions of the standard
-/// library need not be.
+/// Sine and cosine of an angle between -π/4 and π/4, to 10⁻⁷. They are the same on every machine; the functions of the
+/// standard library need not be.
 ///
 /// Moshier, *Methods and Programs for Mathematical Functions* (Cephes), `sinf` and `cosf`.
 #[inline]

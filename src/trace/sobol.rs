@@ -1,7 +1,8 @@
 //! Points of the four-dimensional Owen-scrambled Sobol sequence, several at a time.
 //!
-//! They equal the points of [`sobol_4d`](super::sampling::sobol_4d) and take a third of the time. Hashes of the seed are computed
-//! once, the linear map from a number to its point is looked up byte by byte, and the compiler scrambles all lanes at once.
+//! They equal the points of [`sobol_4d`](super::sampling::sobol_4d) and take a third of the time. Hashes of the seed
+//! are computed once, the linear map from a number to its point is looked up byte by byte, and the compiler scrambles
+//! all lanes at once.
 
 use std::{ops::Range, sync::LazyLock};
 
@@ -12,7 +13,8 @@ use super::sampling::{SEQUENCE, seed_of};
 /// Number of points computed at a time.
 pub const LANES: usize = 8;
 
-/// The points of all numbers whose reversed bits have but one byte, the first or the second; numbers have two.
+/// The points of all numbers with a single non-zero byte, the first or the second of their reversed bits. Numbers have
+/// two bytes.
 static POINTS: LazyLock<[[[u32; 4]; 256]; 2]> = LazyLock::new(|| {
     let point = |number: u32| [0, 1, 2, 3].map(|dimension| sobol_rev(number, dimension));
     [24, 16].map(|shift| std::array::from_fn(|byte| point((byte as u32) << shift)))
@@ -64,10 +66,10 @@ impl Sobol {
     /// The points from number `first` on, by dimension; coordinates in \[0, 1).
     ///
     /// # Panics
-    /// When `first` is no multiple of [`LANES`].
+    /// When `first` is not a multiple of [`LANES`].
     #[inline]
     pub fn points(&self, first: u32) -> [[f32; LANES]; 4] {
-        assert_eq!(first % LANES as u32, 0, "lanes begin at a multiple");
+        assert_eq!(first % LANES as u32, 0, "the first number must be a multiple of the lanes");
         let scramble =
             if first < SEQUENCE { self.scramble } else { Scramble::new(seed_of(self.seed, first)) };
         let base = (first % SEQUENCE).reverse_bits();

@@ -1,9 +1,9 @@
 //! Tests of a ray against eight boxes or eight triangles at once: in plain Rust, and in AVX2 if the processor has it.
 //!
-//! Both do the same arithmetic in the same order, without fused operations. So both give the same bytes. NaN behaves as in
-//! `minps` and `maxps`. This is the only file with unsafe code. An [`Avx2`] exists only if [`Kernel::detect`] found the
-//! instructions. Its intrinsics need nothing else, except valid pointers, which point to whole arrays. A [`Stack`] reads
-//! only entries that it has written.
+//! Both do the same arithmetic in the same order, without fused operations. So both give the same bytes. NaN behaves as
+//! in `minps` and `maxps`. This is the only file with unsafe code. An [`Avx2`] exists only if [`Kernel::detect`] found
+//! the instructions. Its intrinsics need nothing else, except valid pointers, which point to whole arrays. A [`Stack`]
+//! reads only entries that it has written.
 #![allow(unsafe_code, reason = "wide instructions chosen at run time")]
 
 #[cfg(target_arch = "x86_64")]
@@ -20,7 +20,8 @@ use super::{
 
 /// Operations on all lanes.
 pub(super) trait Lanes: Copy {
-    /// The boxes that the ray enters before `limit`, one bit each, and the distances where it enters them: 0 if it starts inside.
+    /// The boxes that the ray enters before `limit`, one bit each, and the distances where it enters them: 0 if it
+    /// starts inside.
     fn boxes(self, node: &Node, ray: &PreparedRay, limit: f32) -> (u32, [f32; WIDTH]);
 
     /// The triangles that the ray's line hits, one bit each, and their edge functions u, v, w.
@@ -343,7 +344,7 @@ pub(super) mod tests {
         }
     }
 
-    /// Bits, with every NaN as one: which of its bits survive is left open.
+    /// Bits, with all NaNs equal: it is not specified which of their bits survive.
     fn bits<const N: usize>(values: [f32; N]) -> [u32; N] {
         values.map(|x| if x.is_nan() { f32::NAN } else { x }.to_bits())
     }
@@ -402,7 +403,7 @@ pub(super) mod tests {
         assert!(inside_any > ROUNDS / 100, "{inside_any} of {ROUNDS}");
     }
 
-    /// Triangles of all sizes, slivers, coplanar ones one upon the other, needles as long as the scene.
+    /// Triangles of all sizes, slivers, coincident triangles, and needles as long as the scene.
     pub(in super::super) fn soup(count: usize, random: &mut Random) -> Vec<([DVec3; 3], u32)> {
         let mut triangles = Vec::new();
         while triangles.len() < count {
@@ -446,7 +447,7 @@ pub(super) mod tests {
         }
     }
 
-    /// Every triangle in a leaf of its own, all asked in turn.
+    /// Tests every triangle in turn, each in a leaf of its own.
     fn closest_of_all(triangles: &[UnitTriangle], ray: &PreparedRay) -> Option<(u32, Met)> {
         let mut nearest = Nearest::default();
         for (t, triangle) in triangles.iter().enumerate() {
