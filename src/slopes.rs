@@ -58,12 +58,12 @@ mod tests {
     #[test]
     fn the_basis_is_orthogonal() {
         const N: usize = 400;
-        let (mut many, mut sums, mut products) = (0.0, [0.0; 2], [0.0; 3]);
+        let (mut count, mut sums, mut products) = (0.0, [0.0; 2], [0.0; 3]);
         for i in 0..N {
             for j in 0..N - i {
                 let x = |k: usize| (k as f64 + 1.0 / 3.0) / N as f64;
                 let [p, q] = basis([x(i), x(j), 1.0 - x(i) - x(j)]);
-                many += 1.0;
+                count += 1.0;
                 sums = [sums[0] + p, sums[1] + q];
                 products = [products[0] + p * p, products[1] + q * q, products[2] + p * q];
             }
@@ -71,8 +71,8 @@ mod tests {
         // Each cell of the lattice except those along one edge is a parallelogram. The tolerance is the share of the
         // others.
         let off = 4.0 / N as f64;
-        assert!(sums.iter().all(|s| (s / many).abs() < off) && (products[2] / many).abs() < off);
-        assert!((0..2).all(|m| (products[m] / many - SQUARES[m]).abs() < off), "{products:?}");
+        assert!(sums.iter().all(|s| (s / count).abs() < off) && (products[2] / count).abs() < off);
+        assert!((0..2).all(|m| (products[m] / count - SQUARES[m]).abs() < off), "{products:?}");
         for (k, corner) in CORNERS.iter().enumerate() {
             assert_eq!(*corner, basis(std::array::from_fn(|other| f64::from(u8::from(other == k)))));
         }

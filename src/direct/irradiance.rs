@@ -183,7 +183,7 @@ impl ShadowRays {
         let mut parts = [[0f64; REPLICATES]; C];
         for k in 0..REPLICATES {
             let range = part(rays.len() as u32, k);
-            let many = range.len() as f64;
+            let count = range.len() as f64;
             for s in range {
                 let (ray, half) = (rays[s], s % HALVES);
                 let piece = ray.piece as usize;
@@ -192,7 +192,7 @@ impl ShadowRays {
                 let weight = f64::from(ray.weight);
                 let left = if counts { weight.max(0.0) - free * weight.abs() } else { 0.0 };
                 for c in 0..C {
-                    parts[c][k] += (left * sent[piece][c] + controlled[half][c]) / many;
+                    parts[c][k] += (left * sent[piece][c] + controlled[half][c]) / count;
                 }
             }
         }
@@ -275,9 +275,9 @@ impl Scratch {
 
 /// Variance of the mean, from deviations that sum to zero up to rounding.
 fn variance_of(deviations: &[f32; REPLICATES]) -> f64 {
-    let many = REPLICATES as f64;
+    let count = REPLICATES as f64;
     let squares: f64 = deviations.iter().map(|&d| f64::from(d).powi(2)).sum();
-    squares / (many * (many - 1.0))
+    squares / (count * (count - 1.0))
 }
 
 #[cfg(test)]
@@ -362,10 +362,10 @@ mod tests {
             let seen = square((2.0 * hole).min(1.0), 1.0);
             let middle = (floor[0] + floor[1] + floor[2]) / 3.0;
             let wanted = std::f64::consts::PI * point_to_polygon(middle, DVec3::Z, &seen);
-            let many = seeds as f64;
-            let mean = found.iter().sum::<f64>() / many;
+            let count = seeds as f64;
+            let mean = found.iter().sum::<f64>() / count;
             let error =
-                (found.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (many * (many - 1.0))).sqrt();
+                (found.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (count * (count - 1.0))).sqrt();
             assert!(
                 (mean - wanted).abs() < 4.0 * error + 1e-3 * wanted,
                 "{hole}: {mean} for {wanted} ± {error}"

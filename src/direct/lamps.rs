@@ -469,10 +469,10 @@ impl Lamps {
         let mut of_lamps = vec![0.0; self.count];
         arriving().for_each(|(lamp, light)| of_lamps[lamp] += light);
         let sum: f64 = of_lamps.iter().sum();
-        let many = of_lamps.iter().filter(|&&light| light > 0.0).count() as f64;
-        let alike = if many <= 2.0 { Constants::ALIKE_OF_TWO } else { Constants::ALIKE };
+        let count = of_lamps.iter().filter(|&&light| light > 0.0).count() as f64;
+        let alike = if count <= 2.0 { Constants::ALIKE_OF_TWO } else { Constants::ALIKE };
         let share = |(lamp, light): (usize, f64)| {
-            let of_alike = if light > 0.0 { light / of_lamps[lamp] / many } else { 0.0 };
+            let of_alike = if light > 0.0 { light / of_lamps[lamp] / count } else { 0.0 };
             (1.0 - alike) * light / sum + alike * of_alike
         };
         (sum > 0.0).then(|| arriving().map(share).collect())

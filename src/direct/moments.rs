@@ -56,9 +56,9 @@ pub(crate) fn measured<const C: usize>(parts: &[[[f64; 2]; C]; REPLICATES], rays
         for m in 0..2 {
             let mean: f64 = (0..REPLICATES).map(|k| share(k) * parts[k][c][m]).sum();
             let squares: f64 = parts.iter().map(|part| (part[c][m] - mean).powi(2)).sum();
-            let many = REPLICATES as f64;
+            let count = REPLICATES as f64;
             found.slopes[c][m] = mean / SQUARES[m];
-            found.noise += squares / (many * (many - 1.0)) / SQUARES[m];
+            found.noise += squares / (count * (count - 1.0)) / SQUARES[m];
         }
     }
     found

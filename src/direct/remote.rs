@@ -210,13 +210,13 @@ mod tests {
                     corners: corners.map(|corner| corner.as_vec3a()),
                     normal: Vec3A::new(0.0, 0.0, 1.0),
                 };
-                let many = 512;
-                let cell = |k: usize| (k as f32 + 0.5) / many as f32;
+                let count = 512;
+                let cell = |k: usize| (k as f32 + 0.5) / count as f32;
                 let mut mean = 0.0;
-                for (i, j) in (0..many).flat_map(|i| (0..many).map(move |j| (i, j))) {
+                for (i, j) in (0..count).flat_map(|i| (0..count).map(move |j| (i, j))) {
                     let (_, to, weight) = light.sample(&from, [cell(i), cell(j), 0.5, 0.5]).unwrap();
                     assert!((to - Vec3A::new(0.1, 0.2, height as f32)).length() < 2.0 * MOUNTED);
-                    mean += weight / (many * many) as f64;
+                    mean += weight / (count * count) as f64;
                 }
                 let wanted = light.unblocked(&Facing { corners, normal: DVec3::Z });
                 assert!((mean / wanted - 1.0).abs() < 3e-4, "{distribution:?} {height}: {mean} for {wanted}");

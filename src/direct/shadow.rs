@@ -87,8 +87,8 @@ impl ShadowRays {
 
     /// The unblocked form factors of patch `i` to all pieces; empty if they are not known.
     pub(super) fn unoccluded(&self, i: usize) -> &[f64] {
-        let many = self.lamps.pieces.len();
-        if self.lamps.are_known() { &self.unoccluded[i * many..][..many] } else { &[] }
+        let count = self.lamps.pieces.len();
+        if self.lamps.are_known() { &self.unoccluded[i * count..][..count] } else { &[] }
     }
 
     /// Bytes held.
@@ -128,11 +128,11 @@ impl ShadowRays {
     pub(crate) fn face(&mut self, tracer: &Tracer, patches: &Patches) {
         let (n, known) = (patches.len(), self.is_faced.len());
         let lamps = &self.lamps;
-        let many = if lamps.are_known() { lamps.pieces() } else { 0 };
+        let count = if lamps.are_known() { lamps.pieces() } else { 0 };
         let start = self.unoccluded.len();
         // Written in place: with many pieces they take most of the memory.
-        self.unoccluded.reserve_exact((n - known) * many);
-        self.unoccluded.resize(start + (n - known) * many, 0.0);
+        self.unoccluded.reserve_exact((n - known) * count);
+        self.unoccluded.resize(start + (n - known) * count, 0.0);
         self.is_faced.resize(n, false);
         let (unoccluded, faced) = (&mut self.unoccluded[start..], &mut self.is_faced[known..]);
         let face = |i: usize, unoccluded: &mut [f64], faced: &mut bool| {
@@ -141,10 +141,10 @@ impl ShadowRays {
             *faced = lamps.choice(&from, unoccluded).is_some();
         };
         let each = faced.par_iter_mut().enumerate().with_min_len(32);
-        if many == 0 {
+        if count == 0 {
             each.for_each(|(k, faced)| face(known + k, &mut [], faced));
         } else {
-            let rows = unoccluded.par_chunks_mut(many);
+            let rows = unoccluded.par_chunks_mut(count);
             each.zip(rows).for_each(|((k, faced), row)| face(known + k, row, faced));
         }
     }

@@ -45,15 +45,15 @@ mod tests {
     fn an_octant_is_filled_evenly() {
         let corners = [dvec3(9.0, 2.0, 3.0), dvec3(1.0, 6.0, 3.0), dvec3(1.0, 2.0, 10.0)];
         let point = dvec3(1.0, 2.0, 3.0);
-        let (many, mut first, mut second) = (64, DVec3::ZERO, DVec3::ZERO);
-        for i in 0..many {
-            for j in 0..many {
-                let at = [i, j].map(|k| (f64::from(k) + 0.5) / f64::from(many));
+        let (count, mut first, mut second) = (64, DVec3::ZERO, DVec3::ZERO);
+        for i in 0..count {
+            for j in 0..count {
+                let at = [i, j].map(|k| (f64::from(k) + 0.5) / f64::from(count));
                 let (direction, solid_angle) = sample(corners, point, at).unwrap();
                 assert!((solid_angle - PI / 2.0).abs() < 1e-12);
                 assert!((direction.length() - 1.0).abs() < 1e-12 && direction.min_element() >= -1e-12);
-                first += direction / f64::from(many * many);
-                second += direction * direction / f64::from(many * many);
+                first += direction / f64::from(count * count);
+                second += direction * direction / f64::from(count * count);
             }
         }
         assert!((first - 0.5).abs().max_element() < 1e-3, "{first}");

@@ -190,11 +190,11 @@ mod tests {
         let tree = Tree::new((0..105).map(lamp));
         let patch = (dvec3(2.0, 2.0, -1.0), 0.2, DVec3::Z);
         let (mut found, mut probability) = ([0.0; 105], [0.0; 105]);
-        let many = 200_000;
-        for k in 0..many {
-            let (lamp, rest, p) = tree.choose(patch, (f64::from(k) + 0.5) / f64::from(many));
+        let count = 200_000;
+        for k in 0..count {
+            let (lamp, rest, p) = tree.choose(patch, (f64::from(k) + 0.5) / f64::from(count));
             assert!((0.0..=1.0).contains(&rest));
-            found[lamp] += 1.0 / f64::from(many);
+            found[lamp] += 1.0 / f64::from(count);
             probability[lamp] = p;
         }
         assert!((probability.iter().sum::<f64>() - 1.0).abs() < 1e-9, "{}", probability.iter().sum::<f64>());

@@ -213,7 +213,7 @@ mod tests {
             let patch = facing(corners, towards);
             let rises = lamp.corners.map(|c| (c - corners[0]).dot(patch.normal));
             let (above, count) = clip(lamp.corners, rises);
-            let (mut wanted, mut mean, mut many) = ([0.0; 2], 0.0, 0.0);
+            let (mut wanted, mut mean, mut points) = ([0.0; 2], 0.0, 0.0);
             for i in 0..N {
                 for j in 0..N - i {
                     for turned in 0..=usize::from(i + j + 2 <= N) {
@@ -225,12 +225,13 @@ mod tests {
                             if in_front { lambert(point, patch.normal, &above[..count]) } else { 0.0 };
                         let [p, q] = slopes::basis(b);
                         wanted = [wanted[0] + light * p, wanted[1] + light * q];
-                        (mean, many) = (mean + light, many + 1.0);
+                        (mean, points) = (mean + light, points + 1.0);
                     }
                 }
             }
             let found = moments(&patch, &lamp);
-            let off = (0..2).map(|m| (found[m] - wanted[m] / many).abs() / (mean / many)).fold(0.0, f64::max);
+            let off =
+                (0..2).map(|m| (found[m] - wanted[m] / points).abs() / (mean / points)).fold(0.0, f64::max);
             assert!(off < within, "{corners:?}: {found:?}, off by {off:e} of the mean");
         }
     }

@@ -55,14 +55,14 @@ pub(crate) struct Shifted<const C: usize> {
 /// Sums over the rays of a replicate.
 #[derive(Clone, Copy)]
 struct Sums<const C: usize> {
-    many: f64,
+    count: f64,
     basis: [f64; 2],
     light: [f64; C],
     both: [[f64; 2]; C],
 }
 
 impl<const C: usize> Sums<C> {
-    const ZERO: Self = Sums { many: 0.0, basis: [0.0; 2], light: [0.0; C], both: [[0.0; 2]; C] };
+    const ZERO: Self = Sums { count: 0.0, basis: [0.0; 2], light: [0.0; C], both: [[0.0; 2]; C] };
 
     #[inline]
     fn add(&mut self, basis: [f64; 2], light: &[f64; C]) {
@@ -172,7 +172,7 @@ impl Samples {
         let mut rays = from.hemisphere_rays(0..targets.len() as u32, self.seed_of(i));
         for (k, sums) in sums.iter_mut().enumerate() {
             let range = part(targets.len() as u32, k);
-            sums.many = range.len() as f64;
+            sums.count = range.len() as f64;
             for (&target, ray) in targets[range].iter().zip(&mut rays) {
                 let basis = local.basis(ray.origin);
                 let along = Vector2::from(basis);
@@ -220,9 +220,9 @@ impl Samples {
                 sums[replicate].add(basis, &light.more(scene, there, j, &hit));
             });
         }
-        let many = f64::from(rays);
+        let count = f64::from(rays);
         let mean: [f64; C] =
-            std::array::from_fn(|c| sums.iter().map(|sums| sums.light[c]).sum::<f64>() / many);
+            std::array::from_fn(|c| sums.iter().map(|sums| sums.light[c]).sum::<f64>() / count);
         let mut parts = [[[0.0; 2]; C]; REPLICATES];
         let deviation = std::array::from_fn(|c| {
             std::array::from_fn(|k| {
@@ -235,7 +235,7 @@ impl Samples {
             irradiance: mean,
             deviation,
             slopes: measured(&parts, rays as usize).slopes,
-            escaped: escaped.map(|escaped| escaped / many),
+            escaped: escaped.map(|escaped| escaped / count),
         }
     }
 }
@@ -260,11 +260,11 @@ impl<const C: usize> Varying<'_, C> {
 
 /// Fits slopes by least squares. The spread of the replicates gives their noise.
 fn fit<const C: usize>(sums: &[Sums<C>; REPLICATES], products: Matrix2<f64>) -> Measured<C> {
-    let many: f64 = sums.iter().map(|sums| sums.many).sum();
-    let of_all = |value: &dyn Fn(&Sums<C>) -> f64| sums.iter().map(value).sum::<f64>() / many;
+    let count: f64 = sums.iter().map(|sums| sums.count).sum();
+    let of_all = |value: &dyn Fn(&Sums<C>) -> f64| sums.iter().map(value).sum::<f64>() / count;
     let centre = [0, 1].map(|m| of_all(&|sums| sums.basis[m]));
     let along = Vector2::from(centre);
-    let squares = products / many - along * along.transpose();
+    let squares = products / count - along * along.transpose();
     if squares.determinant() < LEAST_DETERMINANT * SQUARES[0] * SQUARES[1] {
         return Measured::NONE;
     }
@@ -276,12 +276,13 @@ fn fit<const C: usize>(sums: &[Sums<C>; REPLICATES], products: Matrix2<f64>) -> 
         let of_part = |sums: &Sums<C>| {
             let moment = |m: usize| {
                 let (b, l) = (sums.basis[m], sums.light[c]);
-                sums.both[c][m] - centre[m] * l - mean * b + sums.many * centre[m] * mean
+                sums.both[c][m] - centre[m] * l - mean * b + sums.count * centre[m] * mean
             };
             inverse * Vector2::new(moment(0), moment(1))
         };
-        let parts = sums.map(|sums| of_part(&sums) / sums.many);
-        let slopes: Vector2<f64> = parts.iter().zip(sums).map(|(part, sums)| part * (sums.many / many)).sum();
+        let parts = sums.map(|sums| of_part(&sums) / sums.count);
+        let slopes: Vector2<f64> =
+            parts.iter().zip(sums).map(|(part, sums)| part * (sums.count / count)).sum();
         found.slopes[c] = slopes.into();
         for part in parts {
             let off = part - slopes;

@@ -17,8 +17,8 @@ pub(crate) fn with_mean<const C: usize>(
 ) -> Vec<f64> {
     let mut made = Vec::with_capacity(C * values.len());
     for run in siblings {
-        let (values, many) = (&values[run.clone()], run.len() as f64);
-        let mean: [f64; C] = std::array::from_fn(|c| values.iter().map(|v| v[c]).sum::<f64>() / many);
+        let (values, count) = (&values[run.clone()], run.len() as f64);
+        let mean: [f64; C] = std::array::from_fn(|c| values.iter().map(|v| v[c]).sum::<f64>() / count);
         for value in values {
             made.extend((0..C).map(|c| make(value[c], mean[c])));
         }

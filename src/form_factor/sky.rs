@@ -44,9 +44,9 @@ impl SkyLight {
             (0..rays.len()).into_par_iter().with_min_len(32).map(of_patch).collect();
         let mut light = SkyLight { channels, unit, parts: Vec::new(), irradiance: Vec::new() };
         for (i, sums) in sums.iter().enumerate() {
-            let many: [f64; REPLICATES] = std::array::from_fn(|k| rays.of_replicate(i, k).len() as f64);
+            let count: [f64; REPLICATES] = std::array::from_fn(|k| rays.of_replicate(i, k).len() as f64);
             for sums in &sums[..channels] {
-                light.parts.push(std::array::from_fn(|k| (sums[k] / many[k]) as f32));
+                light.parts.push(std::array::from_fn(|k| (sums[k] / count[k]) as f32));
                 light.irradiance.push(sums.iter().sum::<f64>() / f64::from(rays.rays_of(i)));
             }
         }
@@ -94,13 +94,13 @@ fn of_patch(targets: &[u32], from: &Footprint, sky: &Sky, seed: u64) -> [[f64; R
     if !targets.contains(&ESCAPED) {
         return sums;
     }
-    let many = targets.len() as u32;
+    let count = targets.len() as u32;
     let mut replicate = 0;
-    for ray in from.hemisphere_rays(0..many, seed) {
+    for ray in from.hemisphere_rays(0..count, seed) {
         if targets[ray.index as usize] != ESCAPED {
             continue;
         }
-        while part(many, replicate).end <= ray.index as usize {
+        while part(count, replicate).end <= ray.index as usize {
             replicate += 1;
         }
         let radiance = sky.radiance(ray.direction.as_dvec3().normalize());

@@ -166,11 +166,11 @@ impl<'a> Sweeper<'a> {
         came: &Arrived<C>,
         whole: &Arrived<C>,
     ) -> [f64; C] {
-        let many: f64 = came.shadow.iter().map(|shadow| shadow.rays).sum();
-        if many == 0.0 {
+        let count: f64 = came.shadow.iter().map(|shadow| shadow.rays).sum();
+        if count == 0.0 {
             return [0.0; C];
         }
-        let lit = came.lit.map(|lit| lit / many);
+        let lit = came.lit.map(|lit| lit / count);
         let Some(unblocked) = unblocked else { return lit };
         let all: f64 = unblocked.iter().sum();
         if all == 0.0 {
@@ -181,7 +181,7 @@ impl<'a> Sweeper<'a> {
             let other = &whole.shadow[1 - turn];
             let used = if other.all > 0.0 { other } else { &whole.shadow[turn] };
             let share = if used.all > 0.0 { used.free / used.all } else { 0.0 };
-            more += share * (came.shadow[turn].rays * all - came.shadow[turn].all) / many;
+            more += share * (came.shadow[turn].rays * all - came.shadow[turn].all) / count;
         }
         std::array::from_fn(|c| (lit[c] + more * (unblocked[c] / all)).max(0.0))
     }

@@ -111,10 +111,10 @@ impl Symmetric {
                 same
             });
             let mask = (1 << PLACE) - 1;
-            let many = all.len();
+            let count = all.len();
             let entries =
                 all.into_iter().map(move |(key, s)| ((key >> PLACE) as u16, (key & mask) as u16, s));
-            (entries, many, ())
+            (entries, count, ())
         });
         for &(i, _, value) in lists.iter().flatten().filter(|&(i, j, _)| i == j) {
             matrix.diagonal.resize(len, 0.0);

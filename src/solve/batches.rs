@@ -185,8 +185,8 @@ pub(super) fn balancing(emitted: f64, lost: f64) -> f64 {
 
 /// The mean of independent values, and its standard error.
 fn mean_and_error(values: &[f64]) -> [f64; 2] {
-    let many = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / many;
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
     let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
-    [mean, (squares / (many * (many - 1.0))).sqrt()]
+    [mean, (squares / (count * (count - 1.0))).sqrt()]
 }

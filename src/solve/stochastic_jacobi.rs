@@ -181,7 +181,7 @@ struct Iteration<'a, const C: usize> {
     emission: &'a [[f64; C]],
     reflectance: &'a [[f64; C]],
     radiosity: Vec<[f64; C]>,
-    /// Reflected light and emission of patches that are not lamps at each patch, averaged over the newest sweeps.
+    /// Irradiance of each patch by hemisphere rays, without the emission of lamps, averaged over the newest sweeps.
     indirect: Vec<[f64; C]>,
     /// Unblocked irradiance of each patch from lamps, if it is known.
     unblocked: Vec<Option<[f64; C]>>,
@@ -257,18 +257,18 @@ impl<'a, const C: usize> Iteration<'a, C> {
 
     /// Adds a batch of sweeps with these numbers.
     fn fill_batch(&mut self, numbers: Range<u64>, rays: [u32; 2], progress: &Progress) -> Result<()> {
-        let many = (numbers.end - numbers.start) as f64 * f64::from(rays[0]);
+        let count = (numbers.end - numbers.start) as f64 * f64::from(rays[0]);
         self.batch.fill(Arrived::NOTHING);
         let mut escaped = SVector::<f64, C>::zeros();
         for number in numbers {
             // Sequences start again before they reach the far part.
             let first = rays.map(|rays| (number * u64::from(rays) % u64::from(FAR)) as u32);
-            escaped += self.sweep(first, rays, progress)? / many;
+            escaped += self.sweep(first, rays, progress)? / count;
         }
         let (sweeper, whole, came, unblocked) = (self.sweeper, &self.whole, &self.batch, &self.unblocked);
         let arrived = |i: usize| {
             let direct = sweeper.direct(&unblocked[i], &came[i], &whole[i]);
-            std::array::from_fn(|c| direct[c] + came[i].met[c] / many)
+            std::array::from_fn(|c| direct[c] + came[i].met[c] / count)
         };
         self.batches.push(arrived, escaped.into());
         Ok(())

@@ -74,17 +74,17 @@ struct Incoming {
     /// Arriving rays, if they are counted.
     buckets: Option<Buckets>,
     /// For each replicate and patch, the number of all its rays over the number in the replicate.
-    many: Vec<Vec<f32>>,
+    ratios: Vec<Vec<f32>>,
 }
 
 impl Incoming {
     fn new(rays: &RaySet, blocks: Blocks, which: WhichRays) -> Incoming {
         let buckets = (which == WhichRays::All).then(|| Buckets::by_replicates(rays, blocks));
-        let many = |replicate: usize| {
-            let many = |i| rays.rays_of(i) as f32 / rays.of_replicate(i, replicate).len() as f32;
-            (0..rays.len()).map(many).collect()
+        let ratios = |replicate: usize| {
+            let ratio = |i| rays.rays_of(i) as f32 / rays.of_replicate(i, replicate).len() as f32;
+            (0..rays.len()).map(ratio).collect()
         };
-        Incoming { buckets, many: (0..REPLICATES).into_par_iter().map(many).collect() }
+        Incoming { buckets, ratios: (0..REPLICATES).into_par_iter().map(ratios).collect() }
     }
 }
 
@@ -124,7 +124,7 @@ impl<'a, const C: usize> Counted<'a, C> {
         let resistance: Vec<f32> = self.blocks.range(block).map(resistance).collect();
         self.own(block, incoming, &resistance, sums);
         if let Some(buckets) = &incoming.buckets {
-            self.coming_in(block, buckets, &incoming.many, &resistance, sums);
+            self.coming_in(block, buckets, &incoming.ratios, &resistance, sums);
         }
     }
 
@@ -145,9 +145,9 @@ impl<'a, const C: usize> Counted<'a, C> {
         let (rays, seen) = (&self.samples.rays, &self.seen);
         for ((i, sums), &resistance) in self.blocks.range(block).zip(sums).zip(resistance) {
             for replicate in 0..REPLICATES {
-                let many = incoming.many[replicate][i];
+                let ratio = incoming.ratios[replicate][i];
                 let targets = rays.of_replicate(i, replicate);
-                let (share, alone) = (1.0 / targets.len() as f32, many / seen[i].density);
+                let (share, alone) = (1.0 / targets.len() as f32, ratio / seen[i].density);
                 for &j in targets {
                     if j == ESCAPED {
                         sums.escaped[replicate] += share;
@@ -155,7 +155,7 @@ impl<'a, const C: usize> Counted<'a, C> {
                     }
                     let other = &seen[j as usize];
                     let exchange = match incoming.buckets {
-                        Some(_) => many * counted(TRUST, seen[i].density, other.density, resistance),
+                        Some(_) => ratio * counted(TRUST, seen[i].density, other.density, resistance),
                         None => alone,
                     };
                     sums.landed[replicate].add(exchange, &other.radiosity);
@@ -169,20 +169,20 @@ impl<'a, const C: usize> Counted<'a, C> {
         &self,
         block: usize,
         buckets: &Buckets,
-        many: &[Vec<f32>],
+        ratios: &[Vec<f32>],
         resistance: &[f32],
         sums: &mut [Sums<C>],
     ) {
         let start = self.blocks.range(block).start;
         // A single replicate of all patches of a block fits a cache near the processor.
-        for (replicate, many) in many.iter().enumerate() {
+        for (replicate, ratios) in ratios.iter().enumerate() {
             for other in 0..self.blocks.count() {
                 let from = self.blocks.range(other).start;
                 for (r, c) in buckets.of_replicate(other, block, replicate) {
                     let sender = &self.seen[from + r];
                     let own = self.seen[start + c].density;
                     let exchange = counted(1.0, own, sender.density, resistance[c]);
-                    sums[c].landed[replicate].add(many[from + r] * exchange, &sender.radiosity);
+                    sums[c].landed[replicate].add(ratios[from + r] * exchange, &sender.radiosity);
                 }
             }
         }
