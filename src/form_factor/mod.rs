@@ -4,7 +4,7 @@
 //! exchange area S_ij = A_i F_ij. `calibration` fits the exchange areas to the estimates from each patch's own rays.
 //! The [`closure`] scales them so that every row sums to one. The direct light of lamps does not use form factors:
 //! module `direct` computes it. [`exact`] has the closed forms that test all of this.
-//! [`view_factor`](crate::view_factor) computes view factors of single surfaces, each to its own accuracy.
+//! [`view_factor`](crate::view_factor) computes view factors between single surfaces, each accurate by itself.
 
 mod allocation;
 mod assembly;
