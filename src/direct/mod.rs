@@ -19,8 +19,8 @@ pub(crate) use lamps::{Lamps, adjoin};
 pub(crate) use shadow::{Keep, ShadowRay, ShadowRays};
 
 /// Number of replicates: equal parts of the rays of each patch. With 16 the standard error has 15 degrees of freedom,
-/// and intervals of two standard errors contain the true value for about 94 % of patches. With 4 parts it was only 85
-/// %.
+/// and intervals of two standard errors contain the true value for about 94 % of patches. With 4 parts they did so for
+/// 85 %.
 pub const REPLICATES: usize = 16;
 
 /// The rays of a replicate. Their numbers differ by at most one.

@@ -101,7 +101,7 @@ fn overlaps_of<'a>(
         let limit = |(extent, radii): (f64, f64)| (radii * small).min(extent);
         let opposed = cosine < 0.0;
         let (gap, sunk) = (limit(GAP), limit(if opposed { SUNK } else { GAP }));
-        // Heights of the smaller polygon, whose corners depart less from a common plane.
+        // Heights of the smaller polygon above the plane of the larger one, which has the more exact normal.
         let (plane, other) = if p.radius >= q.radius { (p, q) } else { (q, p) };
         let mut heights = other.corners.iter().map(|&v| plane.height(v));
         if !heights.all(|h| h <= gap && h >= -sunk) {
