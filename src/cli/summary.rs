@@ -197,7 +197,7 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
     );
     let whose = match &atlas.refused {
         None => "texture coordinates of the file".to_owned(),
-        Some(why) => format!("new texture coordinates (those of the file: {why})"),
+        Some(why) => format!("new texture coordinates (not those of the file: {why})"),
     };
     row(
         "map",
