@@ -1,9 +1,10 @@
 //! Cut-outs: fences, leaves and grilles whose texture has holes.
 //!
-//! Texels with an alpha below a half are holes, all others are surface ([`Texture::is_solid`]). The reader cuts triangles
-//! along the borders of the texels, exactly. After that, rays pass through holes without looking at a texture, and areas,
-//! emitted power and means count the surface alone. A test of the texture at each hit would be simpler here, but the
-//! origins of rays, the areas of patches and the exact light of lamps would then need such tests too.
+//! Texels with an alpha below a half are holes. All others are surface ([`Texture::is_solid`]). The reader cuts
+//! triangles along the borders of the texels, exactly. After that, rays pass through holes without looking at a
+//! texture, and areas, emitted power and means count the surface alone. A test of the texture at each hit would be
+//! simpler here, but the origins of rays, the areas of patches and the exact light of lamps would then need such tests
+//! too.
 
 use std::collections::HashMap;
 
@@ -18,10 +19,10 @@ use super::{
 const MOST_PIECES: usize = 4_000_000;
 /// Largest number of texels along all grid lines of the texture on one triangle.
 const MOST_TEXELS: f64 = 3e8;
-/// Points closer than this share of an edge, or of a texel, count as one.
+/// Points count as one if they are closer than this, as a share of an edge or in texels.
 const SAME: f64 = 1e-9;
 
-/// The reason why a scene cannot be cut: a material with too many pieces.
+/// The error of a scene that cannot be cut: a material with too many pieces.
 pub(super) struct TooFine {
     pub(super) material: String,
 }
@@ -36,7 +37,7 @@ pub(super) fn cut(scene: &mut Scene) -> Result<(), TooFine> {
     scene.textures = textures;
     let chains = cut?;
     if !left.is_empty() {
-        // What is left of a face is no face of the file.
+        // The rest of a face is not a face of the file.
         scene.face_corners.clear();
         let cuts = cutting::cuts(scene, chains, Vec::new());
         cutting::replace(scene, &left, &cuts);
@@ -45,7 +46,7 @@ pub(super) fn cut(scene: &mut Scene) -> Result<(), TooFine> {
     Ok(())
 }
 
-/// Cuts all triangles with holes. Returns the new vertices on edges.
+/// Cuts all triangles with holes and adds their rests to `left`. Returns the new vertices on edges.
 fn cut_all(
     scene: &mut Scene,
     textures: &[Texture],
@@ -73,8 +74,8 @@ fn cut_all(
     Ok(chains)
 }
 
-/// The new vertices on edges. The key is an edge, its lower vertex first. Each vertex has its fraction of the way from that
-/// end.
+/// The new vertices on edges. The key is an edge, its lower vertex first. Each vertex has its fraction of the way from
+/// that end.
 #[derive(Default)]
 struct EdgeVertices(HashMap<[u32; 2], Vec<(f64, u32)>>);
 
@@ -177,7 +178,7 @@ impl Sheet {
         }
     }
 
-    /// Adds the borders between solid texels and holes along the grid lines on which the coordinate of an axis is constant.
+    /// Adds the borders between solid texels and holes along the grid lines perpendicular to an axis.
     fn cut_along(
         &mut self,
         scene: &mut Scene,
@@ -194,11 +195,11 @@ impl Sheet {
             };
             let differs = |along: i64| texel(-1, along) != texel(0, along);
             let [from, to] = ends.map(|(along, _)| along);
-            // If a row ends at the end of the line, the next row has no length.
+            // `SAME` keeps out a texel that the line only touches at its end.
             let (start, stop) = ((from + SAME).floor() as i64, (to - SAME).ceil() as i64);
             let mut begin = None;
             for along in start..stop {
-                // Where borders cross, both end, so that each has a corner there.
+                // A border ends where it crosses another border, so that both have a corner there.
                 let crossed = along > start && texel(-1, along - 1) != texel(-1, along);
                 if begin.is_some() && (!differs(along) || crossed) {
                     let end = self.lattice_point(scene, axis, line, along);
@@ -227,7 +228,7 @@ impl Sheet {
             if self.points[k][axis] == line {
                 ends.push((self.points[k][1 - axis], End::Corner(k)));
             }
-            // In the order of the vertices, so that both triangles at an edge compute the same point.
+            // The lower vertex comes first, so that both triangles at an edge compute the same point.
             let (i, j) = if self.vertices[k] < self.vertices[next] { (k, next) } else { (next, k) };
             let (p, q) = (self.points[i], self.points[j]);
             if (p[axis] - line) * (q[axis] - line) < 0.0 {
@@ -267,7 +268,7 @@ impl Sheet {
         }
     }
 
-    /// The point of the grid on a line.
+    /// The corner of texels at position `along` on a grid line.
     fn lattice_point(&mut self, scene: &mut Scene, axis: usize, line: i64, along: i64) -> usize {
         let key = if axis == 0 { [line, along] } else { [along, line] };
         *self.lattice.entry(key).or_insert_with(|| {
@@ -282,7 +283,7 @@ impl Sheet {
         })
     }
 
-    /// Adds the parts of the triangle's edges that have surface beside them. Returns the vertices on the edges.
+    /// Adds the parts of the triangle's edges that border on surface. Adds the vertices on the edges to `chains`.
     fn close(&mut self, winding: f64, at: &impl Fn(DVec2) -> bool, chains: &mut Vec<Chain>) {
         for k in 0..3 {
             let next = (k + 1) % 3;

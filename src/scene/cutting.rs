@@ -9,16 +9,16 @@ use spade::{
 
 use super::{NEW_CORNER, Scene, Triangle, interpolate, scaled_cross, triangle_area};
 
-/// The vertices on an edge of one triangle.
+/// New vertices on an edge of one triangle.
 pub(super) struct Chain {
     /// The edge, its lower vertex first.
     pub(super) ends: [u32; 2],
-    /// In order from the lower one.
+    /// The vertices between the ends, in order from the lower end.
     pub(super) between: Vec<u32>,
 }
 
 impl Chain {
-    /// The chain of a line of vertices in order, from one end of the edge to the other.
+    /// Makes a chain from all vertices on an edge, in order from one end to the other.
     pub(super) fn new(mut line: Vec<u32>) -> Chain {
         if line.first() > line.last() {
             line.reverse();
@@ -28,7 +28,7 @@ impl Chain {
     }
 }
 
-/// Vertices on edges. The key is an edge, its lower vertex first. The vertices are in order from that end.
+/// Vertices on edges. The key is an edge, its lower vertex first. The vertices are in order from the lower vertex.
 type OnEdges = HashMap<[u32; 2], Vec<u32>>;
 
 /// New vertices on edges.
@@ -36,12 +36,13 @@ type OnEdges = HashMap<[u32; 2], Vec<u32>>;
 pub(super) struct Cuts {
     /// New vertices on whole edges, for triangles that were not cut.
     whole: OnEdges,
-    /// New vertices on parts of edges, for pieces. The pieces of one cutting have its vertices as corners, but lack the
-    /// vertices that other cuttings made on the same edge.
+    /// New vertices on parts of edges, for pieces. The pieces of one triangle already have the vertices of its own cut
+    /// as corners, but lack the vertices that cuts of its neighbours made on the same edge.
     parts: OnEdges,
 }
 
-/// Joins the new vertices of several cuttings, which may share edges. `inner` are new vertices on edges of pieces.
+/// Joins the new vertices from the cuts of several triangles, which may share edges. `inner` are new vertices on edges
+/// of pieces.
 pub(super) fn cuts(scene: &Scene, chains: Vec<Chain>, inner: Vec<Chain>) -> Cuts {
     let mut cuts = Cuts::default();
     for Chain { ends, between } in chains.iter().filter(|chain| !chain.between.is_empty()) {
@@ -86,7 +87,8 @@ fn on_edges(corners: [u32; 3], known: &OnEdges) -> [Vec<u32>; 3] {
     })
 }
 
-/// Replaces each triangle by its rest, and cuts triangles with new vertices on their edges.
+/// Replaces the triangles in `left` by their pieces there. Cuts other triangles if they have new vertices on their
+/// edges.
 pub(super) fn replace(scene: &mut Scene, left: &HashMap<u32, Vec<[u32; 3]>>, cuts: &Cuts) {
     let old = std::mem::take(&mut scene.triangles);
     let texcoords = [&mut scene.texcoords, &mut scene.emission_texcoords].map(std::mem::take);
@@ -128,7 +130,7 @@ pub(super) fn replace(scene: &mut Scene, left: &HashMap<u32, Vec<[u32; 3]>>, cut
     }
 }
 
-/// Barycentric coordinates of a vertex in a triangle whose plane it lies in.
+/// Barycentric coordinates of a vertex that lies in the plane of a triangle.
 fn weights(scene: &Scene, triangle: &Triangle, v: u32) -> [f64; 3] {
     let corners = triangle.vertices.map(|v| scene.vertices[v as usize]);
     let plane = Plane::of(corners);
@@ -138,15 +140,15 @@ fn weights(scene: &Scene, triangle: &Triangle, v: u32) -> [f64; 3] {
     [u, v, w].map(|x| x / (u + v + w))
 }
 
-/// Cuts a triangle so that the vertices on its edges become corners. `on` holds the vertices on the edge from each corner to
-/// the next.
+/// Cuts a triangle so that the vertices on its edges become corners. `on` holds the vertices on the edge from each
+/// corner to the next.
 fn cut([a, b, c]: [u32; 3], on: [Vec<u32>; 3], parts: &mut Vec<[u32; 3]>) {
     let Some(k) = on.iter().position(|between| !between.is_empty()) else { return parts.push([a, b, c]) };
     let [p, q, r] = [0, 1, 2].map(|i| [a, b, c][(k + i) % 3]);
     let [first, second, third] = [0, 1, 2].map(|i| &on[(k + i) % 3]);
     let mut from = p;
     for &to in first.iter().chain([&q]) {
-        // If the corners are in a line, the third corner lies on the first edge.
+        // If the corners are in a line, the third corner can lie on the first edge.
         if to != r && from != r {
             let of_second = if to == q { second.clone() } else { Vec::new() };
             let of_third = if from == p { third.clone() } else { Vec::new() };
@@ -160,7 +162,7 @@ fn cut([a, b, c]: [u32; 3], on: [Vec<u32>; 3], parts: &mut Vec<[u32; 3]>) {
 #[derive(Clone, Copy)]
 pub(super) struct Plane {
     pub(super) axes: [usize; 2],
-    /// The axis along which is projected.
+    /// The axis of the projection.
     pub(super) along: usize,
     pub(super) normal: DVec3,
 }
@@ -171,7 +173,7 @@ impl Plane {
         let size = normal.abs();
         let along = if size.x.max(size.y) >= size.z { usize::from(size.x < size.y) } else { 2 };
         let (x, y) = ((along + 1) % 3, (along + 2) % 3);
-        // Keeps counter-clockwise order.
+        // This order keeps counter-clockwise triangles counter-clockwise.
         let axes = if normal[along] > 0.0 { [x, y] } else { [y, x] };
         Plane { axes, along, normal }
     }
@@ -180,7 +182,8 @@ impl Plane {
         DVec2::new(p[self.axes[0]], p[self.axes[1]])
     }
 
-    /// A triangle that is parallel to the plane, counter-clockwise in it whichever way it faces.
+    /// Projects a triangle that is parallel to the plane. The result is counter-clockwise, whichever way the triangle
+    /// faces.
     pub(super) fn counter_clockwise(&self, corners: [DVec3; 3]) -> [DVec2; 3] {
         let [a, b, c] = corners.map(|p| self.flat(p));
         if (b - a).perp_dot(c - a) < 0.0 { [a, c, b] } else { [a, b, c] }
@@ -204,13 +207,13 @@ impl HasPosition for Corner {
 
 pub(super) type Cdt = ConstrainedDelaunayTriangulation<Corner>;
 
-/// The index of a vertex that the triangulation makes where rounding lets constraints cross.
+/// The index of a vertex that the triangulation adds where rounding makes constraints cross.
 pub(super) const UNNAMED: usize = usize::MAX;
 
 /// Triangulates vertices with some edges as constraints.
 pub(super) fn triangulate(points: &[DVec2], vertices: &[usize], edges: &[[usize; 2]]) -> Cdt {
-    // Scales the points to about one unit, because the triangulation limits coordinates. The scale depends on all points, not
-    // only on `vertices`, so that a subset of them gets the same coordinates and no new crossings.
+    // The points are scaled to about one unit, because the triangulation limits coordinates. The scale depends on all
+    // points, not only on `vertices`. So a subset of the points gets the same coordinates, and no new crossings.
     let none = [DVec2::INFINITY, DVec2::NEG_INFINITY];
     let [low, high] = points.iter().fold(none, |[low, high], &p| [low.min(p), high.max(p)]);
     let extent = (high - low).max_element();
@@ -233,7 +236,8 @@ pub(super) fn triangulate(points: &[DVec2], vertices: &[usize], edges: &[[usize;
     cdt
 }
 
-/// The triangles inside an outline: an odd number of its edges separates them from the outside.
+/// The triangles inside an outline. A triangle is inside if an odd number of outline edges separates it from the
+/// outside.
 pub(super) fn within(points: &[DVec2], outline: &[[usize; 2]]) -> Vec<[usize; 3]> {
     let mut vertices: Vec<usize> = outline.iter().flatten().copied().collect();
     vertices.sort_unstable();

@@ -1,4 +1,4 @@
-//! Properties of a mesh before any computation: how its surfaces join, and their materials.
+//! Properties of a mesh before any computation: size, edges, and materials.
 
 use std::collections::HashMap;
 
@@ -8,8 +8,8 @@ use serde::Serialize;
 
 use super::Scene;
 
-/// Vertices closer than this share of the scene's extent count as one. Files round positions to about six digits, so that
-/// the two ends of a shared edge can differ by a rounding.
+/// Vertices closer than this share of the scene's extent count as one. Files round positions to about six digits, so
+/// that two triangles can have slightly different ends of a shared edge.
 pub const WELD: f64 = 1e-6;
 
 /// Properties of a mesh.
@@ -46,7 +46,8 @@ pub struct Edges {
     pub open: usize,
     /// Edges of three or more triangles.
     pub non_manifold: usize,
-    /// Edges of two triangles that run along it in the same direction: one shows its front where the other shows its back.
+    /// Edges of two triangles that run along it in the same direction. One triangle shows its front where the other
+    /// shows its back.
     pub inconsistent: usize,
 }
 
@@ -57,14 +58,14 @@ impl Edges {
     }
 }
 
-/// A material and its use.
+/// A material and the triangles that use it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MaterialUse {
-    /// Its name.
+    /// The name of the material.
     pub name: String,
     /// Number of its triangles.
     pub triangles: usize,
-    /// Their area.
+    /// Their area, in the file's unit squared.
     pub area: f64,
     /// Their mean reflectance, textures included.
     pub reflectance: [f64; 3],
@@ -73,8 +74,9 @@ pub struct MaterialUse {
 }
 
 impl Inspection {
-    /// Inspects a scene. Where the mesh of a file is of interest, give the scene without cuts
-    /// ([`LoadOptions::keep_overlaps`](super::LoadOptions::keep_overlaps)): each cut adds edges. Time and memory are proportional to the number of triangles.
+    /// Inspects a scene. To inspect the mesh as it is in the file, load the scene without cuts
+    /// ([`LoadOptions::keep_overlaps`](super::LoadOptions::keep_overlaps)), because each cut adds edges. Time and
+    /// memory are proportional to the number of triangles.
     pub fn of(scene: &Scene) -> Inspection {
         let bounds = bounds(scene);
         let (names, near_vertices) = weld(scene, bounds);
@@ -98,11 +100,11 @@ impl Inspection {
         (self.bounds[1] - self.bounds[0]).max_element()
     }
 
-    /// The unit of length that makes the scene as large as a room or a building, if there is one. This is a guess; only
-    /// powers and areas depend on it.
+    /// The unit of length in which the scene is as large as a room or a building, if there is one. This is a guess.
+    /// Only powers and areas depend on it.
     pub fn unit_guess(&self) -> Option<&'static str> {
-        // A room measures some metres, a street some hundred metres. The Cornell box is 549 in millimetres; a room is 300 in
-        // centimetres.
+        // A room measures some metres, a street some hundred metres. The Cornell box has an extent of 549 in
+        // millimetres. A room has 300 in centimetres.
         match self.extent() {
             x if (0.5..150.0).contains(&x) => Some("metres"),
             x if (150.0..1_500.0).contains(&x) => Some("centimetres or millimetres"),
@@ -119,7 +121,7 @@ fn bounds(scene: &Scene) -> [DVec3; 2] {
 
 /// Gives every vertex the index of the first vertex near it. Also counts the vertices whose index has changed.
 fn weld(scene: &Scene, [low, high]: [DVec3; 2]) -> (Vec<u32>, usize) {
-    // Halved first: the difference of two large coordinates may overflow.
+    // Coordinates are halved first, because the difference of two large ones may overflow.
     let extent = (high * 0.5 - low * 0.5).max_element();
     let mut cells: HashMap<[i32; 3], Vec<u32>> = HashMap::new();
     let unit = |v: DVec3| (v * 0.5 - low * 0.5) / extent;
@@ -127,8 +129,8 @@ fn weld(scene: &Scene, [low, high]: [DVec3; 2]) -> (Vec<u32>, usize) {
     let mut near = 0;
     let names = scene.vertices.iter().enumerate().map(|(i, &v)| {
         let p = unit(v);
-        // A cell is four times as wide as [`WELD`]: most near vertices are in the same cell, and a cell holds few other
-        // vertices.
+        // A cell is eight times as wide as `WELD`. So near vertices are usually in the same cell, and a cell holds few
+        // other vertices.
         let (from, to) = (cell(p - WELD), cell(p + WELD));
         let near_cells = (from[0]..=to[0])
             .flat_map(|x| (from[1]..=to[1]).flat_map(move |y| (from[2]..=to[2]).map(move |z| [x, y, z])));
@@ -151,7 +153,7 @@ fn weld(scene: &Scene, [low, high]: [DVec3; 2]) -> (Vec<u32>, usize) {
 }
 
 fn edges(triangles: &[[u32; 3]]) -> Edges {
-    // The two ends in order, then whether the triangle runs from the larger to the smaller index.
+    // The two ends in ascending order, and whether the triangle runs from the larger to the smaller index.
     let mut halves: Vec<(u32, u32, bool)> = triangles
         .iter()
         .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
@@ -238,15 +240,15 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_a_cube_is_counted() {
-        // A side is missing: a rim of four edges, and its diagonal is gone.
+    fn faults_of_a_cube_are_counted() {
+        // A side is missing. Its four edges are open, and its diagonal is gone.
         let open = cube(|t| t.truncate(10));
         assert_eq!((open.edges.open, open.edges.total), (4, 17));
-        // One triangle turned: its three edges are run through the same way twice.
+        // One triangle is turned round. At its three edges, both triangles run in the same direction.
         let turned = cube(|t| t[3].swap(0, 1));
         assert_eq!((turned.edges.inconsistent, turned.edges.open), (3, 0));
         assert!(turned.edges.is_closed());
-        // One triangle twice, the second time from another corner and turned.
+        // One triangle is there twice, the second time turned round and from another corner.
         let twice = cube(|t| t.push([t[0][2], t[0][1], t[0][0]]));
         assert_eq!((twice.doubled, twice.edges.non_manifold, twice.edges.open), (1, 3, 0));
         // A wing on an edge of the cube.
@@ -256,7 +258,7 @@ mod tests {
 
     #[test]
     fn vertices_that_were_rounded_apart_are_one() {
-        // The corner at the origin in two spellings, on both sides of a cell of the grid.
+        // The corner at the origin has two positions, on both sides of a border between cells.
         let rounded = cube(|t| t[0][0] -= DVec3::splat(0.4e-6));
         assert_eq!((rounded.vertices, rounded.near_vertices), (9, 1));
         assert!(rounded.edges.is_closed());
@@ -266,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_near_the_largest_are_no_reason_to_stumble() {
+    fn very_large_coordinates_do_not_overflow() {
         let huge = cube(|t| t.iter_mut().flatten().for_each(|p| *p = (*p - 0.5) * 1e154));
         assert!(huge.edges.is_closed());
         assert_eq!(huge.unit_guess(), None);

@@ -1,7 +1,7 @@
 //! The scene: triangles, materials, textures, and the readers of file formats.
 //!
 //! A scene keeps the values of its file: lengths in the file's unit and in double precision, `Ke` as radiance, `Kd` as
-//! reflectance. The ray tracer recentres and rescales for itself ([`crate::trace`]).
+//! reflectance. The ray tracer makes a recentred and rescaled copy ([`crate::trace`]).
 
 mod contacts;
 mod cutouts;
@@ -50,7 +50,7 @@ pub struct Triangle {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Material {
-    /// Its name in the file.
+    /// The name in the file.
     pub name: String,
     /// Diffuse reflectance of both sides, R G B in \[0, 1\]; a factor where [`Material::reflectance_map`] is set.
     pub reflectance: [f64; 3],
@@ -60,13 +60,14 @@ pub struct Material {
     pub reflectance_map: Option<TextureMap>,
     /// Texture that multiplies the emitted radiance.
     pub emission_map: Option<TextureMap>,
-    /// Reflectance of a specular part that counts as diffuse. It is added after textures and vertex colours have been applied.
+    /// Reflectance of the share of specular reflection that counts as diffuse. It is added after textures and vertex
+    /// colours.
     pub reflectance_offset: [f64; 3],
-    /// Its specular reflection, if any. Only path and light tracing use it.
+    /// The specular reflection, if any. Only path and light tracing use it.
     pub specular: Option<Box<Specular>>,
     /// Texture whose [holes](Texture::has_holes) are holes of the surface.
     pub cutout: Option<TextureMap>,
-    /// Whether its faces are left out.
+    /// Whether faces of this material are left out.
     pub absent: bool,
 }
 
@@ -86,7 +87,7 @@ impl Material {
         }
     }
 
-    /// Whether any point of it can emit.
+    /// Whether any point of the material can emit.
     pub fn emits(&self) -> bool {
         self.emission.iter().any(|&e| e > 0.0)
     }
@@ -95,22 +96,22 @@ impl Material {
 /// A face of the file, before it was cut into triangles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Face {
-    /// [`Triangle::source`] of its first triangle. Its triangles end where those of the next face begin.
+    /// [`Triangle::source`] of its first triangle. Its last triangle comes just before the first of the next face.
     pub first: u32,
-    /// Its line in a text file.
+    /// Its line, if the file is text.
     pub line: Option<usize>,
     /// Index into [`Scene::parts`].
     pub part: u32,
 }
 
-/// What groups faces: the object and the group that they belong to, and properties that they have in common.
+/// A part of the scene: faces of the same object and group, with the same properties.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
 pub struct Part {
     /// The name after `o`.
     pub object: Option<String>,
-    /// The names after `g`. Several names together form one group.
+    /// The names after `g`. Several names form one group together.
     pub group: Option<String>,
-    /// Numbers that the faces of a PLY file have beside their corners and colours: names and values.
+    /// Other numbers of the faces of a PLY file, beside corners and colours: names and values.
     pub properties: Vec<(String, String)>,
 }
 
@@ -124,17 +125,18 @@ pub struct Scene {
     pub triangles: Vec<Triangle>,
     /// Texture coordinates of each triangle's corners; zero for a triangle without. Empty if no triangle has any.
     pub texcoords: Vec<[DVec2; 3]>,
-    /// Texture coordinates of each triangle's corners for its emission texture. Empty if they equal [`Scene::texcoords`].
+    /// Texture coordinates of each triangle's corners for its emission texture. Empty if they equal
+    /// [`Scene::texcoords`].
     pub emission_texcoords: Vec<[DVec2; 3]>,
     /// Linear colours of each triangle's corners; they multiply its reflectance. Empty if no triangle has any.
     pub colours: Vec<[[f32; 3]; 3]>,
-    /// Normals of each triangle's corners as the file gives them, of any length; zero where it gives none. They say where
-    /// pictures and colours of vertices are smooth. Light ignores them. Empty if no triangle has any.
+    /// Normals of each triangle's corners as in the file, of any length; zero where the file has none. They determine
+    /// where pictures and vertex colours are smooth, and do not affect light. Empty if no triangle has any.
     pub normals: Vec<[[f32; 3]; 3]>,
     /// The faces that the triangles come from, in file order; empty unless [`LoadOptions::faces`] asked for them.
     pub faces: Vec<Face>,
-    /// The corners of its face that each triangle has, counted from 0, or [`NEW_CORNER`] plus a vertex that the file does not have.
-    /// Empty if the reader does not provide them.
+    /// For each corner of each triangle, its index among the corners of its face, from 0. A vertex that is not in the
+    /// file has [`NEW_CORNER`] plus its index. Empty if the reader does not provide them.
     pub face_corners: Vec<[u32; 3]>,
     /// Objects and groups of the faces.
     pub parts: Vec<Part>,
@@ -142,7 +144,7 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Textures that the materials refer to.
     pub textures: Vec<Texture>,
-    /// Lights that are no surfaces.
+    /// Lights that are not surfaces.
     pub lights: Lights,
     /// Whether light is in watts or in lumens.
     pub units: Units,
@@ -150,15 +152,15 @@ pub struct Scene {
     pub backs_of_lamps: usize,
     /// Number of triangles that were left out because their area is zero.
     pub degenerate: usize,
-    /// The surfaces that [`Scene::cut_overlaps`] and [`Scene::cut_contacts`] left out because nobody sees them.
+    /// Invisible surfaces that [`Scene::cut_overlaps`] and [`Scene::cut_contacts`] left out.
     pub hidden: Vec<Hidden>,
-    /// What [`Scene::cut_contacts`] has cut.
+    /// Numbers of cuts that [`Scene::cut_contacts`] made.
     pub contacts: Contacts,
-    /// Warnings of the reader: what it left out or assumed, one sentence each.
+    /// Warnings of the reader, one sentence each, about omissions and assumptions.
     pub warnings: Vec<String>,
     /// Files that were read: the mesh, then material libraries and textures; empty for a scene made in memory.
     pub files: Vec<PathBuf>,
-    /// Names of material libraries and textures that the files refer to, but that could not be read.
+    /// Names of material libraries and textures that could not be read.
     pub missing: Vec<String>,
 }
 
@@ -166,17 +168,17 @@ pub struct Scene {
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 #[non_exhaustive]
 pub struct LoadOptions {
-    /// Reflectance of surfaces without one in the file, R G B in \[0, 1\]. `None` means [`DEFAULT_REFLECTANCE`] and a
-    /// warning. It overrides colours of vertices and faces in an OBJ or PLY.
+    /// Reflectance of surfaces without one in the file, R G B in \[0, 1\]. It overrides colours of vertices and faces
+    /// in an OBJ or PLY. `None` means [`DEFAULT_REFLECTANCE`] and a warning.
     pub reflectance: Option<[f64; 3]>,
     /// Whether to keep [`Scene::faces`] and [`Scene::parts`].
     pub faces: bool,
     /// Whether unlit materials of a glTF file emit their colour. Otherwise the colour is their reflectance.
     pub unlit_emits: bool,
-    /// Whether to keep faces that overlap in one plane, touch or cross as they are. For callers that change the emission of
-    /// materials and then call [`Scene::cut_overlaps`] and [`Scene::cut_contacts`].
+    /// Whether to leave faces uncut that overlap in one plane, touch or cross. This is for callers that change the
+    /// emission of materials and then call [`Scene::cut_overlaps`] and [`Scene::cut_contacts`].
     pub keep_overlaps: bool,
-    /// Whether light is in watts or in lumens, and what luminous quantities of files are divided by.
+    /// Whether light is in watts or in lumens, and the divisor of luminous quantities in files.
     pub units: Units,
 }
 
@@ -188,14 +190,15 @@ setters!(LoadOptions {
     with_units(units: Units),
 });
 
-/// Corners of faces from here on are no corners of the file but new vertices, by their number from here: [`Scene::face_corners`].
+/// The first number in [`Scene::face_corners`] that is not a corner in the file but a new vertex: this constant plus
+/// the index of the vertex.
 pub const NEW_CORNER: u32 = 1 << 31;
 
 /// Reflectance where neither the file nor [`LoadOptions`] gives one: grey plaster.
 pub const DEFAULT_REFLECTANCE: f64 = 0.5;
 
-/// Largest radiance that a surface may emit, W/(m² sr). Sums of squared errors, and of powers over all areas, must stay within
-/// the range of double precision.
+/// Largest radiance that a surface may emit, W/(m² sr). It keeps sums of squared errors and sums of powers within the
+/// range of double precision.
 pub const MOST_RADIANCE: f64 = 1e100;
 
 /// Whether a surface may emit this radiance: a number from 0 to [`MOST_RADIANCE`].
@@ -209,7 +212,7 @@ impl LoadOptions {
         self.reflectance.unwrap_or([DEFAULT_REFLECTANCE; 3])
     }
 
-    /// The same in words, for warnings.
+    /// [`LoadOptions::default_reflectance`] in words, for warnings.
     fn default_in_words(&self) -> String {
         match self.default_reflectance() {
             [r, g, b] if r == g && g == b => format!("reflectance {r}"),
@@ -219,7 +222,8 @@ impl LoadOptions {
 }
 
 impl Scene {
-    /// Reads a scene. The extension of the file decides on the format: `.obj` with its `.mtl`, `.ply`, `.gltf`, `.glb` or `.stl`.
+    /// Reads a scene. The extension of the file determines the format: `.obj` with its `.mtl`, `.ply`, `.gltf`, `.glb`
+    /// or `.stl`.
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] with file and line when it cannot be used.
@@ -233,7 +237,7 @@ impl Scene {
     /// Errors of [`Scene::load`].
     ///
     /// # Panics
-    /// When a reflectance given is outside 0 to 1.
+    /// When the reflectance in `options` is outside 0 to 1.
     pub fn load_with(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Scene> {
         let path = path.as_ref();
         let given = options.default_reflectance();
@@ -266,13 +270,13 @@ impl Scene {
         })?;
         if self.triangles.is_empty() {
             return Err(Error::input(path, None, "no face is left but holes").with_hint(
-                "a material with `d 0` is not there, nor are texels with an alpha of less than a half",
+                "faces of a material with `d 0` and texels with an alpha below a half are left out",
             ));
         }
         Ok(())
     }
 
-    /// Leaves out all faces of materials of this name, and returns the number of their triangles.
+    /// Removes all faces of materials with this name. Returns the number of removed triangles.
     pub fn leave_out(&mut self, material: &str) -> usize {
         let kept: Vec<bool> =
             self.triangles.iter().map(|t| self.materials[t.material as usize].name != material).collect();
@@ -294,7 +298,7 @@ impl Scene {
         kept.iter().filter(|&&kept| !kept).count()
     }
 
-    /// Removes vertices that no triangle has, because they would count in the size of the scene.
+    /// Removes vertices without a triangle, because they would count in the size of the scene.
     fn forget_unused_vertices(&mut self) {
         let mut used = vec![false; self.vertices.len()];
         self.triangles.iter().flat_map(|t| t.vertices).for_each(|v| used[v as usize] = true);
@@ -311,37 +315,37 @@ impl Scene {
         }
     }
 
-    /// Where faces overlap in one plane and face the same way, cuts away what is hidden, by the rule of [`overlaps`].
-    /// [`Scene::load`] does this. For scenes made in memory, call it yourself. [`Scene::hidden`] and [`Scene::warnings`] list
-    /// what was cut away.
+    /// Cuts away hidden parts of faces that overlap in one plane and face the same way, by the rule of [`overlaps`].
+    /// [`Scene::load`] does this. For scenes made in memory, call it yourself. [`Scene::hidden`] and
+    /// [`Scene::warnings`] list the hidden parts.
     pub fn cut_overlaps(&mut self) {
         let hidden = overlaps::resolve(self);
-        self.tell(hidden);
+        self.record(hidden);
     }
 
-    fn tell(&mut self, hidden: Vec<Hidden>) {
+    fn record(&mut self, hidden: Vec<Hidden>) {
         self.warnings.extend(hidden.iter().map(Hidden::to_string));
         self.hidden.extend(hidden);
     }
 
-    /// Cuts triangles along the lines where other surface touches or crosses them, by the rule of [`Contacts`], so that no patch
-    /// lies on both sides of a wall. [`Scene::load`] does so; scenes made in memory are left as they are until this is called. Call it
-    /// after [`Scene::cut_overlaps`]. Tells what it cut in [`Scene::contacts`].
+    /// Cuts triangles along the lines where other surfaces touch or cross them, so that no patch lies on both sides of
+    /// a wall. [`Scene::load`] does this. For scenes made in memory, call it yourself, after [`Scene::cut_overlaps`].
+    /// [`Scene::contacts`] counts the cuts.
     pub fn cut_contacts(&mut self) {
         let hidden;
         (self.contacts, hidden) = contacts::cut(self);
-        self.tell(hidden);
+        self.record(hidden);
         if self.contacts.uncut > 0 {
             self.warnings.push(format!(
-                "surfaces touch or cross along {} more lines than the program cuts along: light may leak there",
+                "surfaces touch or cross along {} lines without a cut: light may leak there",
                 self.contacts.uncut
             ));
         }
     }
 
-    /// Makes a scene from triangles given as corner positions with a material index each.
+    /// Makes a scene from triangles, each given by the positions of its corners and a material index.
     ///
-    /// Welds equal positions, drops and counts triangles of zero area.
+    /// Equal positions become one vertex. Triangles without area are left out and counted in [`Scene::degenerate`].
     ///
     /// # Panics
     /// When a position is not finite or a material index is out of range.
@@ -385,7 +389,7 @@ impl Scene {
         self.materials.iter().any(|m| m.specular.is_some())
     }
 
-    /// Whether there is any light: of surfaces that emit, or of [lights that are no surfaces](Scene::lights).
+    /// Whether the scene has any light: surfaces that emit, or [lights that are not surfaces](Scene::lights).
     pub fn is_lit(&self) -> bool {
         self.has_emitter() || !self.lights.is_empty()
     }
@@ -395,8 +399,9 @@ impl Scene {
         (0..self.triangles.len()).any(|t| self.emits(t))
     }
 
-    /// Sets the emitted radiance, W/(m² sr), of all materials of this name, or of every material without a name. Fronts of
-    /// their triangles emit; emission textures no longer count. Returns the number of materials: names need not be unique.
+    /// Sets the emitted radiance, W/(m² sr), of all materials with this name, or of all materials if `material` is
+    /// `None`. Their emission textures are removed. The fronts of their triangles emit. Returns the number of
+    /// materials: names need not be unique.
     ///
     /// # Panics
     /// When the radiance [is out of range](is_radiance).
@@ -411,10 +416,10 @@ impl Scene {
         found
     }
 
-    /// Gives all materials of this name a reflectance, R G B in \[0, 1\], and an emitted radiance, W/(m² sr). Their textures
-    /// and colours of vertices no longer count; a specular part stays. Returns the number of materials.
+    /// Gives all materials with this name a reflectance, R G B in \[0, 1\], and an emitted radiance, W/(m² sr). Their
+    /// textures and vertex colours no longer count; a specular part stays. Returns the number of materials.
     ///
-    /// Patches made before take the change by [`Patches::update_materials`](crate::patch::Patches::update_materials).
+    /// [`Patches::update_materials`](crate::patch::Patches::update_materials) applies the change to existing patches.
     ///
     /// # Panics
     /// When a reflectance is outside 0 to 1, or the emission [is out of range](is_radiance).
@@ -423,8 +428,8 @@ impl Scene {
         self.emit(Some(name), emission)
     }
 
-    /// Sets the reflectance of all materials of this name. Their textures and colours of vertices no longer count. Returns
-    /// the number of materials.
+    /// Sets the reflectance, R G B in \[0, 1\], of all materials with this name. Their textures and vertex colours no
+    /// longer count. Returns the number of materials.
     ///
     /// # Panics
     /// When a reflectance is outside 0 to 1.
@@ -480,15 +485,15 @@ impl Scene {
         })
     }
 
-    /// Reflectance averaged over the part of triangle `t` whose corners have these barycentric coordinates. Where both a
-    /// texture and colours vary, the part is taken as sixteen, each of one colour.
+    /// Reflectance averaged over the part of triangle `t` whose corners have these barycentric coordinates. If both a
+    /// texture and vertex colours vary, the part is split into sixteen, each with one colour.
     pub fn mean_reflectance(&self, t: usize, part: &[[f64; 3]; 3]) -> [f64; 3] {
         let m = self.material(t);
         let mean = |part: &[[f64; 3]; 3]| {
             let reflectance = self.mapped(m.reflectance, &m.reflectance_map, |texture, map| {
                 texture.mean(map, part.map(|b| interpolate(&self.texcoords[t], b)))
             });
-            // The mean of what is linear is its value in the middle.
+            // The mean of a linear function is its value in the middle.
             sum(self.coloured(t, reflectance, middle(part)), m.reflectance_offset)
         };
         let vary = self.colours.get(t).is_some_and(|[a, b, c]| a != b || b != c);
@@ -512,7 +517,7 @@ impl Scene {
         self.emission_texcoords.get(t).unwrap_or_else(|| &self.texcoords[t])
     }
 
-    /// Number of texels of its emission texture that triangle `t` extends over. Zero without such a texture.
+    /// Extent of triangle `t` on its emission texture, in texels, along the longer axis. Zero without such a texture.
     pub(crate) fn emission_texels(&self, t: usize) -> f64 {
         let Some(map) = &self.material(t).emission_map else { return 0.0 };
         let [a, b, c] = *self.uv_of_emission(t);
@@ -542,7 +547,7 @@ impl Scene {
             None => reflectance,
             Some(colours) => std::array::from_fn(|c| {
                 let colour: f64 = (0..3).map(|k| f64::from(colours[k][c]) * barycentric[k]).sum();
-                // Barycentric coordinates sum to 1 up to rounding.
+                // Barycentric coordinates sum to 1 only up to rounding.
                 reflectance[c] * colour.clamp(0.0, 1.0)
             }),
         }
@@ -589,8 +594,8 @@ fn not_a_scene(path: &Path, extension: Option<&str>) -> Error {
     }
 }
 
-/// The texture coordinates at a point. A coordinate that all corners share is copied. Interpolation could round it, and on
-/// the border of two texels this would choose one of them by chance.
+/// The texture coordinates at a point. Coordinates that all corners share are copied: interpolation could round them,
+/// and on the border of two texels rounding would choose one of the two by chance.
 fn interpolate(uv: &[DVec2; 3], b: [f64; 3]) -> DVec2 {
     if uv[0] == uv[1] && uv[1] == uv[2] {
         return uv[0];
@@ -598,8 +603,8 @@ fn interpolate(uv: &[DVec2; 3], b: [f64; 3]) -> DVec2 {
     uv[0] * b[0] + uv[1] * b[1] + uv[2] * b[2]
 }
 
-/// Cross product of two edges, both divided by the returned power of two. The product of very short or very long edges
-/// would underflow or overflow.
+/// Cross product of two edges, both divided by a power of two, and this power. Without the division, the product of
+/// very short or very long edges would underflow or overflow.
 fn scaled_cross(e: DVec3, f: DVec3) -> (DVec3, f64) {
     let largest = e.abs().max_element().max(f.abs().max_element());
     if largest == 0.0 || !largest.is_finite() {
@@ -609,12 +614,13 @@ fn scaled_cross(e: DVec3, f: DVec3) -> (DVec3, f64) {
     ((e / scale).cross(f / scale), scale)
 }
 
-/// The unit vector along `v`, also if the square of its length underflows or overflows. None for zero.
+/// The unit vector along `v`, even if the square of its length underflows or overflows. `None` for zero.
 pub(crate) fn direction(v: DVec3) -> Option<DVec3> {
     (v / v.abs().max_element()).try_normalize()
 }
 
-/// Centre of the bounding box of points, and half of its longest side: they define the unit space.
+/// The centre of the bounding box of points and half of its longest side. They are the origin and the unit of unit
+/// space.
 pub(crate) fn centre_and_extent(points: impl Iterator<Item = DVec3>) -> (DVec3, f64) {
     let none = [DVec3::INFINITY, DVec3::NEG_INFINITY];
     let [low, high] = points.fold(none, |[low, high], v| [low.min(v), high.max(v)]);
@@ -631,7 +637,7 @@ pub(crate) fn triangle_area([a, b, c]: [DVec3; 3]) -> f64 {
     0.5 * cross.length() * scale * scale
 }
 
-/// Collects triangles, welds their corners, drops those without area.
+/// Collects triangles and welds their corners. Triangles without area are dropped and counted.
 #[derive(Default)]
 pub(crate) struct SceneBuilder {
     scene: Scene,
@@ -640,12 +646,12 @@ pub(crate) struct SceneBuilder {
 }
 
 impl SceneBuilder {
-    /// The next triangles are of a new face.
+    /// Begins a new face. The next triangles belong to it.
     pub(crate) fn face(&mut self, line: Option<usize>, part: u32) {
         self.scene.faces.push(Face { first: self.pushed, line, part });
     }
 
-    /// Adds the next triangle of the file. `texcoords` are kept when any triangle has some.
+    /// Adds the next triangle of the file. `texcoords` are kept if any triangle has some.
     pub(crate) fn push(&mut self, corners: [DVec3; 3], material: u32, texcoords: Option<[DVec2; 3]>) {
         assert!(corners.iter().all(|c| c.is_finite()), "a vertex is not finite");
         let source = self.pushed;

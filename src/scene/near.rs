@@ -1,4 +1,4 @@
-//! Which triangles of a scene are near each other.
+//! Finds triangles of a scene that are near each other.
 
 use obvhs::{
     BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::builder::build_bvh2, ploc::PlocSearchDistance,
@@ -6,7 +6,8 @@ use obvhs::{
 };
 use rayon::prelude::*;
 
-/// As for rays (see `trace::bvh`), but without reinsertion, which does not pay for one query per box.
+/// Parameters of the hierarchy. They are those for rays (see `trace::bvh`), but without reinsertion: its time does not
+/// pay off with one query per box.
 const BUILD: BvhBuildParams = BvhBuildParams {
     pre_split: false,
     ploc_search_distance: PlocSearchDistance::Low,
@@ -18,8 +19,8 @@ const BUILD: BvhBuildParams = BvhBuildParams {
     collapse_traversal_cost: 1.0,
 };
 
-/// Calls `meet` with the indices of all pairs of boxes that overlap, the lower one first, and returns what it appends. In no order that
-/// matters.
+/// Calls `meet` for each pair of boxes that overlap, with their indices in ascending order. Returns everything that
+/// `meet` appends. The order of the list has no meaning.
 pub(super) fn overlapping<T: Send>(
     boxes: &[Aabb],
     meet: impl Fn(usize, usize, &mut Vec<T>) + Sync,

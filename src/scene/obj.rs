@@ -1,25 +1,27 @@
 //! Wavefront OBJ with MTL.
 //!
-//! [tobj](https://docs.rs/tobj) parses. A thin layer before it and one after it do the rest:
+//! [tobj](https://docs.rs/tobj) parses the files. A thin layer before it and one after it do the rest:
 //!
-//! - before (`text`, `scan`, `mtl`): text that is not UTF-8, line ends, `\` continuations, tabs after keywords,
-//!   several names or names with blanks after `mtllib`, Windows paths, `Kd` with one number, `Kd spectral`, `Kd xyz`,
-//!   statements out of order. Every line of numbers is checked here, because errors of tobj have no line.
-//! - after (`material`, and `triangulate`): reflectance and radiance in range, textures with their options,
-//!   polygons into triangles.
+//! - The layer before (`text`, `scan`, `mtl`) handles text that is not UTF-8, line ends, `\` continuations, tabs after
+//!   keywords, several names or names with blanks after `mtllib`, Windows paths, `Kd` with one number, `Kd spectral`,
+//!   `Kd xyz`, and statements out of order. It checks every line of numbers, because errors of tobj have no line.
+//! - The layer after (`material`, and `triangulate`) checks the ranges of reflectance and radiance, reads textures with
+//!   their options, and cuts polygons into triangles.
 //!
-//! The formats leave some questions open. This reader decides:
+//! The formats leave some questions open. This reader answers them so:
 //!
-//! - The reflectance is 0.5, with a warning, for a material without `Kd`, an undefined material and a face without material.
+//! - The reflectance is 0.5, with a warning, for a material without `Kd`, an undefined material and a face without
+//!   material.
 //! - A missing `Kd` is 1 beside `map_Kd`; a missing `Ke` is 1 beside `map_Ke`.
 //! - The first of two definitions of a material counts.
-//! - The front is where the vertices run counter-clockwise. Normals only say where pictures are smooth.
+//! - The front is the side from which the vertices run counter-clockwise. Normals only determine where pictures are
+//!   smooth.
 //! - `-s` and `-o` of a texture statement make `uv · s + o`.
 //! - Texels are holes where `map_d`, or else the alpha of `map_Kd`, is below a half. Faces with `d 0` are left out.
 //! - Only materials that faces use are kept.
-//! - `Ks` is a modified Phong lobe of exponent `Ns`. With `illum 3` it is a mirror, with `illum 5` a mirror with Schlick's
-//!   Fresnel term.
-//! - With `Pr` or `Pm` the material is glTF's metallic-roughness model, and `Kd` its base colour.
+//! - `Ks` is a modified Phong lobe of exponent `Ns`. With `illum 3` it is a mirror, with `illum 5` a mirror with
+//!   Schlick's Fresnel term.
+//! - With `Pr` or `Pm`, the material is glTF's metallic-roughness model with the base colour `Kd`.
 
 mod map_line;
 mod material;
@@ -39,15 +41,15 @@ use crate::{Error, Result};
 /// Reads `path` and the material libraries it names.
 ///
 /// # Errors
-/// [`Error::Io`] when `path` cannot be read. [`Error::Input`], with a line if there is one, when the contents of it or of its
-/// libraries cannot be used. Missing libraries and textures are warnings.
+/// [`Error::Io`] when `path` cannot be read. [`Error::Input`], with a line if there is one, when the contents of the
+/// file or of its libraries cannot be used. Missing libraries and textures are warnings.
 pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
     let text = text::decode(bytes);
     let mut scan = scan::scan(path, &text)?;
     if scan.faces.is_empty() && text.contains('\0') {
-        return Err(Error::input(path, None, "not an OBJ file: it is no text")
-            .with_hint("the name ends in .obj, but what is in the file is of another kind"));
+        return Err(Error::input(path, None, "not an OBJ file: it is not text")
+            .with_hint("the name ends in .obj, but the contents are of another kind"));
     }
     drop(text);
     if scan.faces.is_empty() {
@@ -58,7 +60,7 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let (models, definitions) = parse(path, &scan, &libraries)?;
     scan.text = String::new();
 
-    // The reflectance of an option takes precedence over colours, which are rather pictures than measured values.
+    // A reflectance from the options takes precedence over colours, because colours are rarely measured values.
     let coloured = options.reflectance.is_none() && !scan.colours.is_empty();
     let smooth = !scan.normals.is_empty();
     let mut assembly = Assembly {
@@ -121,9 +123,9 @@ struct Assembly<'a> {
     path: &'a Path,
     materials: Materials,
     builder: SceneBuilder,
-    /// Where vertices have colours.
+    /// The scan, if vertices have colours.
     coloured: Option<&'a Scan>,
-    /// Where there are normals.
+    /// The scan, if there are normals.
     smooth: Option<&'a Scan>,
     /// Colours of each triangle's corners.
     colours: Vec<[[f32; 3]; 3]>,
@@ -132,7 +134,7 @@ struct Assembly<'a> {
 }
 
 impl Assembly<'_> {
-    /// Adds the polygons of all models. They come in file order, as `faces` does.
+    /// Adds the polygons of all models. They come in file order, like `faces`.
     fn add(
         &mut self,
         models: &[tobj::Model],
@@ -178,7 +180,7 @@ impl Assembly<'_> {
         scan.corners[face.corners..][..arity].iter().map(|&(v, _)| scan.colours[v as usize]).collect()
     }
 
-    /// The normals of a face's corners; zero where one is not given.
+    /// The normals of a face's corners; zero for a corner without one.
     fn normals_of(&self, face: &Face, arity: usize) -> Option<Vec<[f32; 3]>> {
         let scan = self.smooth?;
         let normal = |&(_, vn): &(u32, u32)| scan.normals.get(vn as usize).copied().unwrap_or_default();

@@ -1,18 +1,20 @@
 //! PLY meshes, ASCII and binary, through [ply-rs](https://docs.rs/ply-rs-bw).
 //!
-//! The format has no materials and no light, and the names of its elements are convention. The reader knows these:
+//! The format has no materials and no light, and the names of its elements are conventions. The reader knows these:
 //!
 //! - `vertex`: `x y z`; `red green blue`, integers of 0 to 255 (`ushort` to 65535) or floats of 0 to 1, sRGB-encoded.
-//! - `face`: a list `vertex_indices` or `vertex_index` of any integer type; the same colours, which take precedence over
-//!   those of the vertices; `reflectance_r reflectance_g reflectance_b`, linear, which take precedence over any colour;
-//!   `emission_r emission_g emission_b`, radiance in W/(m² sr).
+//! - `face`: a list `vertex_indices` or `vertex_index` of any integer type; the same colours, which take precedence
+//!   over those of the vertices; `reflectance_r reflectance_g reflectance_b`, linear, which take precedence over any
+//!   colour; `emission_r emission_g emission_b`, radiance in W/(m² sr).
 //!
-//! The reflectance of a face is the mean of the linear colours of its vertices. The name of a material is its reflectance
-//! as a colour, `#rrggbb`. Faces without reflectance have the material `(none)`. Files that this program wrote can be
-//! read too. Their vertex colours show light and are not taken for reflectances. A face that shows the back of its patch
-//! is turned round. It is left out if the file has a face for the front too ([`BOTH_SIDES`]).
+//! The reflectance of a face is the mean of the linear colours of its vertices. The name of a material is its
+//! reflectance as a colour, `#rrggbb`. Faces without reflectance have the material `(none)`.
 //!
-//! Elements are read one by one and become triangles at once. So a false header cannot make the reader allocate memory.
+//! The reader also reads files that this program wrote. Their vertex colours show light and do not count as
+//! reflectances. A face that shows the back of its patch is turned round. It is left out if the file has a face for the
+//! front too ([`BOTH_SIDES`]).
+//!
+//! Each element becomes triangles as soon as it is read. So a false header cannot make the reader allocate memory.
 
 mod element;
 
@@ -30,14 +32,14 @@ use super::{
 };
 use crate::{Error, Result, tone};
 
-/// The comment in files that have both sides of patches as faces.
+/// The comment in files that have faces for both sides of patches.
 pub(crate) const BOTH_SIDES: &str = "faces: both sides of patches";
 
 /// Reads `path`.
 ///
 /// # Errors
-/// [`Error::Io`] when it cannot be read. [`Error::Input`] when its contents cannot be used, with the line of an ASCII file or
-/// the number of the element of a binary file.
+/// [`Error::Io`] when the file cannot be read. [`Error::Input`] when its contents cannot be used, with the line of an
+/// ASCII file or the number of the element of a binary file.
 pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
     let (header, first_line, payload) = read_header(path, &bytes)?;
@@ -68,15 +70,15 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
 
 /// The header, the number of the line after it, and the rest of the file.
 ///
-/// ply-rs needs UTF-8 without blank lines and without blanks before a keyword, and lines that end with LF. Comments often
-/// hold names in other encodings, so that ply-rs gets a clean copy.
+/// ply-rs needs UTF-8 without blank lines and without blanks before a keyword, and lines that end with LF. But comments
+/// often hold names in other encodings. So ply-rs gets a clean copy.
 fn read_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Header, usize, &'a [u8])> {
     let error = |line, message: &str| Error::input(path, line, message);
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     if !bytes.starts_with(b"ply") {
         return Err(error(Some(1), "not a PLY file: it does not begin with `ply`"));
     }
-    // A line ends with CR LF or LF. In a file without any LF it ends with CR.
+    // A line ends with CR LF or LF, or with CR if the first line ends so.
     let first = bytes.iter().position(|b| matches!(b, b'\n' | b'\r')).unwrap_or(0);
     let end =
         if bytes[first..].starts_with(b"\r") && !bytes[first..].starts_with(b"\r\n") { b'\r' } else { b'\n' };
@@ -110,9 +112,9 @@ fn read_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Header, usize, &'a [
         }
     }
     let header = Parser::<Vertex>::new().read_header(&mut Reader::new(clean.as_bytes())).map_err(|e| {
-        let said =
+        let message =
             e.line().and_then(|l| clean.lines().nth(l - 1)).map(|l| format!("`{l}` is not understood"));
-        error(e.line(), &said.unwrap_or_else(|| first_line(&e.to_string())))
+        error(e.line(), &message.unwrap_or_else(|| first_line(&e.to_string())))
     })?;
     Ok((header, line + 1, rest))
 }
@@ -194,7 +196,7 @@ fn ascii<E: PropertyAccess>(line: &str, element: &ElementDef, path: &Path, at: &
             .collect();
         parser.read_ascii_element(&words.join(" "), element).map_err(|_| {
             let shown: String = line.trim().chars().take(60).collect();
-            at.error(path, format!("`{shown}` is no {}", element.name))
+            at.error(path, format!("`{shown}` is not a {}", element.name))
         })
     })
 }
@@ -257,11 +259,11 @@ impl Place<'_> {
 struct Mesh<'a> {
     path: &'a Path,
     options: &'a LoadOptions,
-    /// Whether colours show light.
+    /// Whether vertex colours show light.
     light: bool,
-    /// Whether this program wrote the file, so that its faces know which side of a patch they show.
+    /// Whether this program wrote the file, with a number at each face for the side of the patch that it shows.
     sides: bool,
-    /// Whether the file has both sides of patches.
+    /// Whether the file has faces for both sides of patches.
     both: bool,
     vertices: Vec<Corner>,
     /// Normals of each triangle's corners, where the vertices have some.
@@ -270,10 +272,10 @@ struct Mesh<'a> {
     materials: Vec<Material>,
     /// Materials by reflectance and emission.
     known: HashMap<(Option<[u64; 3]>, [u64; 3]), u32>,
-    /// What faces have in common beside these, by the order in which it came.
+    /// Parts by the properties that their faces share, numbered in the order of their first face.
     parts: HashMap<Part, u32>,
     warnings: Warnings,
-    /// Faces without a reflectance.
+    /// Number of faces without a reflectance.
     plain: usize,
     /// Number of faces with too few corners, and the place of the first.
     short: Option<(usize, String)>,
@@ -372,8 +374,9 @@ impl Mesh<'_> {
     fn finish(mut self, header: &Header) -> Result<Scene> {
         let file = self.path.display();
         if self.light {
-            self.warnings
-                .push(format!("{file}: colours of vertices show radiosity; they are no reflectances here"));
+            self.warnings.push(format!(
+                "{file}: colours of vertices show radiosity; they do not count as reflectances"
+            ));
         }
         if self.plain > 0 && self.options.reflectance.is_none() {
             let default = self.options.default_in_words();
@@ -407,7 +410,7 @@ impl Mesh<'_> {
     }
 }
 
-/// A vertex, as corners of faces have it.
+/// A vertex that was read, as a corner of faces.
 struct Corner {
     position: DVec3,
     normal: [f32; 3],

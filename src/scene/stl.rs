@@ -1,7 +1,7 @@
 //! STL meshes, ASCII and binary (3D Systems, *StereoLithography Interface Specification*, 1989).
 //!
-//! The format has triangles only: no materials, no light and no unit. Each solid of an ASCII file is an object. Normals in
-//! the file are ignored: the order of the corners determines the front.
+//! The format has triangles only: no materials, no light and no unit. Each solid of an ASCII file is an object. Normals
+//! in the file are ignored: the order of the corners determines the front.
 
 use std::path::Path;
 
@@ -17,8 +17,8 @@ const TRIANGLE: usize = 50;
 /// Reads `path`.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read. [`Error::Input`] when its contents cannot be used, with the line of an ASCII
-/// file or the number of the triangle in a binary file.
+/// [`Error::Io`] when the file cannot be read. [`Error::Input`] when its contents cannot be used, with the line of an
+/// ASCII file or the number of the triangle in a binary file.
 pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
     let mut mesh = Mesh { path, options, builder: SceneBuilder::default(), parts: Vec::new(), faces: 0 };
@@ -34,8 +34,8 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     mesh.finish()
 }
 
-/// The triangles of a binary file. Many binary files begin with `solid` too. So the length decides, which follows from the
-/// number of triangles.
+/// The triangles of a binary file; `None` if the file is not binary. Many binary files begin with `solid` too. So the
+/// test compares the length of the file with its number of triangles.
 fn binary_triangles(bytes: &[u8]) -> Option<&[[u8; TRIANGLE]]> {
     let (count, rest) = bytes.get(HEADER..)?.split_first_chunk::<4>()?;
     let (triangles, left) = rest.as_chunks();
@@ -68,7 +68,7 @@ impl Mesh<'_> {
         self.begin("");
         for (k, triangle) in triangles.iter().enumerate() {
             let number = |at: usize| f32::from_le_bytes([0, 1, 2, 3].map(|b| triangle[at + b]));
-            // The corners follow after the normal.
+            // The corners come after the normal.
             let corners =
                 [12, 24, 36].map(|at| Vec3::new(number(at), number(at + 4), number(at + 8)).as_dvec3());
             if !corners.iter().all(|c| c.is_finite()) {
@@ -101,13 +101,13 @@ impl Mesh<'_> {
             } else if is(0, "endsolid") {
                 inside = false;
             } else if !inside {
-                return Err(error(format!("`{}` stands outside of a solid", words[0])));
+                return Err(error(format!("`{}` is outside of a solid", words[0])));
             } else if is(0, "facet") {
                 corners.clear();
             } else if is(0, "vertex") {
                 let numbers: Vec<f64> = words[1..].iter().filter_map(|word| word.parse().ok()).collect();
                 let [x, y, z] = numbers[..] else {
-                    return Err(error("a vertex has three coordinates".into()));
+                    return Err(error("a vertex must have three coordinates".into()));
                 };
                 let corner = DVec3::new(x, y, z);
                 if !corner.is_finite() || words.len() != 4 {

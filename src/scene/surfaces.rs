@@ -1,7 +1,7 @@
 //! Surfaces for heat transfer: the faces of a file, or its groups, objects or materials.
 //!
-//! Each surface consists of triangles and parallelograms. A quadrilateral face that is a parallelogram stays one. All other
-//! faces consist of the triangles that the reader cut them into.
+//! Each surface consists of triangles and parallelograms. A quadrilateral face that is a parallelogram stays one. All
+//! other faces consist of the triangles that the reader cut them into.
 
 use std::collections::{HashMap, HashSet};
 
@@ -9,7 +9,7 @@ use glam::DVec3;
 
 use super::{Material, Part, Scene, Triangle, centre_and_extent};
 
-/// What one surface is.
+/// The faces that make up one surface.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum By {
     /// A face. Its name is its number in the file, from 0.
@@ -24,7 +24,7 @@ pub enum By {
     Property(String),
 }
 
-/// The sides of faces that are surfaces.
+/// The sides of faces that count as surfaces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
     /// The side from which vertices run counter-clockwise.
@@ -65,41 +65,43 @@ pub struct Surfaces {
     pub doubled: usize,
     /// Number of triangles that were left out because they are smaller than [`SMALLEST`].
     pub tiny: usize,
-    /// Polygons that block and are no surfaces.
+    /// Polygons that block but are not surfaces.
     pub obstacles: Vec<Vec<DVec3>>,
-    /// Faces that may not be what was meant.
+    /// Faces that are probably mistakes in the file.
     pub odd: OddFaces,
 }
 
-/// Faces that may not be what was meant, each by its number in the file from 0 and its line.
+/// Faces that are probably mistakes in the file. Each has its number in the file, from 0, and its line.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct OddFaces {
-    /// They have corners out of one plane: their triangles are taken as they are.
+    /// Faces whose corners do not lie in one plane. Their triangles are used as they are.
     pub bent: Vec<(usize, Option<usize>)>,
-    /// They run along an edge the same way as the only neighbour there: one of both shows its back.
+    /// Faces that run along an edge in the same direction as the only neighbour there. One of the two shows its back.
     pub turned: Vec<(usize, Option<usize>)>,
 }
 
 /// The name of faces without a group, object or material.
 pub const NONE: &str = "(none)";
 
-/// Triangles with a smaller area, relative to the square of the scene's extent, are left out. Their corners are practically
-/// in a line.
+/// Triangles are left out if twice their area is at most this share of the square of the scene's extent. Their corners
+/// are practically in a line.
 pub const SMALLEST: f64 = 1e-24;
 
-/// How far the fourth corner of a quadrilateral may be from that of a parallelogram, as a share of its diagonal and of the
-/// scene's extent. Files round to six digits. With a larger tolerance, points of the parallelogram could lie behind the face.
+/// Largest distance between the fourth corner of a quadrilateral and the fourth corner of the parallelogram, as a share
+/// of the diagonal and of the scene's extent. Files round to six digits. With a larger tolerance, points of the
+/// parallelogram could lie behind the face.
 const SKEW: (f64, f64) = (5e-6, 2e-7);
 
 impl Surfaces {
-    /// The surfaces of `scene`. Read it with [`LoadOptions::faces`](super::LoadOptions::faces), otherwise each triangle is a
-    /// face.
+    /// The surfaces of `scene`. Read it with [`LoadOptions::faces`](super::LoadOptions::faces), otherwise each triangle
+    /// is a face.
     pub fn of(scene: &Scene, by: &By, side: Side) -> Surfaces {
         Surfaces::among(scene, by, side, &[])
     }
 
-    /// As [`Surfaces::of`], where the faces of some materials block and are no surfaces.
+    /// The surfaces of `scene` as from [`Surfaces::of`], but faces of the materials `obstacles` only block and are not
+    /// surfaces.
     pub fn among(scene: &Scene, by: &By, side: Side, obstacles: &[u32]) -> Surfaces {
         let mut surfaces = Surfaces {
             list: Vec::new(),
@@ -110,7 +112,7 @@ impl Surfaces {
         };
         let (_, extent) = centre_and_extent(scene.vertices.iter().copied());
         let (mut known, mut seen): (HashMap<String, usize>, HashSet<Vec<u32>>) = Default::default();
-        // Added backs of emitters are not faces of the file.
+        // The added backs of emitters are not faces of the file.
         let mut rest = &scene.triangles[..scene.triangles.len() - scene.backs_of_lamps];
         while let Some(triangle) = rest.first() {
             let after = scene.faces.partition_point(|face| face.first <= triangle.source);
@@ -180,7 +182,8 @@ impl Surfaces {
         self
     }
 
-    /// Each triangle and parallelogram as a surface of its own, with the name and the index of the surface it belongs to.
+    /// Splits surfaces: each triangle and parallelogram becomes a surface with the name of its original surface. Also
+    /// returns the index of the original surface of each.
     pub fn parts(&self) -> (Surfaces, Vec<usize>) {
         let of = |(k, surface): (usize, &Surface)| {
             let (name, line) = (surface.name.clone(), surface.line);
@@ -199,7 +202,7 @@ impl Surfaces {
         self.list.iter().map(|surface| surface.polygons.len()).sum()
     }
 
-    /// A scene of the sides that are surfaces, for rays.
+    /// A scene for rays. Its triangles show their fronts on the sides that are surfaces.
     pub fn scene(&self) -> Scene {
         let polygons = self.list.iter().flat_map(|surface| &surface.polygons);
         let triangles: Vec<([DVec3; 3], u32)> =
@@ -208,7 +211,8 @@ impl Surfaces {
     }
 }
 
-/// What a corner may be out of the plane of a face by, as a share of the scene's extent and of the face's: files round to six digits.
+/// Largest distance of a corner from the plane of its face: the sum of these shares of the scene's extent and of the
+/// face's extent. Files round to six digits.
 const BENT: (f64, f64) = (2e-6, 1e-4);
 
 /// Whether the triangles of a face lie in one plane.
@@ -225,8 +229,8 @@ fn is_flat(scene: &Scene, triangles: &[&Triangle], extent: f64) -> bool {
     corners().all(|p| (p - origin).dot(normal).abs() <= BENT.0 + BENT.1 * size)
 }
 
-/// The faces that run along an edge the same way as the only other face there: one of the two shows its back. Of each two the one
-/// with fewer neighbours that agree with it.
+/// The faces that are probably turned round. Two faces that share an edge alone and run along it in the same direction
+/// disagree: one of the two shows its back. The list has the face of the two that agrees with fewer of its neighbours.
 fn turned(scene: &Scene) -> Vec<(usize, Option<usize>)> {
     let triangles = &scene.triangles[..scene.triangles.len() - scene.backs_of_lamps];
     let face = |t: &Triangle| scene.faces.partition_point(|face| face.first <= t.source).saturating_sub(1);
@@ -239,7 +243,7 @@ fn turned(scene: &Scene) -> Vec<(usize, Option<usize>)> {
         }
     }
     edges.sort_unstable();
-    // Of each face the edges at which it agrees with its neighbour, and those at which it does not.
+    // For each face, the number of edges at which it disagrees with its neighbour, and at which it agrees.
     let mut counts: HashMap<usize, [i32; 2]> = HashMap::new();
     let mut against = Vec::new();
     for edge in edges.chunk_by(|e, f| (e.0, e.1) == (f.0, f.1)) {
@@ -268,7 +272,7 @@ fn is_large(scene: &Scene, triangle: &Triangle, extent: f64) -> bool {
     (b - a).cross(c - a).length() > SMALLEST
 }
 
-/// The corners of the parallelogram if the triangles of a face form one, else the corners of each triangle.
+/// The corners of the parallelogram if the triangles of a face form one; otherwise the corners of each triangle.
 fn polygons(scene: &Scene, triangles: &[&Triangle], extent: f64) -> Vec<Vec<u32>> {
     if let [first, second] = triangles {
         let ([p, q, r], [a, b, s]) = (first.vertices, second.vertices);

@@ -1,11 +1,11 @@
-//! Decodes text files into logical lines, and finds the files that exporters name.
+//! Decodes text files into logical lines, and finds files by the names that exporters write.
 
 use std::borrow::Cow;
 use std::ffi::OsStr;
 use std::path::{Component, Path, PathBuf};
 
-/// The file as text: UTF-16 if it has a byte order mark, otherwise UTF-8. Text that is not UTF-8 is read as Latin-1, which
-/// keeps different names different (a replacement character would not).
+/// Decodes a file: as UTF-16 if it has its byte order mark, otherwise as UTF-8. Text that is not UTF-8 is read as
+/// Latin-1. This keeps different names different, unlike a replacement character.
 pub(crate) fn decode(bytes: Vec<u8>) -> String {
     let utf_16 = |pair: fn([u8; 2]) -> u16| {
         let units: Vec<u16> = bytes[2..].as_chunks().0.iter().map(|&two| pair(two)).collect();
@@ -25,8 +25,8 @@ pub(crate) fn decode(bytes: Vec<u8>) -> String {
     }
 }
 
-/// Logical lines, each with the number of its first physical line. LF, CR LF and CR end a line; a backslash at its end
-/// continues it. Comments do not continue, since some end with a Windows path.
+/// Logical lines, each with the number of its first physical line. LF, CR LF and CR end a line. A backslash at the end
+/// of a line continues it, but not in a comment, because some comments end with a Windows path.
 pub(crate) fn lines(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
     let mut rest = text;
     let mut number = 0;
@@ -71,20 +71,21 @@ pub(crate) fn split_keyword(line: &str) -> (&str, &str) {
     line.split_once(char::is_whitespace).map_or((line, ""), |(key, rest)| (key, rest.trim()))
 }
 
-/// The part before a comment that follows on the same line. Only for lines of numbers: names may contain `#`.
+/// The part of a line before a comment. Use it only for lines of numbers: names may contain `#`.
 pub(crate) fn without_comment(rest: &str) -> &str {
     rest.split_once('#').map_or(rest, |(before, _)| before)
 }
 
-/// The file that a name refers to.
+/// A file that was found by its name.
 pub(super) struct Found {
     pub(super) path: PathBuf,
-    /// Whether the file was found elsewhere, by the last parts of its name.
+    /// Whether the file is not where its name points, but was found by the last parts of the name.
     pub(super) elsewhere: bool,
 }
 
-/// The file that `name` refers to, in a file in `folder`. Tries the name with and without a comment after it
-/// ([`find_as_named`]). If the name is a path of another machine, tries its last parts, the longest path first.
+/// Finds the file that a file in `folder` calls `name`. Tries the name with and without a comment after it
+/// ([`find_as_named`]). If both fail, the name may be a path of another machine: then tries its last parts, the longest
+/// path first.
 pub(super) fn find_file(folder: &Path, name: &str) -> Option<Found> {
     let bare = name.trim().trim_matches('"');
     let without_comment = bare.split_once(" #").or_else(|| bare.split_once("\t#")).map(|(before, _)| before);
@@ -101,7 +102,7 @@ pub(super) fn find_file(folder: &Path, name: &str) -> Option<Found> {
     })
 }
 
-/// The file `name` in `folder`. Also tries `\ ` as a blank, `\` as `/`, and other cases of letters in each part.
+/// Finds the file `name` in `folder`. Also tries `\ ` as a blank, `\` as `/`, and each part in upper and lower case.
 pub(super) fn find_as_named(folder: &Path, name: &str) -> Option<PathBuf> {
     let bare = name.trim().trim_matches('"');
     existing(folder, bare).or_else(|| existing(folder, &bare.replace("\\ ", " ").replace('\\', "/")))
@@ -142,7 +143,7 @@ mod tests {
         assert_eq!(got, [(1, "ab".into()), (3, "#c:\\".into()), (4, "d".into()), (5, "e".into())]);
     }
 
-    /// With an algorithm of quadratic time this test takes minutes.
+    /// With a quadratic algorithm, this test would take minutes.
     #[test]
     fn lines_continued_very_often_are_read_in_linear_time() {
         for part in ["1 2 3 \\\n", "\\\n"] {
@@ -182,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn utf_16_is_told_by_its_mark() {
+    fn utf_16_is_recognised_by_its_mark() {
         for swap in [u16::to_le_bytes, u16::to_be_bytes] {
             let bytes = "\u{feff}v 1 ü𝄞\n".encode_utf16().flat_map(swap).collect();
             assert_eq!(decode(bytes), "v 1 ü𝄞\n");

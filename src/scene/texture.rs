@@ -9,12 +9,12 @@ use glam::DVec2;
 
 use self::mean::Pyramid;
 
-/// Larger images are refused: a header may claim any size.
+/// Images with a longer side or with more bytes are refused, because a damaged header may claim any size.
 const LARGEST_SIDE: u32 = 16384;
 const LARGEST_DECODED: u64 = 1 << 30;
 
-/// Decodes a PNG, JPEG, TGA, BMP, WebP or TIFF image. The format follows from its bytes, or else from the name `named`. The
-/// error is a sentence.
+/// Decodes a PNG, JPEG, TGA, BMP, WebP or TIFF image. The format follows from its bytes. If these do not identify it,
+/// the format is `named`, from the file's name. The error is a sentence.
 pub(super) fn decode(bytes: &[u8], named: Option<image::ImageFormat>) -> Result<image::DynamicImage, String> {
     use image::ImageFormat::{Bmp, Jpeg, Png, Tga, Tiff, WebP};
     let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes));
@@ -38,7 +38,7 @@ pub(super) fn decode(bytes: &[u8], named: Option<image::ImageFormat>) -> Result<
     Ok(image)
 }
 
-/// The smallest alpha, from 0 to 255, of a texel that is surface.
+/// The smallest alpha, from 0 to 255, of a texel that counts as surface.
 const HALF: u8 = 128;
 
 /// An image, decoded from sRGB when looked up. Its texels are constant squares: the mean over a patch and the value
@@ -80,7 +80,7 @@ static LINEAR: LazyLock<[f64; 256]> =
     LazyLock::new(|| std::array::from_fn(|i| crate::tone::linear(i as f64 / 255.0)));
 
 impl Texture {
-    /// An image of `width` times `height` texels, R G B one byte each, sRGB-encoded, rows from the top.
+    /// Makes an image of `width` times `height` texels, R G B one byte each, sRGB-encoded, rows from the top.
     ///
     /// # Panics
     /// When there are no texels or `texels` has another length.
@@ -94,7 +94,7 @@ impl Texture {
         texture
     }
 
-    /// Reads an image file. The error says what is wrong.
+    /// Reads an image file. The error is a sentence.
     pub(super) fn load(path: &Path) -> Result<Texture, String> {
         let image = decode(
             &std::fs::read(path).map_err(|e| e.to_string())?,
@@ -134,8 +134,8 @@ impl Texture {
         self.solid.is_some()
     }
 
-    /// Whether a texel is surface. `x` counts to the right and `y` down from the top left texel. Outside the image the map
-    /// decides whether it repeats.
+    /// Whether a texel is surface. `x` counts to the right and `y` down from the top left texel. Outside the image the
+    /// map decides whether it repeats.
     pub(super) fn is_solid(&self, map: &TextureMap, x: i64, y: i64) -> bool {
         let Some(solid) = &self.solid else { return true };
         let within = |x: i64, n: usize| {
@@ -174,7 +174,7 @@ impl Texture {
         let p = self.to_texels(map, uv);
         let column = |x: f64, n: usize| {
             let x = x.floor();
-            // The cast saturates, which clamps; and turns NaN into 0.
+            // The cast saturates, which clamps. It also turns NaN into 0.
             let x = if map.clamp { x } else { x.rem_euclid(n as f64) };
             (x as usize).min(n - 1)
         };
@@ -183,16 +183,17 @@ impl Texture {
 
     /// Mean linear value over the triangle `uv`, or the value at the centroid if its area is zero.
     ///
-    /// The mean is exact for triangles with an extent (width plus height) of up to about a thousand texels. On the rim of a
-    /// larger triangle, squares smaller than 1/512 of its extent count with their mean. This bounds the time, even if the
-    /// image repeats very often.
+    /// The mean is exact for triangles with an extent (width plus height) of up to about a thousand texels. On the rim
+    /// of a larger triangle, a square smaller than 1/512 of its extent counts with its mean. This bounds the time, even
+    /// if the image repeats very often.
     pub fn mean(&self, map: &TextureMap, uv: [DVec2; 3]) -> [f64; 3] {
         let corners = uv.map(|p| self.to_texels(map, p));
         mean::over(self, map.clamp, corners)
             .unwrap_or_else(|| self.at(map, super::interpolate(&uv, [1.0 / 3.0; 3])))
     }
 
-    /// In texels, x right and y down from the top left corner; v of a texture coordinate points up.
+    /// Texture coordinates in texels: x to the right and y down from the top left corner. The v of a texture coordinate
+    /// points up.
     pub(super) fn to_texels(&self, map: &TextureMap, uv: DVec2) -> DVec2 {
         let p = uv * map.scale + map.offset;
         DVec2::new(p.x * self.width as f64, (1.0 - p.y) * self.height as f64)

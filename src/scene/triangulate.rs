@@ -7,16 +7,15 @@ use glam::{DVec2, DVec3};
 /// Sine of the angle by which a corner may turn the wrong way and still count as straight.
 const STRAIGHT: f64 = 1e-9;
 
-/// Largest number of corners of a concave polygon. The time of ear clipping grows with its square: 10,000 corners took a
-/// tenth of a second, 100,000 corners a minute and a half.
+/// Largest number of corners of a concave polygon. The time of ear clipping grows with the square of this number:
+/// 10,000 corners took a tenth of a second, and 100,000 corners a minute and a half.
 const MOST_CORNERS: usize = 10_000;
 
 /// Message for a polygon that [`polygon`] refuses.
 pub(super) const TOO_MANY: &str = "a concave face of more than 10000 corners cannot be cut into triangles";
 
-/// The triangles of a polygon of at least three points, as indices into `points`. They have the polygon's winding, and there
-/// are always two fewer than points. Degenerate and self-intersecting polygons become a fan. `None` if a concave polygon
-/// has too many corners.
+/// Cuts a polygon of n ≥ 3 points into n − 2 triangles, given as indices into `points`. They have the polygon's
+/// winding. Degenerate and self-intersecting polygons become a fan. `None` if a concave polygon has too many corners.
 pub(super) fn polygon(points: &[DVec3]) -> Option<Vec<[usize; 3]>> {
     if points.len() == 3 {
         return Some(fan(3));
@@ -32,8 +31,8 @@ fn fan(n: usize) -> Vec<[usize; 3]> {
     (1..n - 1).map(|i| [0, i, i + 1]).collect()
 }
 
-/// The polygon in the plane of its Newell normal, counter-clockwise. It is scaled to about one unit, because the thresholds of
-/// the projection are absolute.
+/// Projects a polygon onto the plane of its Newell normal, counter-clockwise. The polygon is first scaled to about one
+/// unit, because the thresholds of the projection are absolute.
 fn flatten(points: &[DVec3]) -> Option<Vec<[f64; 2]>> {
     let extent = points.iter().map(|p| (*p - points[0]).abs().max_element()).fold(0.0, f64::max);
     if extent == 0.0 || !extent.is_finite() {
@@ -53,8 +52,8 @@ fn doubled_triangle(ring: &[[f64; 2]], [a, b, c]: [usize; 3]) -> f64 {
     (b - a).perp_dot(c - a)
 }
 
-/// Whether neither a corner nor a triangle of the fan turns right. The second condition excludes stars: they turn left at
-/// every corner, but go round more than once.
+/// Whether a polygon turns left at every corner, and all triangles of its fan do so too. The second condition excludes
+/// stars: they turn left at every corner, but go round more than once.
 fn is_convex(ring: &[[f64; 2]]) -> bool {
     let n = ring.len();
     let turns_left = |t: [usize; 3]| {
@@ -64,7 +63,8 @@ fn is_convex(ring: &[[f64; 2]]) -> bool {
     (0..n).all(|i| turns_left([i, (i + 1) % n, (i + 2) % n])) && fan(n).into_iter().all(turns_left)
 }
 
-/// Ear clipping. `None` if the result does not cover the polygon, for instance because it intersects itself.
+/// Cuts a polygon by ear clipping. `None` if the triangles do not cover the polygon, for instance because it intersects
+/// itself.
 fn clip_ears(ring: &[[f64; 2]]) -> Option<Vec<[usize; 3]>> {
     let mut indices: Vec<usize> = Vec::new();
     Earcut::new().earcut_slice(ring, &[], &mut indices);
@@ -80,8 +80,8 @@ fn clip_ears(ring: &[[f64; 2]]) -> Option<Vec<[usize; 3]>> {
     ((covered - area).abs() <= 1e-9 * area && triangles.len() == ring.len() - 2).then_some(triangles)
 }
 
-/// Inserts the points that ear clipping drops from straight edges. Without them there would be a T-junction with the
-/// neighbour across such an edge, through which rays can escape.
+/// Inserts the points that ear clipping drops from straight edges. Without them, such an edge would have a T-junction
+/// with its neighbour, and rays can escape through a T-junction.
 fn insert_dropped(n: usize, triangles: &mut Vec<[usize; 3]>) -> Option<()> {
     let mut kept = vec![false; n];
     triangles.iter().flatten().for_each(|&i| kept[i] = true);
@@ -109,13 +109,13 @@ mod tests {
     use proptest::prelude::*;
 
     fn in_3d(ring: &[[f64; 2]], scale: f64) -> Vec<DVec3> {
-        // Two orthonormal directions of a plane that no axis is in.
+        // Two orthonormal directions of a plane that contains no axis.
         let (u, v) = (DVec3::new(1.0, 2.0, 2.0) / 3.0, DVec3::new(2.0, 1.0, -2.0) / 3.0);
         ring.iter().map(|p| (u * p[0] + v * p[1]) * scale + DVec3::splat(scale)).collect()
     }
 
-    /// Twice the covered area. Checks that every triangle keeps the winding and that every edge of the ring is an edge of one
-    /// triangle.
+    /// Twice the covered area. Checks that every triangle keeps the winding and that every edge of the ring is an edge
+    /// of one triangle.
     fn check(ring: &[[f64; 2]], triangles: &[[usize; 3]]) -> f64 {
         let n = ring.len();
         assert_eq!(triangles.len(), n - 2);
@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn time_does_not_grow_with_the_square_of_a_file() {
-        // A circle with any number of corners is a fan. With a dent it has too many corners.
+        // A circle becomes a fan, whatever its number of corners. With a dent, it has too many corners.
         let mut ring: Vec<[f64; 2]> = (0..20_000)
             .map(|i| std::f64::consts::TAU * f64::from(i) / 20_000.0)
             .map(|a| [a.cos(), a.sin()])

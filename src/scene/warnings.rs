@@ -1,15 +1,15 @@
-//! Warnings of readers: what they left out or assumed. Many similar warnings become one sentence.
+//! Warnings of readers about omissions and assumptions. Many similar warnings become one sentence.
 
 use std::collections::HashMap;
 
-/// With more cases of one kind than this, one sentence names the first cases and counts the others.
+/// If a kind has more cases than this, one sentence names the first cases and counts the others.
 const MOST: usize = 3;
 
 /// Warnings, in the order of their first occurrence.
 #[derive(Default)]
 pub(super) struct Warnings {
     kinds: Vec<Kind>,
-    /// Index of a kind in `kinds`, by the words before and after the name.
+    /// Index of each kind in `kinds`. The key is the words before and after the name.
     known: HashMap<(String, String), usize>,
 }
 
@@ -29,7 +29,7 @@ impl Warnings {
         self.kinds.push(Kind::Plain(sentence));
     }
 
-    /// Adds the sentence `place: before `name`after`. Many sentences may differ only in place and name.
+    /// Adds the sentence ``place: before `name`after``. Sentences that differ only in place and name are one kind.
     pub(super) fn repeat(&mut self, place: String, before: &str, name: &str, after: &str) {
         let next = self.kinds.len();
         let at = *self.known.entry((before.into(), after.into())).or_insert(next);
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_few_are_told_each_and_many_in_one_sentence() {
+    fn a_few_have_a_sentence_each_and_many_share_one() {
         let mut warnings = Warnings::default();
         for name in ["a", "b", "c"] {
             warnings.repeat(format!("{name}.mtl"), "texture", name, " not found");

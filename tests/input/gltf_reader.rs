@@ -363,7 +363,7 @@ fn what_diffuse_light_ignores_is_reported_once() {
     file.push("animations", json!({"channels": [], "samplers": []}));
     let scene = load(&file);
     for said in
-        ["`m0` is transparent", "`m1` lets light through", "`m2` is unlit", "`m3` says neither", "at rest"]
+        ["`m0` is transparent", "`m1` lets light through", "`m2` is unlit", "`m3` has neither", "at rest"]
     {
         let times = scene.warnings.iter().filter(|w| w.contains(said)).count();
         assert_eq!(times, 1, "{said}: {:?}", scene.warnings);

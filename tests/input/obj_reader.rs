@@ -82,7 +82,7 @@ fn bad_lines_are_named() {
         ("#\n\nv 0 0\n", "s.obj:3: vertex without z"),
         ("vt 1 a\n", "s.obj:1: texture coordinate `a` is not a number"),
         ("v 0 0 0\nf 1 1 2\n", "s.obj:2: face corner `2`: vertex 2 does not exist, the file has 1"),
-        ("v 0 0 0\nf 1 1 0\n", "s.obj:2: face corner `0`: vertex 0 does not exist, they count from 1"),
+        ("v 0 0 0\nf 1 1 0\n", "s.obj:2: face corner `0`: vertex 0 does not exist: vertices count from 1"),
         (
             "v 0 0 0\nf -2 1 1\nv 1 1 1\n",
             "s.obj:2: face corner `-2`: vertex -2 does not exist, 1 came before",
@@ -174,7 +174,7 @@ fn utf_16_is_text_and_binary_files_are_refused() {
         Folder::new().with("s.obj", utf_16(&text)).with("s.mtl", utf_16("newmtl grün\r\nKd 0.25\r\n")).load();
     assert_eq!((scene.material(0).reflectance, scene.warnings.len()), ([0.25; 3], 0));
     let error = Folder::new().with("s.obj", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR").error();
-    assert_eq!(error, "s.obj: not an OBJ file: it is no text");
+    assert_eq!(error, "s.obj: not an OBJ file: it is not text");
     assert_eq!(obj("v 0 0 0\0\n").error(), "s.obj:1: vertex coordinate `0\0` is not a number");
 }
 

@@ -63,7 +63,7 @@ fn faults_are_named_by_line() {
     let good = solid("a", TRIANGLES[0]);
     let cut = &binary(b"")[..150];
     for (bytes, said) in [
-        (good.replace("1 0e0 0", "1 0e0 x").into_bytes(), "a.stl:5: a vertex has three coordinates"),
+        (good.replace("1 0e0 0", "1 0e0 x").into_bytes(), "a.stl:5: a vertex must have three coordinates"),
         (good.replace("1 0e0 0", "1 nan 0").into_bytes(), "a.stl:5: a coordinate is not a finite number"),
         (
             good.replace("      vertex 1 0e0 0\n", "").into_bytes(),

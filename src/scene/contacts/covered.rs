@@ -1,8 +1,8 @@
-//! Parts of emitters that a solid covers: a block against a wall that shines.
+//! Parts of emitters that a solid covers, such as the part of a luminous wall behind a block.
 //!
-//! The face of the block and the part of the wall behind it lie in one plane and face each other, so that nobody sees either.
-//! But rays inside the block meet both at one distance, and the part of the wall would light the inside of the block. It is left out,
-//! as what lies behind another face is.
+//! The face of the block and the covered part of the wall lie in one plane and face each other, so that both are
+//! invisible. But a ray inside the block hits both at the same distance, so that the wall would light the inside of the
+//! block. The covered part is therefore left out, like a face hidden behind another in one plane.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -11,8 +11,8 @@ use glam::DVec3;
 use super::{find::FLAT, grading::Surface};
 use crate::scene::{Scene, overlaps::Hidden, triangle_area};
 
-/// Leaves out the pieces of emitting surfaces that solids cover. A surface that is covered altogether stays: it may be the lamp of a room
-/// whose walls are turned round.
+/// Leaves out the pieces of emitting surfaces that solids cover. A surface that is covered entirely stays: it may be
+/// the lamp of a room whose walls show their backs.
 pub(super) fn leave_out(
     scene: &Scene,
     surfaces: &[Surface],
@@ -26,7 +26,7 @@ pub(super) fn leave_out(
         return Vec::new();
     }
     let solids = Solids::of(scene);
-    let mut told: BTreeMap<u32, (f64, BTreeSet<u32>)> = BTreeMap::new();
+    let mut covered: BTreeMap<u32, (f64, BTreeSet<u32>)> = BTreeMap::new();
     for surface in candidates {
         let covers = solids.covers(scene, surface);
         let corners = |piece: &[u32; 3]| piece.map(|v| scene.vertices[v as usize]);
@@ -35,7 +35,7 @@ pub(super) fn leave_out(
             covers.iter().any(|&t| {
                 let [a, b, c] = scene.corners(t as usize).map(|p| surface.plane.flat(p));
                 let sides = [(a, b), (b, c), (c, a)].map(|(p, q)| (q - p).perp_dot(centre - p));
-                // It faces the other way.
+                // The covering triangle faces the other way, so that its corners run clockwise here.
                 sides.iter().all(|&side| side < 0.0)
             })
         };
@@ -47,7 +47,7 @@ pub(super) fn leave_out(
                 left.entry(*t).and_modify(|pieces| pieces.retain(|piece| !is_covered(piece)));
             }
             let material = |t: u32| scene.triangles[t as usize].material;
-            let of_material = told.entry(material(surface.triangles[0])).or_default();
+            let of_material = covered.entry(material(surface.triangles[0])).or_default();
             of_material.0 += area;
             of_material.1.extend(covers.iter().map(|&t| material(t)));
         }
@@ -58,12 +58,12 @@ pub(super) fn leave_out(
         behind: behind.iter().map(name).collect(),
         area,
     };
-    told.into_iter().map(hidden).collect()
+    covered.into_iter().map(hidden).collect()
 }
 
-/// Which triangles make up solids: closed surfaces whose fronts are outside.
+/// The triangles of solids: closed surfaces whose fronts face outward.
 struct Solids {
-    /// The first triangle of the body that each triangle is part of; `None` where that is no solid.
+    /// For each triangle, the first triangle of its solid; `None` if the triangle belongs to no solid.
     of: Vec<Option<u32>>,
 }
 

@@ -1,4 +1,4 @@
-//! The vertices that edges of triangles get: where lines end on them, and where they are halved.
+//! New vertices on edges of triangles: at the ends of lines, and where long edges are halved.
 
 use std::collections::HashMap;
 
@@ -10,15 +10,16 @@ use super::{
 };
 use crate::scene::{Scene, cutting::Chain};
 
-/// An edge is halved where it is longer than this many times the size that pieces next to it should have.
+/// A part of an edge is halved if it is longer than this factor times the desired size of the pieces next to it.
 const LONG: f64 = 4.0;
 
-/// The vertices on edges, by the edge with its lower vertex first, each with its distance from that; in order.
+/// New vertices on edges. The key is an edge, its lower vertex first. Each new vertex has its distance from that
+/// vertex, and the list is sorted by distance.
 #[derive(Default)]
 pub(super) struct EdgeVertices(HashMap<[u32; 2], Vec<(f64, u32)>>);
 
 impl EdgeVertices {
-    /// Adds the ends of lines that lie on edges of their triangles.
+    /// Adds the ends of lines, if they lie on edges of their triangles.
     pub(super) fn end_lines(&mut self, scene: &mut Scene, surface: &Surface) {
         for line in &surface.lines {
             let vertices = scene.triangles[line.triangle as usize].vertices;
@@ -39,7 +40,7 @@ impl EdgeVertices {
         }
     }
 
-    /// The parts of an edge that a line runs along.
+    /// The parts of the edge that `joint` covers.
     pub(super) fn parts(&self, scene: &Scene, joint: &Line) -> Vec<[u32; 2]> {
         let Some([a, b]) = ends(scene, joint) else { return Vec::new() };
         let vertices: Vec<u32> = [a].into_iter().chain(self.between(a, b)).chain([b]).collect();
@@ -52,7 +53,7 @@ impl EdgeVertices {
         vertices.windows(2).filter_map(on).collect()
     }
 
-    /// Adds a point to an edge that it lies on, unless a vertex is there.
+    /// Adds a point to an edge if it lies on this edge and no vertex is there.
     fn add(&mut self, scene: &mut Scene, [a, b]: [u32; 2], point: DVec3, same: f64) {
         let ends = [a.min(b), a.max(b)];
         let [from, to] = ends.map(|v| scene.vertices[v as usize]);
@@ -71,7 +72,7 @@ impl EdgeVertices {
         }
     }
 
-    /// Halves the edges of a surface where they are too long for what is near.
+    /// Halves the edges of a surface until no part is much longer than the desired size of the pieces next to it.
     pub(super) fn grade(&mut self, scene: &mut Scene, surface: &Surface, grading: &Grading) {
         let least = LONG * grading.least();
         for &t in &surface.triangles {
@@ -85,7 +86,7 @@ impl EdgeVertices {
                 }
                 let known = self.0.entry(ends).or_default();
                 let mut i = 0;
-                // The part of the edge before its vertex `i`.
+                // Each step looks at the part of the edge before its vertex `i`.
                 while i <= known.len() {
                     let start = if i == 0 { 0.0 } else { known[i - 1].0 };
                     let end = known.get(i).map_or(length, |(at, _)| *at);

@@ -1,4 +1,4 @@
-//! Where other surface touches or crosses a triangle.
+//! Finds the lines along which another surface touches or crosses a triangle.
 
 use std::collections::HashMap;
 
@@ -8,16 +8,16 @@ use rayon::prelude::*;
 
 use crate::scene::{Scene, centre_and_extent, near::overlapping};
 
-/// A straight line in a triangle's plane, along which other surface meets the triangle.
+/// A straight line in a triangle's plane, along which another triangle meets it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Line {
     pub(super) triangle: u32,
     pub(super) ends: [DVec3; 2],
-    /// Longest side of the triangle that meets it.
+    /// Longest side of the other triangle.
     pub(super) size: f64,
-    /// That triangle, where all of it lies in the plane.
+    /// The other triangle, if all of it lies in the plane.
     pub(super) of: Option<u32>,
-    /// The edge of the triangle that it runs along, from this corner to the next, if any.
+    /// If the line runs along an edge of the triangle, the corner at which this edge begins.
     pub(super) edge: Option<usize>,
 }
 
@@ -27,17 +27,18 @@ impl Line {
     }
 }
 
-/// An edge that comes closer to a plane than this share of the smaller triangle touches it: the light that such a gap lets
-/// through is that share of what the triangle gets.
+/// A corner touches a plane if its distance is at most this share of the smaller triangle's longest side. The light
+/// that passes through such a gap is about this share of the light that the triangle receives.
 pub(super) const TOUCHING: f64 = 1e-3;
-/// Lines that end closer to each other than this share of what meets there end at one point.
+/// Ends of lines count as one point if their distance is at most this share of the size of the triangles that meet
+/// there.
 pub(super) const SAME: f64 = 1e-6;
 
-/// Cosine of the angle by which neighbours in one plane may differ, as coordinates are rounded.
+/// Cosine of the largest angle between neighbours in one plane. Coordinates are rounded.
 pub(super) const FLAT: f64 = 1.0 - 1e-6;
 
-/// All lines inside triangles and along the edges that they share with triangles of the same flat surface, by triangle. Lines along other
-/// edges change nothing and are left out.
+/// All lines that divide a flat surface, sorted by triangle. They run inside a triangle or along an edge that it shares
+/// with another triangle of the same flat surface. Lines along other edges are left out, because they divide nothing.
 pub(super) fn find(scene: &Scene) -> Vec<Line> {
     let (centre, half) = centre_and_extent(scene.vertices.iter().copied());
     let count = scene.triangles.len();
@@ -50,7 +51,7 @@ pub(super) fn find(scene: &Scene) -> Vec<Line> {
     lines
 }
 
-/// A line, and the triangle and edge that it is where all of that triangle lies in the plane.
+/// A line. If all of the other triangle lies in the plane, the line is an edge of it: its index and the edge follow.
 type Found = (Line, Option<(u32, usize)>);
 
 /// A triangle with its plane.
@@ -67,14 +68,14 @@ impl Flat {
         Flat { corners, normal: scene.normal(t), longest }
     }
 
-    /// The box in unit space, with room for the tolerance of any pair it is the smaller one of.
+    /// The box in unit space, padded by the tolerance of any pair in which the triangle is the smaller one.
     fn padded(&self, centre: DVec3, half: f64) -> Aabb {
         let [a, b, c] = self.corners.map(|p| ((p - centre) / half).as_vec3a());
         let padding = Vec3A::splat((TOUCHING * self.longest / half) as f32 + 4.0 * f32::EPSILON);
         Aabb::new(a.min(b).min(c) - padding, a.max(b).max(c) + padding)
     }
 
-    /// How far the corners of another triangle are above the plane; zero where that is less than a tolerance.
+    /// Heights of the corners of another triangle above the plane. Heights within the tolerance become zero.
     fn heights(&self, other: &Flat, tolerance: f64) -> [f64; 3] {
         other.corners.map(|p| {
             let height = self.normal.dot(p - self.corners[0]);
@@ -82,7 +83,8 @@ impl Flat {
         })
     }
 
-    /// The part of a line in the plane that lies inside the triangle or on its rim, and the edge that it runs along, if any.
+    /// Clips a line in the plane to the triangle, including its edges. Also returns the edge that the line runs along,
+    /// if any.
     fn clip(&self, [p, q]: [DVec3; 2], same: f64) -> Option<([DVec3; 2], Option<usize>)> {
         let (mut from, mut to, mut edge) = (0.0, 1.0, None);
         let inward = |k: usize| {
@@ -122,7 +124,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// The lines of two triangles on each other.
+    /// Adds the lines at which two triangles meet, for each of the two.
     fn pair(&self, s: usize, t: usize, found: &mut Vec<Found>) {
         let corners = [s, t].map(|t| self.scene.triangles[t].vertices);
         let shared = corners[0].iter().filter(|v| corners[1].contains(v)).count();
@@ -156,7 +158,9 @@ impl Search<'_> {
         }
     }
 
-    /// Leaves out lines that are edges with the same flat surface on both sides, and those along edges without it on both sides.
+    /// Keeps the lines that divide a flat surface and belong to the outline of the other surface. Drops a line along an
+    /// edge where the touched surface ends. Also drops a line that is an edge inside the other surface, such as a
+    /// diagonal.
     fn of_surfaces(&self, found: Vec<Found>) -> Vec<Line> {
         let edge = |t: u32, k: usize| {
             let v = self.scene.triangles[t as usize].vertices;
@@ -181,8 +185,8 @@ impl Search<'_> {
     }
 }
 
-/// Where a triangle whose corners are at these heights meets the plane at height zero: along a line across it, an edge, or
-/// with all of it.
+/// The lines of a triangle in the plane at height zero, from the heights of its corners: a line across the triangle,
+/// one edge, or all three edges.
 fn lines(of: &Flat, heights: [f64; 3]) -> [Option<[DVec3; 2]>; 3] {
     let corners = of.corners;
     let edge = |k: usize| Some([corners[k], corners[(k + 1) % 3]]);

@@ -1,9 +1,10 @@
-//! How large the pieces round contacts should be: as large as what stands there, and farther off as large as the distance.
+//! The desired size of pieces around contacts. Next to a contact, it follows from the size of the contact. Farther
+//! away, it equals the distance from the contact.
 //!
-//! A triangulation of the lines and corners alone would have slivers from the corners of a room to those of the ground round it, and a
-//! patch is as slender as its triangle. So points are added in between, at the centres of a quadtree whose cells grow with
-//! the distance (Bern, Eppstein and Gilbert, "Provably Good Mesh Generation", J. Comput. Syst. Sci. 48, 1994), and edges are halved. The number of points grows with the
-//! logarithm of the ratio of sizes.
+//! A triangulation of lines and corners alone would have slivers, such as from the corners of a room to the corners of
+//! the ground around it. A patch is as slender as its triangle. So edges are halved, and points are added in between:
+//! at the centres of a quadtree whose cells grow with the distance (Bern, Eppstein and Gilbert, "Provably Good Mesh
+//! Generation", J. Comput. Syst. Sci. 48, 1994). The number of points grows with the logarithm of the ratio of sizes.
 
 use std::collections::HashMap;
 
@@ -15,15 +16,15 @@ use crate::scene::{Scene, cutting::Plane, overlaps};
 /// A flat surface with contacts: triangles of one material that share edges and lie in one plane.
 pub(super) struct Surface {
     pub(super) triangles: Vec<u32>,
-    /// In the order of the triangles that they are on.
+    /// The lines on these triangles, in the order of the triangles.
     pub(super) lines: Vec<Line>,
     pub(super) plane: Plane,
-    /// Points closer than this are one.
+    /// Points closer than this count as one.
     pub(super) same: f64,
 }
 
 impl Surface {
-    /// The lines on one of its triangles.
+    /// The lines on triangle `t` of the surface.
     pub(super) fn lines_on(&self, t: u32) -> &[Line] {
         let first = self.lines.partition_point(|line| line.triangle < t);
         let of_it = self.lines[first..].partition_point(|line| line.triangle == t);
@@ -31,7 +32,7 @@ impl Surface {
     }
 }
 
-/// The surfaces that lines are on.
+/// The surfaces with at least one line.
 pub(super) fn surfaces(scene: &Scene, lines: Vec<Line>) -> Vec<Surface> {
     if lines.is_empty() {
         return Vec::new();
@@ -56,20 +57,20 @@ pub(super) fn surfaces(scene: &Scene, lines: Vec<Line>) -> Vec<Surface> {
     surfaces
 }
 
-/// Most points of one surface.
+/// Largest number of points that are added to one surface.
 const MOST_POINTS: usize = 20_000;
-/// What stands on a surface meets it along an outline. Pieces next to it are as large as this share of the outline's extent, or as
-/// the line itself: four pieces a side, so that they are well shaped.
+/// An object on a surface meets it along an outline. The desired size of pieces next to a line is this share of the
+/// extent of its outline, or the length of the line if this is larger. Four pieces a side are well shaped.
 const OF_OUTLINE: f64 = 0.25;
 
-/// How large pieces should be at each place of a surface.
+/// The desired size of pieces at each place of a surface.
 pub(super) struct Grading {
     lines: Vec<Flat>,
-    /// Points to add, by their first coordinate, each with the clearance that it wants.
+    /// Points to add, each with its clearance: its least distance from edges and lines. Sorted by the first coordinate.
     points: Vec<(DVec2, f64)>,
 }
 
-/// A line in the plane of its surface, and how large pieces next to it should be.
+/// A line in the plane of its surface, and the desired size of pieces next to it.
 #[derive(Clone, Copy)]
 struct Flat {
     ends: [DVec2; 2],
@@ -102,7 +103,8 @@ impl Grading {
         grading
     }
 
-    /// Adds the centres of cells that are small enough. `near` are the lines that can decide about those in this one.
+    /// Splits a cell until its parts are small enough, and adds the centres of the parts. `near` are the lines that can
+    /// determine the desired size inside the cell.
     fn fill(&self, centre: DVec2, half: f64, near: &[Flat], points: &mut Vec<(DVec2, f64)>) {
         if points.len() >= MOST_POINTS {
             return;
@@ -120,28 +122,28 @@ impl Grading {
         }
     }
 
-    /// The points with their clearances whose first coordinate is in a range.
+    /// The points whose first coordinate is in a range, with their clearances.
     pub(super) fn points(&self, from: f64, to: f64) -> &[(DVec2, f64)] {
         let first = self.points.partition_point(|(p, _)| p.x < from);
         let rest = &self.points[first..];
         &rest[..rest.partition_point(|(p, _)| p.x <= to)]
     }
 
-    /// The least size that is wanted anywhere.
+    /// The smallest desired size on the surface.
     pub(super) fn least(&self) -> f64 {
         self.lines.iter().map(|line| line.size).fold(f64::INFINITY, f64::min)
     }
 
-    /// The least size that is wanted anywhere on an edge.
+    /// The smallest desired size along an edge.
     pub(super) fn size_along(&self, edge: [DVec2; 2]) -> f64 {
         self.lines.iter().map(|line| between(line.ends, edge).max(line.size)).fold(f64::INFINITY, f64::min)
     }
 }
 
-/// Points keep this share of their cell's side from edges and lines.
+/// The clearance of a point, as a share of the side of its cell.
 const CLEARANCE: f64 = 0.3;
 
-/// The extent of the outline that each line of a surface is part of: of all lines that are joined at their ends.
+/// For each line of a surface, the extent of its outline. An outline consists of lines that are joined at their ends.
 fn extents(surface: &Surface) -> Vec<f64> {
     let mut first: Vec<usize> = (0..surface.lines.len()).collect();
     fn root(first: &mut [usize], mut k: usize) -> usize {
@@ -151,7 +153,7 @@ fn extents(surface: &Surface) -> Vec<f64> {
         }
         k
     }
-    // Points that are the same lie in cells next to each other.
+    // Points that count as one lie in the same cell or in neighbouring cells.
     let side = 2.0 * surface.same;
     let mut cells: HashMap<[i64; 3], Vec<(DVec3, usize)>> = HashMap::new();
     for (k, line) in surface.lines.iter().enumerate() {
@@ -183,12 +185,12 @@ fn extents(surface: &Surface) -> Vec<f64> {
 pub(super) fn distance([a, b]: [DVec2; 2], p: DVec2) -> f64 {
     let along = b - a;
     let share = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
-    // A line without length.
+    // The share is NaN for a line without length.
     let share = if share.is_nan() { 0.0 } else { share };
     p.distance(a + along * share)
 }
 
-/// The distance of two lines from each other.
+/// The distance between two lines.
 fn between(a: [DVec2; 2], b: [DVec2; 2]) -> f64 {
     let side = |[p, q]: [DVec2; 2], r: DVec2| (q - p).perp_dot(r - p);
     if side(a, b[0]) * side(a, b[1]) < 0.0 && side(b, a[0]) * side(b, a[1]) < 0.0 {

@@ -1,13 +1,14 @@
-//! Lines along which other surface touches or crosses a triangle: a wall that stands on a floor, a block in a wall.
+//! Contacts: lines along which another surface touches or crosses a triangle, such as a wall on a floor or a block in a
+//! wall.
 //!
-//! Light jumps at such a line: a room's floor is dark where the ground outside is bright. A patch that lies on both sides would carry the
-//! light from one side to the other. So triangles are cut along the line before anything else looks at the scene, and the two
-//! sides of the line get vertices of their own, at the same places: neither light of vertices, nor charts of a lightmap,
-//! nor the rule for the size of neighbouring patches goes across.
+//! Radiosity jumps at such a line: the floor of a room is dark where the ground outside is bright. A patch on both
+//! sides would carry light from one side to the other. So triangles are cut along the line before any other step. The
+//! two sides of the line then get separate vertices at the same places. This keeps three things from crossing the line:
+//! light at vertices, charts of a lightmap, and the rule for the size of neighbouring patches.
 //!
-//! `find` finds the lines, `grading` says how large pieces should be around them, `edges` keeps the vertices that edges of
-//! triangles get, `pieces` triangulates one triangle, and `sides` parts the vertices. Every triangle whose edge got a vertex
-//! gets it too, so that no crack opens between neighbours.
+//! `find` finds the lines. `grading` determines the size of the pieces around them. `edges` collects the new vertices
+//! on edges of triangles. `pieces` triangulates one triangle. `sides` separates the vertices. If an edge gets a vertex,
+//! all triangles with this edge get it, so that no crack opens between neighbours.
 
 mod covered;
 mod edges;
@@ -27,8 +28,9 @@ use find::Line;
 use grading::{Grading, Surface};
 use pieces::Pieces;
 
-/// Most lines that are cut along in a small scene, and for each triangle of a large one: a line makes about four pieces, and
-/// each of these is a patch at least. Lines on large triangles come first, for a patch may be as large as its triangle.
+/// Largest number of lines that triangles are cut along: in a small scene, and per triangle in a large scene. The limit
+/// is needed because a line makes about four pieces, and each piece is at least one patch. Lines on large triangles
+/// come first, because a patch may be as large as its triangle.
 const MOST_LINES: usize = 5_000;
 const MOST_LINES_EACH: f64 = 0.125;
 
@@ -42,14 +44,14 @@ pub struct Contacts {
     pub triangles: usize,
     /// The pieces that they became.
     pub pieces: usize,
-    /// Lines that were found and left alone, because there are too many or because rounding forbids a cut.
+    /// Lines without a cut, because there are too many lines or because rounding made the cut fail.
     pub uncut: usize,
 }
 
-/// Cuts all triangles that other surface touches or crosses. The triangles keep their order; the pieces of one stand in its
-/// place.
+/// Cuts all triangles that another surface touches or crosses. The triangles keep their order, and the pieces of a
+/// triangle take its place.
 pub(super) fn cut(scene: &mut Scene) -> (Contacts, Vec<Hidden>) {
-    // Along the joints of tiles there is nothing to cut: the two sides need vertices of their own only.
+    // A joint is a line along an edge. It needs no cut, only separate vertices on its two sides.
     let (joints, mut lines): (Vec<Line>, Vec<Line>) =
         find::find(scene).into_iter().partition(|line| line.edge.is_some());
     let uncut = limit(scene, &mut lines);
@@ -77,32 +79,32 @@ pub(super) fn cut(scene: &mut Scene) -> (Contacts, Vec<Hidden>) {
         .par_iter()
         .map(|&(surface, grading, k)| Pieces::of(scene, surface, grading, k, &edges))
         .collect();
-    let mut told =
+    let mut done =
         Contacts { lines: surfaces.iter().map(|s| s.lines.len()).sum(), uncut, ..Contacts::default() };
     let (mut left, mut marked) = (HashMap::new(), HashSet::new());
     for ((surface, _, k), pieces) in work.into_iter().zip(pieces) {
         let Some(pieces) = pieces else {
-            told.uncut += surface.lines_on(surface.triangles[k]).len();
+            done.uncut += surface.lines_on(surface.triangles[k]).len();
             continue;
         };
         let (triangles, contacts) = pieces.number(scene);
-        told.triangles += 1;
-        told.pieces += triangles.len();
+        done.triangles += 1;
+        done.pieces += triangles.len();
         marked.extend(contacts);
         left.insert(surface.triangles[k], triangles);
     }
     marked.extend(joints.iter().flat_map(|joint| edges.parts(scene, joint)));
     let hidden = covered::leave_out(scene, &surfaces, &mut left);
     if !hidden.is_empty() {
-        // What is left of a face is no face of the file.
+        // The rest of a face is not a face of the file.
         scene.face_corners.clear();
     }
     cutting::replace(scene, &left, &cutting::cuts(scene, edges.into_chains(), Vec::new()));
     sides::part(scene, &marked);
-    (told, hidden)
+    (done, hidden)
 }
 
-/// Leaves out lines beyond the most, those on the smallest triangles, and tells how many.
+/// Drops the lines on the smallest triangles if there are too many lines. Returns the number of dropped lines.
 fn limit(scene: &Scene, lines: &mut Vec<Line>) -> usize {
     let all = lines.len();
     let most = MOST_LINES.max((MOST_LINES_EACH * scene.triangles.len() as f64) as usize);
@@ -111,7 +113,7 @@ fn limit(scene: &Scene, lines: &mut Vec<Line>) -> usize {
             let area = |line: &Line| scene.area(line.triangle as usize);
             area(b).total_cmp(&area(a)).then(a.triangle.cmp(&b.triangle))
         });
-        // All lines of a triangle or none.
+        // A triangle keeps all of its lines or none.
         let last = lines[most].triangle;
         let kept = lines[..most].iter().position(|line| line.triangle == last).unwrap_or(most);
         lines.truncate(kept);

@@ -1,4 +1,4 @@
-//! One triangle cut along lines, with more points where pieces would be slender.
+//! Cuts one triangle along lines, and adds points where pieces would be slender.
 
 use glam::{DVec2, DVec3};
 use spade::{Point2, PositionInTriangulation, Triangulation, handles::VertexHandle};
@@ -12,16 +12,16 @@ use crate::scene::{
     cutting::{Corner, Plane, UNNAMED, triangulate},
 };
 
-/// Vertices on an edge are moved outward by this share of the edge while the triangulation is made: all of them are then on its
-/// hull, in order, whatever rounding has done to them.
+/// During triangulation, vertices on an edge are moved outward by up to this share of the edge. They are then corners
+/// of the convex hull, in order, in spite of rounding.
 const BOW: f64 = 1e-5;
-/// By how much the pieces may differ from the triangle in area, relatively.
+/// Largest relative difference between the area of the pieces and the area of the triangle.
 const ROUNDING: f64 = 1e-9;
 
-/// Sine of the least angle of triangles that get no more points: 20 degrees.
+/// Sine of 20 degrees. A triangle with a smaller angle gets more points.
 const SLENDER: f64 = 0.34;
 
-/// Whether a triangle has an angle that is too small. The smallest is between the two longest sides.
+/// Whether a triangle has too small an angle. The smallest angle lies between the two longest sides.
 fn is_slender(corners: [Point2<f64>; 3]) -> bool {
     let [a, b, c] = corners.map(|p| DVec2::new(p.x, p.y));
     let mut sides = [a.distance(b), b.distance(c), c.distance(a)];
@@ -29,7 +29,7 @@ fn is_slender(corners: [Point2<f64>; 3]) -> bool {
     (b - a).perp_dot(c - a) < SLENDER * sides[1] * sides[2]
 }
 
-/// What a triangle is cut into.
+/// The pieces of a triangle.
 pub(super) struct Pieces {
     vertices: Vec<Vertex>,
     triangles: Vec<[usize; 3]>,
@@ -44,7 +44,7 @@ enum Vertex {
 }
 
 impl Pieces {
-    /// Cuts triangle `k` of a surface; `None` where there is nothing to cut, or where that fails for rounding.
+    /// Cuts triangle `k` of a surface. `None` if there is nothing to cut or if rounding makes the cut fail.
     pub(super) fn of(
         scene: &Scene,
         surface: &Surface,
@@ -64,7 +64,7 @@ impl Pieces {
         (sheet.points.len() + more.len() > 3).then(|| sheet.triangulate(more))?
     }
 
-    /// Makes the new vertices, and tells the pieces and the edges along lines.
+    /// Adds the new vertices to the scene. Returns the pieces, and the edges along lines.
     pub(super) fn number(self, scene: &mut Scene) -> (Vec<[u32; 3]>, Vec<[u32; 2]>) {
         let mut number = |vertex: Vertex| match vertex {
             Vertex::Known(v) => v,
@@ -90,9 +90,9 @@ struct Sheet {
     /// The corners, then the vertices on edges, then others.
     points: Vec<DVec2>,
     known: Vec<u32>,
-    /// From each corner to the next, these included, in order.
+    /// Points on the edge from each corner to the next, in order, both corners included.
     on_edges: [Vec<usize>; 3],
-    /// Parts of lines that have points only at their ends.
+    /// Lines, cut at all points on them.
     lines: Vec<[usize; 2]>,
 }
 
@@ -111,11 +111,11 @@ impl Sheet {
         Sheet { plane, corners, points, known, on_edges, lines: Vec::new() }
     }
 
-    /// The point at a place, which is added unless there is one.
+    /// The index of the point at a place. Adds a point if there is none.
     fn point(&mut self, at: DVec2, same: f64) -> usize {
         let near = |k: &usize| self.points[*k].distance(at);
         let nearest = (0..self.points.len()).min_by(|k, l| near(k).total_cmp(&near(l)));
-        // A place on an edge may be as far from its vertex along the edge as from the edge.
+        // A place near an edge can deviate from its vertex by `same` along the edge and by `same` across it.
         if let Some(k) = nearest.filter(|k| near(k) <= 2.0 * same) {
             return k;
         }
@@ -123,7 +123,7 @@ impl Sheet {
         self.points.len() - 1
     }
 
-    /// Cuts lines where other points lie on them.
+    /// Cuts lines at the points that lie on them, and adds the parts to [`Sheet::lines`].
     fn parts(&mut self, lines: &[[usize; 2]], same: f64) {
         for &[from, to] in lines {
             let [p, q] = [from, to].map(|k| self.points[k]);
@@ -147,7 +147,7 @@ impl Sheet {
         self.lines.dedup();
     }
 
-    /// The points of a grading that keep clear of edges and lines, those of the largest cells first.
+    /// The points of a grading that keep their clearance from edges and lines. Points of the largest cells come first.
     fn points_of(&self, grading: &Grading) -> Vec<DVec2> {
         let corners = [0, 1, 2].map(|k| self.points[k]);
         let low = corners.iter().fold(f64::INFINITY, |x, p| x.min(p.x));
@@ -165,7 +165,7 @@ impl Sheet {
         clear.into_iter().map(|(p, _)| p).collect()
     }
 
-    /// Triangulates, with those of `more` points that lie in slender triangles.
+    /// Triangulates. Adds each point of `more` if it lies in a slender triangle.
     fn triangulate(mut self, more: Vec<DVec2>) -> Option<Pieces> {
         let mut bowed = self.points.clone();
         for edge in &self.on_edges {
@@ -189,7 +189,7 @@ impl Sheet {
                 cdt.insert(Corner { at, vertex: self.points.len() - 1 }).ok()?;
             }
         }
-        // Where lines cross, their triangulation has vertices that have no name yet.
+        // The triangulation has made vertices where lines cross. They have no name yet.
         let mut names = vec![UNNAMED; cdt.num_vertices()];
         for v in cdt.vertices() {
             names[v.fix().index()] = match v.data().vertex {
@@ -215,7 +215,7 @@ impl Sheet {
         })
     }
 
-    /// Whether triangles make up this one, without slivers on its edges.
+    /// Whether `triangles` cover this triangle exactly, and none of them has all its corners on one edge.
     fn is_whole(&self, triangles: &[[usize; 3]]) -> bool {
         let area = |corners: [usize; 3]| {
             let [a, b, c] = corners.map(|k| self.points[k]);
@@ -230,7 +230,7 @@ impl Sheet {
             })
     }
 
-    /// The point of the triangle at a point of the plane.
+    /// The point of the triangle in space at `p`, a point in its plane.
     fn lift(&self, p: DVec2) -> DVec3 {
         let [a, b, c] = self.corners.map(|corner| self.plane.flat(corner));
         let weights = [(b - p).perp_dot(c - p), (c - p).perp_dot(a - p), (a - p).perp_dot(b - p)];
@@ -243,7 +243,7 @@ impl Sheet {
         ];
         let mut at = DVec3::ZERO;
         (at[self.plane.axes[0]], at[self.plane.axes[1]]) = (p.x, p.y);
-        // A plane parallel to the axes keeps its height to the bit.
+        // If the plane is perpendicular to an axis, this keeps the height exact.
         at[self.plane.along] = height.clamp(low, high);
         at
     }

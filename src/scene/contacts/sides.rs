@@ -1,11 +1,11 @@
-//! The two sides of contacts get vertices of their own.
+//! Gives the two sides of contacts separate vertices.
 
 use std::collections::{HashMap, HashSet};
 
 use crate::scene::Scene;
 
-/// Gives the triangles on each side of these edges vertices of their own, at the same places. A vertex at the end of a line,
-/// round which triangles share other edges, stays one.
+/// Gives the triangles on each side of these edges separate vertices at the same places. A vertex at the end of a line
+/// stays one vertex if the triangles around it are connected by other edges.
 pub(super) fn part(scene: &mut Scene, edges: &HashSet<[u32; 2]>) {
     let mut round: HashMap<u32, Vec<u32>> = edges.iter().flatten().map(|&v| (v, Vec::new())).collect();
     for (t, triangle) in scene.triangles.iter().enumerate() {
@@ -30,7 +30,8 @@ pub(super) fn part(scene: &mut Scene, edges: &HashSet<[u32; 2]>) {
     }
 }
 
-/// The triangles round a vertex, by fans that no edge other than a contact joins.
+/// The triangles around a vertex, grouped into fans. Triangles that share an edge are in one fan unless the edge is a
+/// contact.
 fn fans(scene: &Scene, v: u32, round: &[u32], contacts: &HashSet<[u32; 2]>) -> Vec<Vec<u32>> {
     let others = |t: u32| scene.triangles[t as usize].vertices.into_iter().filter(move |&w| w != v);
     let mut by_edge: HashMap<u32, Vec<usize>> = HashMap::new();

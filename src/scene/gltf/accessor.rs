@@ -4,8 +4,8 @@ use super::container::Document;
 use super::document::Accessor;
 use crate::Result;
 
-/// Accessors without bytes of their own are zeros, and their count is a claim that costs nothing: so many elements are
-/// believed, or one a byte of the buffers.
+/// The largest count of an accessor without bytes, unless the buffers have more bytes than this. Such an accessor is
+/// all zeros, so that a file could claim any count at no cost.
 const MOST_ZEROS: u64 = 1 << 12;
 
 type Checked<T> = std::result::Result<T, String>;
@@ -42,7 +42,7 @@ impl Component {
         }
     }
 
-    /// Writes a number, rounded where the type has whole numbers.
+    /// Writes a number, rounded if the type is an integer.
     fn write(self, x: f64, out: &mut [u8]) {
         let whole = x.round();
         match self {
@@ -55,8 +55,8 @@ impl Component {
         }
     }
 
-    /// The number that `bytes` begin with. Normalised integers are shares of the largest; the least of the signed ones
-    /// counts as -1 (section 3.11 of the specification).
+    /// Reads the number at the beginning of `bytes`. Normalised integers are shares of the largest value. The least
+    /// signed integer counts as -1 (section 3.11 of the specification).
     fn number(self, bytes: &[u8], normalized: bool) -> f64 {
         let (value, most) = match (self, bytes) {
             (Component::I8, [a, ..]) => (f64::from(*a as i8), 127.0),
@@ -76,7 +76,7 @@ impl Component {
 /// The layout of an accessor's elements.
 struct Layout {
     component: Component,
-    /// Number of components of an element, and its bytes.
+    /// Number of components of an element, and number of its bytes.
     width: usize,
     size: usize,
     count: usize,
@@ -85,7 +85,7 @@ struct Layout {
 /// The elements of an accessor as bytes without gaps.
 pub struct Raw {
     bytes: Vec<u8>,
-    /// Bytes of an element.
+    /// Number of bytes of an element.
     pub size: usize,
     component: Component,
     /// The type of an element, as in the file.
@@ -111,7 +111,7 @@ impl Raw {
         std::array::from_fn(|_| numbers.next().map_or(0.0, |bytes| self.component.number(bytes, false)))
     }
 
-    /// Writes an element interpolated from three.
+    /// Writes an element that is interpolated from three elements.
     pub fn mix(&self, of: [u32; 3], weights: [f64; 3], out: &mut [u8]) {
         let size = self.component.size();
         for (k, out) in out.chunks_exact_mut(size).enumerate() {
@@ -126,7 +126,8 @@ impl Document {
     /// The elements of accessor `i`, which must be of type `kind`.
     ///
     /// # Errors
-    /// [`Error::Input`](crate::Error::Input) when the accessor is missing or of another type, or when its bytes are not there.
+    /// [`Error::Input`](crate::Error::Input) when the accessor is missing or of another type, or when its bytes are not
+    /// there.
     pub fn numbers<const N: usize>(&self, i: usize, kind: &str) -> Result<Vec<[f64; N]>> {
         self.elements(i, kind, N)
             .map(|numbers| numbers.as_chunks::<N>().0.to_vec())
@@ -185,7 +186,7 @@ impl Document {
         let accessor = self.accessor(i)?;
         if accessor.kind != kind {
             let found: String = accessor.kind.chars().take(20).collect();
-            return Err(format!("type {kind} is wanted, not {found}"));
+            return Err(format!("its type must be {kind}, not {found}"));
         }
         let layout = self.layout(accessor)?;
         let mut bytes = vec![0; layout.count * layout.size];
@@ -207,7 +208,8 @@ impl Document {
             "MAT4" => (16, 4),
             _ => return Err("its type is unknown".into()),
         };
-        // Columns of matrices begin at multiples of four bytes (section 3.6.2.4); only matrices of single precision are used.
+        // Columns of matrices begin at multiples of four bytes (section 3.6.2.4). Only matrices without such gaps are
+        // read.
         if columns > 1 && component.size() * width / columns % 4 != 0 {
             return Err("matrices of small integers are not read".into());
         }
@@ -218,7 +220,7 @@ impl Document {
             None => total.max(MOST_ZEROS),
         };
         if accessor.count > most {
-            return Err(format!("{} elements are announced, which the buffers cannot hold", accessor.count));
+            return Err(format!("its count is {}, more than the buffers can hold", accessor.count));
         }
         Ok(Layout { component, width, size, count: accessor.count as usize })
     }

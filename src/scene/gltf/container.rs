@@ -8,7 +8,7 @@ use std::{
 use super::document::Root;
 use crate::{Error, Result, scene::text};
 
-/// Extensions that a file may require: the reader supports them, or they do not affect diffuse light.
+/// Extensions that a file may require, because the reader supports them or because they do not affect diffuse light.
 const KNOWN: [&str; 9] = [
     "KHR_mesh_quantization",
     "KHR_texture_transform",
@@ -20,10 +20,10 @@ const KNOWN: [&str; 9] = [
     "MSFT_lod",
     "KHR_xmp_json_ld",
 ];
-/// Prefixes of further such extensions.
+/// Prefix of further extensions that a file may require.
 const KNOWN_START: &str = "KHR_materials_";
 
-/// Extensions for compressed data, with the command that unpacks them.
+/// Extensions for compressed data, each with the command that unpacks it.
 const COMPRESSED: [(&str, &str); 4] = [
     ("KHR_draco_mesh_compression", "npx @gltf-transform/cli dedup IN.glb OUT.glb"),
     ("EXT_meshopt_compression", "npx @gltf-transform/cli dedup IN.glb OUT.glb"),
@@ -49,27 +49,27 @@ impl Document {
     /// Reads a file and the buffers that it names.
     ///
     /// # Errors
-    /// [`Error::Io`] when it cannot be read; [`Error::Input`] when what it says cannot be used.
+    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when its contents cannot be used.
     pub fn read(path: &Path) -> Result<Document> {
         Document::of_bytes(path, std::fs::read(path).map_err(|e| Error::io(path, e))?)
     }
 
-    /// A file that has been read; `path` says where it is, for messages and for what is beside it.
+    /// Parses the bytes of the file at `path`, and reads the buffers that it names.
     ///
     /// # Errors
     /// Those of [`Document::read`].
     pub fn of_bytes(path: &Path, bytes: Vec<u8>) -> Result<Document> {
         let (json, chunk, is_text) = split(path, bytes)?;
         let root: Root = serde_json::from_slice(&json).map_err(|e| {
-            // Replaces the position at the end of the message by a line, if the file has lines, and by the text there.
-            let said = e.to_string();
-            let said = said.rsplit_once(" at line ").map_or(&*said, |(before, _)| before);
+            // The message ends with a position. It is replaced by the text there, and by a line if the file is text.
+            let why = e.to_string();
+            let why = why.rsplit_once(" at line ").map_or(&*why, |(before, _)| before);
             let line = is_text.then(|| e.line()).filter(|&line| line > 0);
             let near = before(&json, e.line(), e.column());
             Error::input(
                 path,
                 line,
-                format!("the JSON of this glTF file cannot be used: {said}, after `{near}`"),
+                format!("the JSON of this glTF file cannot be used: {why}, after `{near}`"),
             )
         })?;
         check_version(path, &root)?;
@@ -83,7 +83,7 @@ impl Document {
     /// All of the JSON, including parts that the reader does not know.
     ///
     /// # Errors
-    /// [`Error::Input`] when it is nested too deeply.
+    /// [`Error::Input`] when the JSON is nested too deeply.
     pub fn value(&self) -> Result<serde_json::Value> {
         serde_json::from_slice(&self.json).map_err(|e| self.error(format!("the JSON cannot be used: {e}")))
     }
@@ -96,7 +96,8 @@ impl Document {
     fn load_buffers(&mut self, mut chunk: Option<Vec<u8>>) -> Result<()> {
         for (i, buffer) in self.root.buffers.iter().enumerate() {
             let bytes = match &buffer.uri {
-                // Only the first buffer may be the chunk; buffers without bytes hold what an extension unpacks.
+                // Only the first buffer may be the chunk. Other buffers without a URI get their contents from an
+                // extension.
                 None if i == 0 && chunk.is_some() => chunk.take().unwrap_or_default(),
                 None => Vec::new(),
                 Some(uri) => match data_uri(uri) {
@@ -105,7 +106,7 @@ impl Document {
                         let (bytes, file) = self
                             .beside(uri)
                             .map_err(|why| self.error(format!("buffers[{i}]: {why}")).with_hint(
-                                "the file that holds the geometry belongs beside the .gltf file; a .glb holds all in one",
+                                "keep the file with the geometry beside the .gltf file, or use a .glb, which holds everything",
                             ))?;
                         self.files.push(file);
                         bytes
@@ -115,7 +116,7 @@ impl Document {
             let missing = buffer.uri.is_some() || i == 0;
             if missing && (bytes.len() as u64) < buffer.byte_length {
                 return Err(self.error(format!(
-                    "buffers[{i}]: {} bytes are announced, {} are there",
+                    "buffers[{i}]: it should have {} bytes but has {}",
                     buffer.byte_length,
                     bytes.len()
                 )));
@@ -125,21 +126,21 @@ impl Document {
         Ok(())
     }
 
-    /// The bytes and the path of a file that a relative URI names.
+    /// Reads the file that a relative URI names. Returns its bytes and its path.
     pub fn beside(&self, uri: &str) -> std::result::Result<(Vec<u8>, PathBuf), String> {
         let shown: String = uri.chars().take(80).collect();
         if uri.split(['/', '?', '#']).next().is_some_and(|start| start.contains(':') && start.len() > 2) {
             return Err(format!("`{shown}` is not fetched: only files beside the scene are read"));
         }
-        let name =
-            percent_decoded(uri).ok_or_else(|| format!("`{shown}` is no name: its % codes are not UTF-8"))?;
+        let name = percent_decoded(uri)
+            .ok_or_else(|| format!("`{shown}` is not a file name: its % codes are not UTF-8"))?;
         let folder = self.path.parent().unwrap_or(Path::new(""));
         let file = text::find_file(folder, &name).ok_or_else(|| format!("`{shown}` not found"))?.path;
         let bytes = std::fs::read(&file).map_err(|e| format!("`{shown}`: {e}"))?;
         Ok((bytes, file))
     }
 
-    /// The bytes of an image, and its path if it is a file of its own.
+    /// The bytes of an image, and its path if it is a separate file.
     pub fn image(&self, i: usize) -> std::result::Result<(Cow<'_, [u8]>, Option<PathBuf>), String> {
         let image = self.root.images.get(i).ok_or_else(|| format!("images[{i}] does not exist"))?;
         match (&image.uri, image.buffer_view) {
@@ -171,7 +172,7 @@ impl Document {
     }
 }
 
-/// JSON, the binary chunk of a `.glb`, and whether the file is text.
+/// Splits a file. Returns its JSON, the binary chunk of a `.glb`, and whether the file is text.
 fn split(path: &Path, bytes: Vec<u8>) -> Result<(Vec<u8>, Option<Vec<u8>>, bool)> {
     let error = |message: &str| Error::input(path, None, message);
     if !bytes.starts_with(b"glTF") {
@@ -192,7 +193,7 @@ fn split(path: &Path, bytes: Vec<u8>) -> Result<(Vec<u8>, Option<Vec<u8>>, bool)
             .with_hint("open the file with a current program and export it again as glTF 2.0"));
     }
     if (bytes.len() as u64) < u64::from(length) {
-        let message = format!("the file is cut off: {length} bytes are announced, {} are there", bytes.len());
+        let message = format!("the file is cut off: it should have {length} bytes but has {}", bytes.len());
         return Err(error(&message));
     }
     let (mut at, mut json, mut binary) = (12, None, None);
@@ -211,7 +212,7 @@ fn split(path: &Path, bytes: Vec<u8>) -> Result<(Vec<u8>, Option<Vec<u8>>, bool)
     Ok((json, binary, false))
 }
 
-/// The end of the text before a place. Lines and columns count from 1.
+/// The last characters of the text before a place. Lines and columns count from 1.
 fn before(json: &[u8], line: usize, column: usize) -> String {
     let line = json.split(|&b| b == b'\n').nth(line.saturating_sub(1)).unwrap_or_default();
     let end = column.min(line.len());
@@ -226,7 +227,7 @@ fn check_version(path: &Path, root: &Root) -> Result<()> {
     if !root.asset.version.starts_with("2.") {
         let version: String = root.asset.version.chars().take(20).collect();
         return Err(error(match &*version {
-            "" => "asset.version is missing: this is no glTF 2.0 file".into(),
+            "" => "asset.version is missing: this is not a glTF 2.0 file".into(),
             _ => format!("glTF of version {version}; only version 2.0 is read"),
         }));
     }
@@ -234,7 +235,7 @@ fn check_version(path: &Path, root: &Root) -> Result<()> {
         None | Some("2.0") => Ok(()),
         Some(least) => {
             let least: String = least.chars().take(20).collect();
-            Err(error(format!("the file demands a reader of glTF {least}; this one reads 2.0")))
+            Err(error(format!("the file needs a reader of glTF {least}; this one reads 2.0")))
         }
     }
 }
@@ -262,7 +263,7 @@ fn check_extensions(path: &Path, root: &Root) -> Result<()> {
     Ok(())
 }
 
-/// The bytes of a data URI; `None` for any other.
+/// The bytes of a data URI; `None` for any other URI.
 fn data_uri(uri: &str) -> Option<std::result::Result<Vec<u8>, String>> {
     let rest = uri.get(..5).filter(|start| start.eq_ignore_ascii_case("data:")).map(|_| &uri[5..])?;
     let Some((kind, data)) = rest.split_once(',') else { return Some(Err("a data URI without data".into())) };
@@ -272,7 +273,7 @@ fn data_uri(uri: &str) -> Option<std::result::Result<Vec<u8>, String>> {
     Some(base64(data).ok_or_else(|| "a data URI whose base64 is broken".into()))
 }
 
-/// RFC 4648, with or without padding.
+/// Decodes base64 (RFC 4648), with or without padding.
 fn base64(text: &str) -> Option<Vec<u8>> {
     let text = text.trim_ascii().as_bytes();
     let text = text.strip_suffix(b"==").or_else(|| text.strip_suffix(b"=")).unwrap_or(text);
@@ -290,7 +291,7 @@ fn base64(text: &str) -> Option<Vec<u8>> {
             };
             word = word << 6 | u32::from(digit);
         }
-        // Four digits are three bytes, three are two, two are one; one is none.
+        // Four digits make three bytes, three digits two, and two digits one. A single digit is an error.
         let missing = 4 - group.len();
         if missing == 3 {
             return None;
@@ -301,7 +302,7 @@ fn base64(text: &str) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// `%20` and the like as bytes; `None` where they are not UTF-8.
+/// Decodes codes like `%20`. `None` if the result is not UTF-8.
 fn percent_decoded(uri: &str) -> Option<String> {
     let (mut bytes, mut rest) = (Vec::with_capacity(uri.len()), uri.as_bytes());
     while let [first, tail @ ..] = rest {

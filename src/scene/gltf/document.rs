@@ -1,7 +1,7 @@
 //! The parts of the JSON of glTF 2.0 that light needs, with extensions by name.
 //!
-//! Fields are those of the specification (Khronos Group, "glTF 2.0 Specification", 2021, section 5). Parsing checks types
-//! only.
+//! Fields are those of the specification (Khronos Group, "glTF 2.0 Specification", 2021, section 5). Parsing checks
+//! types only.
 
 use serde::Deserialize;
 
@@ -84,7 +84,7 @@ impl Default for Spot {
     }
 }
 
-/// Which light a node places.
+/// The light that a node places.
 #[derive(Debug, Deserialize)]
 pub struct PlacedLight {
     pub light: usize,

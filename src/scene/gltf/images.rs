@@ -1,4 +1,4 @@
-//! Images of a glTF file, and what becomes of them before they are textures.
+//! Images of a glTF file, and the steps that make textures of them.
 
 use image::{DynamicImage, Rgb, RgbImage};
 
@@ -8,7 +8,7 @@ use crate::tone;
 #[derive(Debug)]
 pub struct Image {
     pub colour: RgbImage,
-    /// Alpha of all texels, rows from the top; none for an image without.
+    /// Alpha of all texels, rows from the top; `None` for an image without alpha.
     pub alpha: Option<Vec<u8>>,
 }
 
@@ -18,7 +18,7 @@ impl Image {
         Image { colour: image.into_rgb8(), alpha }
     }
 
-    /// White where alpha is at least `least`, and black elsewhere; none where all is white.
+    /// The mask that is white where alpha is at least `least` and black elsewhere. `None` if all of it would be white.
     pub fn mask(&self, least: f64) -> Option<RgbImage> {
         let alpha = self.alpha.as_ref()?;
         let is_solid = |alpha: u8| f64::from(alpha) >= least;
@@ -30,13 +30,13 @@ impl Image {
         Some(RgbImage::from_fn(width, height, |x, y| Rgb([if is_solid(at(x, y)) { 255 } else { 0 }; 3])))
     }
 
-    /// The mean of a channel that is linear, 0 to 1.
+    /// The mean of a channel with linear values, from 0 to 1.
     pub fn mean_of(&self, channel: usize) -> f64 {
         let sum: f64 = self.colour.pixels().map(|p| f64::from(p.0[channel])).sum();
         sum / (255.0 * f64::from(self.colour.width()) * f64::from(self.colour.height()))
     }
 
-    /// The mean colour, linear.
+    /// The mean colour, as linear values.
     pub fn mean(&self) -> [f64; 3] {
         let mut counts = [[0u64; 256]; 3];
         for pixel in self.colour.pixels() {
@@ -50,7 +50,8 @@ impl Image {
     }
 }
 
-/// A base colour times what is no metal; blue is how metallic a texel is. As large as the larger image.
+/// A base colour times the share that is not metal. The blue channel of `metal` is the share of metal. The result has
+/// the larger width and height of the two images.
 pub fn without_metal(base: Option<&RgbImage>, metal: &RgbImage, factor: f64) -> RgbImage {
     let size = |image: &RgbImage| image.dimensions();
     let (w, h) = base.map_or(size(metal), |base| {
@@ -71,7 +72,7 @@ pub fn without_metal(base: Option<&RgbImage>, metal: &RgbImage, factor: f64) -> 
     })
 }
 
-/// The image with its mirrored self to the right of it, below it, or both: repeated, that is what mirroring means.
+/// The image with its mirror image to the right of it, below it, or both. If the result repeats, the image is mirrored.
 pub fn mirrored(image: RgbImage, [right, below]: [bool; 2]) -> RgbImage {
     if !right && !below {
         return image;

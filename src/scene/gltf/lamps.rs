@@ -4,7 +4,8 @@ use std::collections::HashMap;
 
 use crate::scene::{Scene, Triangle};
 
-/// Adds the backs of triangles that emit from both sides, unless they belong to a closed body. Returns their number.
+/// Adds the backs of triangles that emit from both sides, unless the triangles belong to a closed body. Returns the
+/// number of added triangles.
 pub fn double(scene: &mut Scene, both_sides: &[u32]) -> usize {
     let open = open_parts(scene, both_sides);
     for &t in &open {
@@ -24,7 +25,8 @@ pub fn double(scene: &mut Scene, both_sides: &[u32]) -> usize {
     open.len()
 }
 
-/// The triangles that belong to an open part: a connected part with an edge that does not have one triangle in each direction.
+/// The triangles of open parts. A part is connected, and it is open if one of its edges does not have exactly one
+/// triangle in each direction.
 fn open_parts(scene: &Scene, triangles: &[u32]) -> Vec<u32> {
     let mut edges: HashMap<(u32, u32), Vec<usize>> = HashMap::new();
     let directed = |k: usize| {

@@ -32,10 +32,10 @@ impl Lookup {
         Lookup { set, transform: transform.map(|t| TextureTransform { tex_coord: None, ..t }) }
     }
 
-    /// Converts texture coordinates of the file to ours, with v upwards.
+    /// Converts texture coordinates of the file to coordinates of the scene, with v upwards.
     ///
-    /// KHR_texture_transform scales, rotates and moves. Its text turns the other way than its example; viewers follow the
-    /// example.
+    /// KHR_texture_transform scales, rotates and then moves. The text of its specification and the example there rotate
+    /// in opposite directions. Viewers follow the example, and so does this function.
     pub fn apply(&self, uv: DVec2) -> DVec2 {
         let uv = match &self.transform {
             None => uv,
@@ -55,15 +55,15 @@ impl Lookup {
 const ROUGHNESS: usize = 1;
 const METAL: usize = 2;
 
-/// A material as a primitive needs it.
+/// A material of the scene, and how a primitive uses it.
 #[derive(Debug, Clone)]
 pub struct Made {
     /// Index into the scene's materials.
     pub index: u32,
-    /// The texture coordinates of its textures.
+    /// The texture coordinates of the reflectance texture and of the emission texture.
     pub reflectance: Option<Lookup>,
     pub emission: Option<Lookup>,
-    /// Whether its backs emit too.
+    /// Whether backs of its triangles emit too.
     pub both_sides_emit: bool,
 }
 
@@ -75,26 +75,26 @@ enum Wrap {
     Mirror,
 }
 
-/// What an image becomes before it is a texture: its mirrored self beside it or below; of a metal only the share that is none; or a
-/// mask of its holes.
+/// The steps that make a texture of an image. The image may be extended by its mirror image, multiplied by the share
+/// that is not metal, or replaced by a mask of its holes.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Prepared {
     image: Option<usize>,
     wrap: [Wrap; 2],
     /// The image of the metallic channel, and the bits of its factor.
     metal: Option<(usize, u64)>,
-    /// The bits of the least alpha of what is no hole, where only that counts.
+    /// For a mask, the bits of the smallest alpha that is not a hole.
     mask: Option<u64>,
 }
 
-/// What is taken from an image besides its colours.
+/// The use of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Taken {
-    /// Its colours alone.
+    /// The colours.
     Colour,
-    /// Its colours, or white, times what an image of metal and its factor leave.
+    /// The colours, or white, times the share that is not metal. The share follows from the metallic image and factor.
     WithoutMetal(usize, f64),
-    /// Where its alpha, of 255, is at least this.
+    /// A mask: solid where alpha, from 0 to 255, is at least this.
     Mask(f64),
 }
 
@@ -105,11 +105,11 @@ pub struct Materials<'a> {
     pub materials: Vec<Material>,
     pub textures: Vec<Texture>,
     pub warnings: Warnings,
-    /// Images that were read from files of their own.
+    /// Image files that were read.
     pub files: Vec<PathBuf>,
     /// Names of images that could not be read.
     pub missing: Vec<String>,
-    /// Materials by the index in the file and the missing sets of texture coordinates.
+    /// Materials. The key is the index in the file and the missing sets of texture coordinates.
     made: HashMap<(Option<usize>, Vec<u32>), Made>,
     images: HashMap<usize, Option<Rc<Image>>>,
     prepared: HashMap<Prepared, Option<usize>>,
@@ -131,10 +131,10 @@ impl<'a> Materials<'a> {
         }
     }
 
-    /// Material `id` for a primitive that has some sets of texture coordinates.
+    /// Material `id` for a primitive. `has` returns whether the primitive has a set of texture coordinates.
     ///
     /// # Errors
-    /// [`Error::Input`](crate::Error::Input) when it is missing or has values that no surface can have.
+    /// [`Error::Input`](crate::Error::Input) when the material is missing or has values that no surface can have.
     pub fn index(&mut self, id: Option<usize>, has: impl Fn(u32) -> bool) -> Result<Made> {
         let definition = match id {
             None => None,
@@ -220,7 +220,7 @@ impl<'a> Materials<'a> {
         if first && !absent.is_empty() {
             self.warn(
                 &name,
-                " is used where there are no texture coordinates for it; it goes without its texture there",
+                " is used where there are no texture coordinates for it; its texture has no effect there",
             );
         }
         let emission_map = definition.emissive_texture.as_ref().filter(|_| emission != [0.0; 3]);
@@ -232,7 +232,7 @@ impl<'a> Materials<'a> {
                     .map(|info| (info, self.map(info, Taken::Colour, &name, "it does not emit")));
                 match map {
                     Some((info, Some(map))) => Some((Lookup::of(info), map)),
-                    // Without its image the surface is dark rather than bright all over.
+                    // A surface without its emission texture is dark, because it would otherwise be bright all over.
                     _ => {
                         emission = [0.0; 3];
                         None
@@ -256,7 +256,7 @@ impl<'a> Materials<'a> {
         Ok(self.push(material, [reflectance_lookup, emission_lookup], both))
     }
 
-    /// The diffuse part: base colour times the share that is not metal.
+    /// The diffuse reflectance and its texture: the base colour times the share that is not metal.
     fn reflectance(
         &mut self,
         name: &str,
@@ -275,12 +275,12 @@ impl<'a> Materials<'a> {
                 composed = Some(metal);
                 dielectric = 1.0;
             } else {
-                // In the rare case of two layouts on one surface, the mean conserves energy.
-                let image = self.image_of(metal, name, "the metallic factor alone counts");
+                // The two layouts rarely differ on one surface. If they do, the mean conserves energy.
+                let image = self.image_of(metal, name, "only the metallic factor counts");
                 dielectric = 1.0 - surface.metallic * image.map_or(1.0, |image| image.mean_of(METAL));
                 self.warn(
                     name,
-                    " has its metallic texture laid out otherwise than its base colour; its mean counts",
+                    " has different texture coordinates for metal and base colour; the mean of the metal texture is used",
                 );
             }
         }
@@ -308,7 +308,7 @@ impl<'a> Materials<'a> {
         (colour.unwrap_or([1.0; 3]).map(|c| c * dielectric), map)
     }
 
-    /// Where a material with alphaMode MASK has holes, and whether there is nothing else.
+    /// The mask of the holes of a material with alphaMode MASK, and whether all of the material is a hole.
     fn holes(
         &mut self,
         name: &str,
@@ -328,7 +328,7 @@ impl<'a> Materials<'a> {
         (textured.and_then(|info| self.map(info, least, name, "it has no holes")), false)
     }
 
-    /// What a material reflects specularly: GGX's microfacets (appendix B). Textures of it count with their means.
+    /// The specular reflection of a material: GGX's microfacets (appendix B). Textures count with their means.
     fn specular(
         &mut self,
         name: &str,
@@ -338,13 +338,13 @@ impl<'a> Materials<'a> {
         let gloss = surface.gloss.as_ref()?;
         let mut mean = |info: Option<&TextureInfo>| {
             let info = info.filter(|info| usable(info))?;
-            self.image_of(info, name, "its factors alone count")
+            self.image_of(info, name, "only its factors count")
         };
         let metal = mean(surface.metal_texture);
         let mean_of = |channel| metal.as_ref().map_or(1.0, |image| image.mean_of(channel));
         let metallic = surface.metallic * mean_of(METAL);
         let roughness = gloss.roughness * mean_of(ROUGHNESS);
-        // Only metals have their colour in it.
+        // Only the specular reflection of metals has the base colour.
         let base = mean(surface.texture.filter(|_| metallic > 0.0)).map_or([1.0; 3], |image| image.mean());
         let colour = surface.colour.unwrap_or([1.0; 3]);
         let r0: [f64; 3] =
@@ -361,13 +361,13 @@ impl<'a> Materials<'a> {
         match self.source(info) {
             Some(image) => self.prepare(Some(image), info, taken, name, fallback),
             None => {
-                self.warn(name, &format!(" has a texture without an image that can be read; {fallback}"));
+                self.warn(name, &format!(" has a texture without a readable image; {fallback}"));
                 None
             }
         }
     }
 
-    /// A texture of an image, prepared for its use by `info`.
+    /// Makes the texture of an image for its use by `info`, once for each use.
     fn prepare(
         &mut self,
         image: Option<usize>,
@@ -395,15 +395,15 @@ impl<'a> Materials<'a> {
                 index
             }
         };
-        // A mirrored image is as long as twice the original.
+        // With its mirror image, an image has twice the length.
         let side = |wrap| if wrap == Wrap::Mirror { 0.5 } else { 1.0 };
         let scale = DVec2::new(side(wrap[0]), side(wrap[1]));
-        // v is upwards here and the original the upper half: its lower end is halfway up.
+        // v points up, and the original is the upper half: its lower end is halfway up.
         let offset = DVec2::new(0.0, 1.0 - scale.y);
         if wrap.contains(&Wrap::Clamp) && wrap[0] != wrap[1] {
             self.warn(
                 name,
-                " repeats a texture in one direction only; it is taken to end at its rim in both",
+                " repeats a texture in one direction only; the texture is not repeated in either",
             );
         }
         Some(TextureMap { scale, offset, clamp: wrap.contains(&Wrap::Clamp), ..TextureMap::new(index?) })
@@ -416,7 +416,7 @@ impl<'a> Materials<'a> {
         };
         let metal = match key.metal {
             Some((image, factor)) => self
-                .image(image, name, "the metallic factor alone counts")
+                .image(image, name, "only the metallic factor counts")
                 .map(|image| (image, f64::from_bits(factor))),
             None => None,
         };
@@ -445,7 +445,7 @@ impl<'a> Materials<'a> {
         sampler.map_or([Wrap::Repeat; 2], |sampler| [wrap(sampler.wrap_s), wrap(sampler.wrap_t)])
     }
 
-    /// The image of a texture: WebP is preferred to its replacement.
+    /// The image of a texture. A WebP image is preferred to its replacement.
     fn source(&self, info: &TextureInfo) -> Option<usize> {
         let texture = self.document.root.textures.get(info.index)?;
         let webp = texture.extensions.webp.as_ref().and_then(|webp| webp.source);
@@ -456,7 +456,7 @@ impl<'a> Materials<'a> {
         self.source(info).and_then(|image| self.image(image, name, fallback))
     }
 
-    /// An image, which is read once. An absent or broken image causes one warning.
+    /// Image `i`. Each image is read once, and causes one warning if it is absent or damaged.
     fn image(&mut self, i: usize, name: &str, fallback: &str) -> Option<Rc<Image>> {
         if let Some(known) = self.images.get(&i) {
             return known.clone();
@@ -480,7 +480,7 @@ impl<'a> Materials<'a> {
         image
     }
 
-    /// Warns about properties of a material other than diffuse reflection and emission.
+    /// Warns about properties of a material that are left out or changed.
     fn warn_left_out(&mut self, name: &str, definition: &document::Material, surface: &Surface) {
         if surface.metallic > 0.0 {
             let share = if surface.metal_texture.is_some() {
@@ -491,26 +491,26 @@ impl<'a> Materials<'a> {
             self.warn(
                 name,
                 &format!(
-                    " is metal ({share}), which reflects nothing diffusely; that part is taken as black"
+                    " is metal ({share}), which has no diffuse reflection; the diffuse part of the metal is black"
                 ),
             );
         }
-        if surface.says_nothing_of_metal && self.options.reflectance.is_none() {
-            self.warn(name, " says neither how metallic nor how rough it is; it is taken as diffuse");
+        if surface.lacks_metal && self.options.reflectance.is_none() {
+            self.warn(name, " has neither a metallic factor nor a roughness factor; it counts as diffuse");
         }
         if definition.alpha_mode.as_deref() == Some("BLEND") {
-            self.warn(name, " is transparent (alphaMode BLEND); it is taken as opaque");
+            self.warn(name, " is transparent (alphaMode BLEND); it counts as opaque");
         }
         if definition.extensions.transmission.as_ref().is_some_and(|t| t.transmission_factor > 0.0) {
-            self.warn(name, " lets light through (KHR_materials_transmission); it is taken as opaque");
+            self.warn(name, " lets light through (KHR_materials_transmission); it counts as opaque");
         }
         if definition.extensions.unlit.is_some() && !self.options.unlit_emits {
-            self.warn(name, " is unlit (KHR_materials_unlit); its colour is taken as reflectance");
+            self.warn(name, " is unlit (KHR_materials_unlit); its colour counts as reflectance");
         }
         if definition.emissive_factor.is_some_and(|factor| factor.iter().any(|&e| e > 1.0)) {
             self.warn(
                 name,
-                " has an emissiveFactor above 1, against the specification; it is taken as it stands",
+                " has an emissiveFactor above 1, against the specification; the factor is used all the same",
             );
         }
         let textures = &self.document.root.textures;
@@ -519,7 +519,7 @@ impl<'a> Materials<'a> {
         if textures_of(definition).into_iter().any(basis) {
             self.warn(
                 name,
-                " has a Basis texture (KHR_texture_basisu), which is not read; what stands in for it counts",
+                " has a Basis texture (KHR_texture_basisu), which is not read; its replacement is used if there is one",
             );
         }
     }

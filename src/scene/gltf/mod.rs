@@ -1,15 +1,17 @@
 //! glTF 2.0, `.gltf` and `.glb`.
 //!
-//! The reader takes the default scene, or all nodes if there is none. Nodes place meshes, EXT_mesh_gpu_instancing copies them,
-//! and skins and morph targets pose them at rest. The reflectance of a material is its base colour times its texture, COLOR_0
-//! and the share that is not metal. Its emission is the emissive factor times KHR_materials_emissive_strength and its texture,
-//! in W/(m² sr). Lights of KHR_lights_punctual are divided by a luminous efficacy.
+//! The reader takes the default scene, or all nodes if there is none. Nodes place meshes, EXT_mesh_gpu_instancing
+//! copies them, and skins and morph targets pose them at rest. The reflectance of a material is the product of its base
+//! colour, its texture, COLOR_0 and the share that is not metal. Its emission, in W/(m² sr), is the product of the
+//! emissive factor, KHR_materials_emissive_strength and the emissive texture. Lights of KHR_lights_punctual are divided
+//! by a luminous efficacy.
 //!
-//! A double-sided surface emits from both sides, as the specification says. If its mesh is open, its triangles are in the scene a
-//! second time, turned round, after all others. A closed mesh emits outwards only, because light of its inside stays there.
+//! A double-sided surface emits from both sides, as the specification requires. If its mesh is open, copies of its
+//! triangles, turned round, come after all other triangles. A closed mesh emits only outwards, because light inside it
+//! stays there.
 //!
-//! The reader trusts no number of the file. It checks every index, length and offset where it uses it, walks nodes without
-//! recursion, and allocates no more than the file has bytes for.
+//! The reader trusts no number in the file. It checks every index, length and offset before use, walks nodes without
+//! recursion, and bounds its memory by the size of the file.
 
 pub(crate) mod accessor;
 pub(crate) mod container;
@@ -34,14 +36,14 @@ use self::primitive::Geometry;
 use super::{LoadOptions, Part, Scene, SceneBuilder};
 use crate::{Error, Result};
 
-/// Scenes with more triangles are refused: a few nested copies of meshes could give any number.
+/// Scenes with more triangles are refused, because a few nested copies of meshes could give any number of triangles.
 const MOST_TRIANGLES: usize = 1 << 27;
 
 /// Reads `path`.
 ///
 /// # Errors
-/// [`Error::Io`] when it cannot be read; [`Error::Input`] when what it or its buffers say cannot be used. Missing images are
-/// warnings.
+/// [`Error::Io`] when the file cannot be read; [`Error::Input`] when its contents or its buffers cannot be used.
+/// Missing images are warnings.
 pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
     let document = Document::read(path)?;
     let nodes = document.nodes()?;
@@ -65,30 +67,31 @@ pub(super) fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
 
 /// A primitive of a mesh in the scene.
 pub(crate) struct Place<'a> {
-    /// Its mesh and where that is.
+    /// Its mesh and the place of the mesh.
     pub instance: &'a Instance,
-    /// Which primitive of the mesh it is.
+    /// Index of the primitive in the mesh.
     pub primitive: usize,
 }
 
 impl Place<'_> {
-    /// A vertex in the space of the scene.
+    /// The position of a vertex in the space of the scene.
     pub fn position(&self, geometry: &Geometry, vertex: usize) -> DVec3 {
         let p = geometry.positions[vertex];
         if geometry.posed { p } else { self.instance.matrix.transform_point3(p) }
     }
 
-    /// Whether its place turns fronts into backs (section 3.7.4 of the specification).
+    /// Whether the matrix turns fronts into backs (section 3.7.4 of the specification).
     pub fn is_mirrored(&self, geometry: &Geometry) -> bool {
         !geometry.posed && self.instance.matrix.determinant() < 0.0
     }
 }
 
 impl Document {
-    /// Calls `show` with every primitive of the scene, in the order of their triangles, and with its geometry if it has triangles.
+    /// Calls `show` with every primitive of the scene, and with its geometry if it has triangles. The order is the
+    /// order of the scene's triangles.
     ///
     /// # Errors
-    /// Errors of reading geometry, and of `show`.
+    /// Errors of reading geometry, and errors of `show`.
     pub fn for_each_primitive(
         &self,
         show: impl FnMut(&Place<'_>, Option<&Geometry>) -> Result<()>,
@@ -101,7 +104,7 @@ impl Document {
         nodes: &Nodes,
         mut show: impl FnMut(&Place<'_>, Option<&Geometry>) -> Result<()>,
     ) -> Result<()> {
-        // Geometry is read once for all instances, unless each has a pose of its own.
+        // Geometry is read once for all instances, unless each instance has its own pose.
         let mut known: HashMap<(usize, usize), Option<Geometry>> = HashMap::new();
         for instance in &nodes.instances {
             let node = &self.root.nodes[instance.node];
@@ -167,7 +170,7 @@ impl Assembly<'_> {
         let coordinates = |lookup: &Option<Lookup>, or: Option<u32>| -> Result<Option<Vec<DVec2>>> {
             let Some(set) = lookup.as_ref().map(|l| l.set).or(or) else { return Ok(None) };
             let uv = document.texture_coordinates(primitive, set, geometry.positions.len())?;
-            // Without a texture these coordinates may still serve a lightmap.
+            // Coordinates are kept even without a texture, because a lightmap may use them.
             let plain = |uv: DVec2| DVec2::new(uv.x, 1.0 - uv.y);
             Ok(uv.map(|uv| {
                 uv.into_iter().map(|uv| lookup.as_ref().map_or(plain(uv), |l| l.apply(uv))).collect()
@@ -178,7 +181,7 @@ impl Assembly<'_> {
             Some(_) if made.emission != made.reflectance => coordinates(&made.emission, None)?,
             _ => None,
         };
-        // If both sets are equal, the second is not kept.
+        // A set for the emission alone serves as the only set.
         let (uv, uv_of_emission) = match (uv, uv_of_emission) {
             (None, Some(only)) => (Some(only), None),
             both => both,
@@ -198,7 +201,9 @@ impl Assembly<'_> {
             (0..geometry.positions.len()).map(|v| place.position(geometry, v)).collect();
         if positions.iter().any(|p| !p.is_finite()) {
             let node = place.instance.node;
-            return Err(self.document.error(format!("nodes[{node}] puts a vertex where no number reaches")));
+            return Err(self
+                .document
+                .error(format!("nodes[{node}] moves a vertex beyond the range of numbers")));
         }
         let mirrored = place.is_mirrored(geometry);
         for &[a, b, c] in &geometry.triangles {
@@ -238,9 +243,8 @@ impl Assembly<'_> {
         if scene.triangles.is_empty() {
             let what =
                 if scene.degenerate > 0 { "every face has zero area" } else { "no triangles in the scene" };
-            return Err(Error::input(&document.path, None, what).with_hint(
-                "light needs surfaces: meshes of triangles that nodes of the default scene place",
-            ));
+            return Err(Error::input(&document.path, None, what)
+                .with_hint("nodes of the default scene must place meshes with triangles"));
         }
         let own = (emission_texcoords.len()..scene.triangles.len()).map(|t| scene.texcoords[t]);
         if !emission_texcoords.is_empty() {
@@ -257,7 +261,7 @@ impl Assembly<'_> {
             if scene.backs_of_lamps > 0 {
                 let doubled = scene.backs_of_lamps;
                 made.warnings.push(format!(
-                    "{file}: {doubled} triangles emit from both sides, since their materials are double-sided"
+                    "{file}: {doubled} triangles emit from both sides because their materials are double-sided"
                 ));
             }
         }
@@ -266,7 +270,7 @@ impl Assembly<'_> {
             made.warnings.push(format!("{file}: left out {} primitives of points or lines", self.left_out));
         }
         if !document.root.animations.is_empty() {
-            made.warnings.push(format!("{file}: animations are left out; the scene is taken at rest"));
+            made.warnings.push(format!("{file}: animations are left out; the scene is read at rest"));
         }
         scene.warnings = made.warnings.into_sentences();
         scene.files = document.files.clone();

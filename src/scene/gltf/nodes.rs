@@ -14,13 +14,13 @@ pub struct Instance {
     pub copy: Option<usize>,
     /// The mesh.
     pub mesh: usize,
-    /// From the mesh's space to that of the scene.
+    /// The matrix from the space of the mesh to the space of the scene.
     pub matrix: DMat4,
 }
 
-/// The meshes of a scene, and where its nodes are.
+/// The meshes of a scene, and the places of its nodes.
 pub struct Nodes {
-    /// In the order of the walk, parents first.
+    /// The meshes in the order of the walk, parents first.
     pub instances: Vec<Instance>,
     /// The matrix of each node that belongs to the scene.
     pub matrices: Vec<Option<DMat4>>,
@@ -30,7 +30,7 @@ impl Document {
     /// Walks the default scene. If there is none, walks all nodes that are not children.
     ///
     /// # Errors
-    /// [`Error::Input`](crate::Error::Input) when a node is missing, visited twice, or has a matrix that is not usable.
+    /// [`Error::Input`](crate::Error::Input) when a node is missing, is visited twice, or has an unusable matrix.
     pub fn nodes(&self) -> Result<Nodes> {
         let root = &self.root;
         let roots = match root.scene {
@@ -47,12 +47,12 @@ impl Document {
             let Some(node) = root.nodes.get(i) else { return Err(failed("it does not exist")) };
             if nodes.matrices[i].is_some() {
                 return Err(failed(
-                    "it is met twice: a node has one parent, and is none of its own descendants",
+                    "it is met twice: a node must have one parent, and must not be its own descendant",
                 ));
             }
             let matrix = parent * local(node).map_err(failed)?;
             if !matrix.is_finite() {
-                return Err(failed("it is placed by numbers that are not finite"));
+                return Err(failed("its place is not finite"));
             }
             nodes.matrices[i] = Some(matrix);
             if let Some(mesh) = node.mesh {
@@ -101,7 +101,7 @@ impl Document {
         ];
         let count = lengths.iter().flatten().max().copied().unwrap_or(0);
         if lengths.iter().flatten().any(|&n| n != count) {
-            return Err(self.error(format!("nodes[{i}]: the attributes of its instances differ in number")));
+            return Err(self.error(format!("nodes[{i}]: the attributes of its instances differ in length")));
         }
         (0..count)
             .map(|k| {
@@ -120,15 +120,15 @@ fn local(node: &Node) -> std::result::Result<DMat4, &'static str> {
     let parts = (node.translation, node.rotation, node.scale);
     match (node.matrix, parts) {
         (Some(_), (Some(_), ..) | (_, Some(_), _) | (.., Some(_))) => {
-            Err("it has a matrix and a translation, rotation or scale beside it")
+            Err("it has both a matrix and a translation, rotation or scale")
         }
         (Some(matrix), _) => {
             let matrix = DMat4::from_cols_array(&matrix);
-            // Section 5.25: it can be taken apart into translation, rotation and scale, which makes no perspective.
+            // Section 5.25: the matrix must be a product of translation, rotation and scale, so it has no perspective.
             if matrix.row(3) == DVec4::W {
                 Ok(matrix)
             } else {
-                Err("its matrix is no placement: the last row is not 0 0 0 1")
+                Err("its matrix is not affine: the last row is not 0 0 0 1")
             }
         }
         (None, (translation, rotation, scale)) => placed(
@@ -147,7 +147,7 @@ fn placed(
     let rotation = DQuat::from_array(rotation);
     let length = rotation.length();
     if !(length > 0.0 && length.is_finite()) {
-        return Err("its rotation is no quaternion");
+        return Err("its rotation is not a quaternion");
     }
     Ok(DMat4::from_scale_rotation_translation(scale.into(), rotation / length, DVec3::from(translation)))
 }

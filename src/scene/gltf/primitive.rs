@@ -1,4 +1,4 @@
-//! The triangles of a mesh: corners, texture coordinates, colours, posed by skins and morph targets.
+//! The triangles of a mesh with texture coordinates and colours, posed by skins and morph targets.
 
 use glam::{DMat4, DVec2, DVec3};
 
@@ -19,10 +19,10 @@ pub struct Geometry {
 }
 
 impl Document {
-    /// Reads a primitive. `None` for points and lines, and without positions.
+    /// Reads a primitive. `None` for points and lines, and if there are no positions.
     ///
     /// # Errors
-    /// [`Error::Input`](crate::Error::Input) when an accessor cannot be read, or an index has no vertex.
+    /// [`Error::Input`](crate::Error::Input) when an accessor cannot be read or an index has no vertex.
     pub fn geometry(
         &self,
         nodes: &Nodes,
@@ -69,7 +69,7 @@ impl Document {
         Ok(Some(Geometry { positions, triangles: triangles(mode, &order), colours, posed }))
     }
 
-    /// A set of texture coordinates, as the file has them: v downwards.
+    /// Reads a set of texture coordinates as it is in the file, with v downwards.
     ///
     /// # Errors
     /// Those of [`Document::geometry`].
@@ -92,7 +92,7 @@ impl Document {
         Ok(Some(uv.into_iter().map(finite).collect()))
     }
 
-    /// Linear colours, clamped to \[0, 1\] (section 3.7.2.1 of the specification).
+    /// Reads linear colours and clamps them to \[0, 1\] (section 3.7.2.1 of the specification).
     fn colours(&self, accessor: usize, vertices: usize, place: &str) -> Result<Vec<[f64; 4]>> {
         let colours: Vec<[f64; 4]> = match self.kind(accessor)? {
             "VEC3" => {
@@ -107,7 +107,7 @@ impl Document {
         Ok(colours.into_iter().map(|c| c.map(share)).collect())
     }
 
-    /// Moves vertices by the morph targets that have weight at rest.
+    /// Moves vertices by the morph targets with their weights at rest.
     fn morph(&self, primitive: &Primitive, mesh: &Mesh, node: &Node, positions: &mut [DVec3]) -> Result<()> {
         let Some(weights) = node.weights.as_ref().or(mesh.weights.as_ref()) else { return Ok(()) };
         for (target, &weight) in primitive.targets.iter().zip(weights).filter(|(_, weight)| **weight != 0.0) {
@@ -119,8 +119,8 @@ impl Document {
         Ok(())
     }
 
-    /// Poses vertices by the joints of the node's skin at rest. Returns whether there is a skin. The transform of the node itself
-    /// is ignored then (section 3.7.3.3 of the specification).
+    /// Poses vertices by the joints of the node's skin at rest. Returns whether there is a skin. If so, the transform
+    /// of the node itself must be ignored (section 3.7.3.3 of the specification).
     fn skin(
         &self,
         nodes: &Nodes,
@@ -146,7 +146,7 @@ impl Document {
             .enumerate()
             .map(|(k, &joint)| {
                 let place = nodes.matrices.get(joint).copied().flatten();
-                let place = place.ok_or_else(|| failed("a joint is no node of the scene"))?;
+                let place = place.ok_or_else(|| failed("a joint is not a node of the scene"))?;
                 Ok(place * inverse.get(k).map_or(DMat4::IDENTITY, DMat4::from_cols_array))
             })
             .collect::<Result<_>>()?;
@@ -159,7 +159,7 @@ impl Document {
                 for k in (0..4).filter(|&k| weight[k] > 0.0) {
                     let matrix = joints
                         .get(joint[k] as usize)
-                        .ok_or_else(|| failed("a vertex names a joint that it has not"))?;
+                        .ok_or_else(|| failed("a vertex names a joint that does not exist"))?;
                     sum.0 += weight[k] * matrix.transform_point3(position);
                     sum.1 += weight[k];
                 }
@@ -174,7 +174,7 @@ impl Document {
     }
 }
 
-/// Triangles of a list, a strip or a fan (section 3.7.2.1 of the specification).
+/// The triangles of a list, a strip or a fan (section 3.7.2.1 of the specification).
 pub fn triangles(mode: u64, order: &[u32]) -> Vec<[u32; 3]> {
     match mode {
         4 => order.as_chunks::<3>().0.to_vec(),

@@ -1,21 +1,21 @@
-//! Standard skies of the CIE as radiance relative to that of the zenith or of any other unit: only their shape counts here.
+//! Standard skies of the CIE. Their radiance is in any unit, because only its shape counts here.
 //!
-//! Clear and overcast sky: CIE S 003 (1996). Intermediate sky: Nakamura, Oki and Hayashi, "Luminance distribution of intermediate
-//! sky", Journal of Light and Visual Environment 9, 1985.
+//! Clear and overcast sky: CIE S 003 (1996). Intermediate sky: Nakamura, Oki and Hayashi, "Luminance distribution of
+//! intermediate sky", Journal of Light and Visual Environment 9, 1985.
 
-/// Overcast: at the altitude whose sine is `sin`.
+/// Overcast sky: relative radiance at the altitude whose sine is `sin`.
 pub(super) fn overcast(sin: f64) -> f64 {
     (1.0 + 2.0 * sin) / 3.0
 }
 
-/// Clear: at the altitude whose sine is `sin`, at the angle whose cosine is `cos_sun` from the sun.
+/// Clear sky: relative radiance at the altitude whose sine is `sin`. `cos_sun` is the cosine of the angle from the sun.
 pub(super) fn clear(sin: f64, cos_sun: f64) -> f64 {
     let gamma = cos_sun.clamp(-1.0, 1.0).acos();
     let thickness = if sin > 0.01 { 1.0 - (-0.32 / sin).exp() } else { 1.0 };
     (0.91 + 10.0 * (-3.0 * gamma).exp() + 0.45 * cos_sun * cos_sun) * thickness
 }
 
-/// Intermediate, with the sun at the altitude whose sine is `sun`.
+/// Intermediate sky: relative radiance as for [`clear`]. `sun` is the sine of the sun's altitude.
 pub(super) fn intermediate(sin: f64, cos_sun: f64, sun: f64) -> f64 {
     let gamma = cos_sun.clamp(-1.0, 1.0).acos();
     let (zenith, of_sun) = (sin.clamp(-1.0, 1.0).acos(), sun.clamp(-1.0, 1.0).acos());

@@ -7,23 +7,24 @@ use glam::DVec3;
 /// Angular diameter of the sun as seen from the Earth, in degrees.
 pub const SUN_DIAMETER: f64 = 0.533;
 
-/// Rings that a disc is cut into where the horizon of a plane cuts it.
+/// Number of rings for the integral over a disc that the horizon of a plane cuts.
 const RINGS: usize = 64;
 
-/// A disc of even radiance in the same direction everywhere.
+/// A disc of constant radiance that is seen in the same direction everywhere.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Distant {
-    /// Unit vector to its middle.
+    /// Unit vector to the middle of the disc.
     pub direction: DVec3,
     /// Irradiance on a plane that faces it, W/m², R G B.
     pub irradiance: [f64; 3],
-    /// Half of its angular diameter in radians, below π/2; zero for a light without a size.
+    /// Half of the angular diameter in radians, below π/2; zero for a light without a size.
     pub radius: f64,
 }
 
 impl Distant {
-    /// A light of this angular diameter, in radians, and irradiance on a plane that faces it.
+    /// Makes a light from the direction to it, the irradiance on a plane that faces it (W/m², R G B), and its angular
+    /// diameter in radians.
     ///
     /// # Panics
     /// When the direction has no length, or the diameter is not in \[0, π).
@@ -33,26 +34,26 @@ impl Distant {
         Distant { direction, irradiance, radius: 0.5 * diameter }
     }
 
-    /// The solid angle of the disc.
+    /// The solid angle of the disc, sr.
     pub fn solid_angle(&self) -> f64 {
-        // 1 - cos without cancellation.
+        // This form of 1 - cos avoids cancellation.
         2.0 * TAU * (0.5 * self.radius).sin().powi(2)
     }
 
-    /// Its radiance, R G B, W/(m² sr); infinite without a size.
+    /// The radiance of the disc, R G B, W/(m² sr); infinite for a light without a size.
     pub fn radiance(&self) -> [f64; 3] {
-        // The projected solid angle of a cap that faces a plane.
+        // The divisor is the projected solid angle of a cap that faces a plane.
         self.irradiance.map(|e| e / (PI * self.radius.sin().powi(2)))
     }
 
-    /// Whether a direction, a unit vector, meets the disc.
+    /// Whether a direction, a unit vector, hits the disc.
     pub fn contains(&self, direction: DVec3) -> bool {
         self.radius > 0.0
             && direction.cross(self.direction).length() < self.radius.sin()
             && direction.dot(self.direction) > 0.0
     }
 
-    /// A direction to a point of the disc, evenly over its solid angle.
+    /// Samples a direction to the disc, uniformly over its solid angle.
     pub fn sample(&self, [u, v]: [f64; 2]) -> DVec3 {
         if self.radius == 0.0 {
             return self.direction;
@@ -64,8 +65,8 @@ impl Distant {
         (a * x + b * y) * sin + self.direction * (1.0 - versine)
     }
 
-    /// The irradiance of a plane with this unit normal, relative to that of a plane that faces the light: the part of the disc that is
-    /// above the plane.
+    /// The unblocked irradiance of a plane with this unit normal, relative to the irradiance of a plane that faces the
+    /// light. Only the part of the disc above the plane counts.
     pub fn unblocked(&self, normal: DVec3) -> f64 {
         let cos = normal.dot(self.direction).clamp(-1.0, 1.0);
         let zenith = cos.acos();
@@ -75,7 +76,8 @@ impl Distant {
         if zenith - self.radius >= FRAC_PI_2 {
             return 0.0;
         }
-        // Over a ring at the angle α from the middle, the cosine is cos z cos α + sin z sin α cos φ, where that is positive.
+        // On a ring at the angle α from the middle, the cosine is cos z cos α + sin z sin α cos φ. Only its positive
+        // part counts.
         let ring = |alpha: f64| {
             let (level, swing) = (cos * alpha.cos(), zenith.sin() * alpha.sin());
             let end = if swing > 0.0 { (-level / swing).clamp(-1.0, 1.0).acos() } else { PI };
@@ -95,7 +97,8 @@ mod tests {
         Distant::new(DVec3::new(zenith.sin(), 0.0, zenith.cos()), [2.0; 3], diameter)
     }
 
-    /// The sun's disc has 6.797e-5 sr, and its radiance times that is its irradiance but for the cosine within the disc.
+    /// The sun's disc has 6.797e-5 sr. Its radiance times this solid angle is its irradiance, apart from the cosine
+    /// within the disc.
     #[test]
     fn the_disc_of_the_sun() {
         let sun = sun(0.3, SUN_DIAMETER.to_radians());
@@ -106,10 +109,10 @@ mod tests {
         assert!(sun.contains(edge(0.99).normalize()) && !sun.contains(edge(1.01).normalize()));
     }
 
-    /// Against the mean over points of the disc: above the horizon, cut by it, and below; half a disc whose middle is at the horizon
-    /// sends (2/3 sin³ r) / (π sin² r) to first order.
+    /// The irradiance agrees with the mean over points of the disc: above the horizon, cut by it, and below it. A disc
+    /// with its middle on the horizon gives (2/3 sin³ r) / (π sin² r) to first order.
     #[test]
-    fn what_arrives_unblocked_is_the_mean_of_the_disc() {
+    fn unblocked_irradiance_is_the_mean_over_the_disc() {
         for (zenith, diameter) in
             [(0.4, 0.01), (1.5, 0.3), (1.6, 0.3), (FRAC_PI_2, 0.01), (1.4, 1.0), (1.9, 0.3)]
         {

@@ -1,11 +1,11 @@
-//! EULUMDAT files (.ldt): one figure a line, in an order that is fixed (Stockmar, "EULUMDAT - a format for the exchange of
+//! EULUMDAT files (.ldt): one value a line, in a fixed order (Stockmar, "EULUMDAT - a format for the exchange of
 //! photometric data", 1990).
 
 use super::measured::{Goniometer, MOST_DIRECTIONS, Measured, Opening, Wrong};
 
-/// Lines of each set of lamps.
+/// Number of lines for each set of lamps.
 const LINES_OF_SET: usize = 6;
-/// Direct ratios between sets of lamps and angles.
+/// Number of direct ratios between the sets of lamps and the angles.
 const RATIOS: usize = 10;
 
 struct Lines<'a> {
@@ -26,7 +26,7 @@ impl<'a> Lines<'a> {
         // Some programs write decimal commas.
         let number = text.replace(',', ".").parse::<f64>().ok().filter(|x| x.is_finite() && x.abs() < 1e30);
         number.ok_or_else(|| {
-            Wrong::at(self.at, format!("`{}` is no number: {what} should be here", shortened(text)))
+            Wrong::at(self.at, format!("`{}` is not a number: {what} should be here", shortened(text)))
         })
     }
 
@@ -73,7 +73,7 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
     if planes == 0 || rows == 0 || planes.saturating_mul(rows) > MOST_DIRECTIONS {
         return Err(Wrong::at(first_count, format!("{planes} planes with {rows} intensities each")));
     }
-    // Numbers and names of the report, the luminaire and the file, and the date; sizes of the luminaire.
+    // Numbers and names of the report, the luminaire and the file, the date, and sizes of the luminaire are skipped.
     lines.skip(5, "a name")?;
     lines.skip(3, "a size of the luminaire")?;
     let (length, width) = (lines.number("the length of the luminous area")?, lines.number("its width")?);
@@ -87,12 +87,12 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
     for _ in 0..sets {
         absolute |= lines.number("the number of lamps")? < 0.0;
         lines.skip(1, "the type of lamps")?;
-        // Of the whole set, however many lamps it has.
+        // This is the flux of the whole set, whatever its number of lamps.
         flux += lines.number("the flux of lamps")?.abs();
         lines.skip(LINES_OF_SET - 3, "a figure of lamps")?;
     }
     if !(flux > 0.0 && factor > 0.0) {
-        return Err(Wrong::at(lines.at, "the flux of lamps and the conversion factor have to be above 0"));
+        return Err(Wrong::at(lines.at, "the flux of lamps and the conversion factor must be above 0"));
     }
     lines.skip(RATIOS, "a direct ratio")?;
     let angles = lines.angles(planes, 360.0, "a C angle")?;
@@ -104,7 +104,7 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
         if intensity < 0.0 {
             return Err(Wrong::at(lines.at, format!("an intensity is negative: {intensity}")));
         }
-        // Intensities are for 1000 lm of lamps.
+        // Intensities are given per 1000 lm of the lamps.
         candela.push(intensity * factor * flux / 1000.0);
     }
     let millimetres = 1e-3;
@@ -115,7 +115,7 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
         horizontal,
         vertical,
         candela,
-        // The flux of the lamps is not that of the luminaire.
+        // The flux of the lamps is not the flux of the luminaire.
         stated_flux: None,
         opening: (length > 0.0 && width > 0.0).then_some(Opening {
             length: length * millimetres,
@@ -123,23 +123,23 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
             round,
         }),
         warnings: if absolute {
-            vec!["photometry is absolute: the flux of the lamps is that of the luminaire".into()]
+            vec!["photometry is absolute: the flux of the lamps is the flux of the luminaire".into()]
         } else {
             Vec::new()
         },
     })
 }
 
-/// The planes that intensities follow for: by symmetry not all of them.
+/// The planes with intensities in the file. With symmetry, these are not all planes.
 fn measured_planes(symmetry: usize, angles: &[f64]) -> Result<Vec<f64>, String> {
     let upto = |last: f64| -> Vec<f64> { angles.iter().copied().filter(|&c| c <= last).collect() };
     let ends_at = |planes: Vec<f64>, last: f64| match planes.last() {
         Some(&end) if end == last && planes[0] == 0.0 => Ok(planes),
-        _ => Err(format!("a luminaire of this symmetry has C planes from 0 to {last}")),
+        _ => Err(format!("a luminaire of this symmetry must have C planes from 0 to {last}")),
     };
     match symmetry {
         0 if angles[0] == 0.0 => Ok(angles.to_vec()),
-        0 => Err("the first C plane is 0".into()),
+        0 => Err("the first C plane must be 0".into()),
         1 => Ok(vec![0.0]),
         2 => ends_at(upto(180.0), 180.0),
         3 => {
@@ -149,7 +149,7 @@ fn measured_planes(symmetry: usize, angles: &[f64]) -> Result<Vec<f64>, String> 
             planes.extend(upto(90.0));
             match (planes.first(), planes.last()) {
                 (Some(&-90.0), Some(&90.0)) => Ok(planes),
-                _ => Err("a luminaire of this symmetry has C planes at 270 and 90".into()),
+                _ => Err("a luminaire of this symmetry must have C planes at 270 and 90".into()),
             }
         }
         _ => ends_at(upto(90.0), 90.0),
@@ -162,7 +162,7 @@ mod tests {
     use super::*;
     use glam::DVec3;
 
-    /// A file of this symmetry with planes each 90 degrees and intensities at 0, 90 and 180.
+    /// A file of this symmetry with planes every 90 degrees and intensities at 0, 90 and 180 degrees.
     fn file(symmetry: u32, sets: &[(&str, &str)], intensities: &str) -> String {
         let mut text = format!("maker\n1\n{symmetry}\n4\n90\n3\n90\nreport\nname\nnumber\nfile\ndate\n");
         text += "600\n600\n50\n500\n0\n0\n0\n0\n0\n100\n80\n1.0\n0\n";
@@ -178,7 +178,7 @@ mod tests {
         Photometry::new(parse(text).unwrap_or_else(|wrong| panic!("{wrong:?}")))
     }
 
-    /// The flux is that of the set, not of each of its lamps; sets add up; intensities are for 1000 lm.
+    /// The flux belongs to the set, not to each of its lamps. Sets add up. Intensities are per 1000 lm.
     #[test]
     fn flux_is_that_of_the_sets() {
         let one = "200\n100\n0\n";
@@ -188,7 +188,7 @@ mod tests {
         assert_eq!(read(&file(1, &[("2", "3000")], one)).opening, round);
     }
 
-    /// The intensity sideways, in C0, C90, C180 and C270, by the planes that each symmetry lists.
+    /// The intensity sideways in C0, C90, C180 and C270, from the planes that each symmetry lists.
     #[test]
     fn symmetries() {
         let sides = [DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y];

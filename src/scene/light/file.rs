@@ -1,7 +1,7 @@
 //! Light files: `lights.toml`.
 //!
-//! Tables `[[sun]]`, `[[directional]]`, `[[point]]`, `[[spot]]`, `[[luminaire]]` and one `[sky]`. Colours are one number, or three for
-//! red, green and blue. Angles are in degrees. docs/lights.md shows a file.
+//! A file has tables `[[sun]]`, `[[directional]]`, `[[point]]`, `[[spot]]`, `[[luminaire]]` and at most one `[sky]`. A
+//! colour is one number, or three numbers for red, green and blue. Angles are in degrees. docs/lights.md shows a file.
 
 use std::{
     ops::Range,
@@ -138,26 +138,29 @@ struct LuminaireTable {
     colour: Option<[f64; 3]>,
 }
 
-/// A direction to the sun, and what the solar constant is to be multiplied by on its day.
+/// The direction to the sun, and the factor of the solar constant on that day.
 pub type SunAt = (DVec3, f64);
 
-/// Where the sun is at a place and a time.
+/// The position of the sun at a place and a time.
 ///
 /// # Errors
-/// A sentence, where it is below the horizon or cannot be computed.
+/// A sentence, when the sun is below the horizon or its position cannot be computed.
 pub fn sun_at(up: Up, place: Place, at: &Moment) -> std::result::Result<SunAt, String> {
     let (azimuth, altitude) = at.sun(place).ok_or("the position of the sun cannot be computed")?;
     if altitude <= 0.0 {
-        return Err(format!("the sun is {:.1} degrees below the horizon then", -altitude.to_degrees()));
+        return Err(format!(
+            "the sun is {:.1} degrees below the horizon at that time",
+            -altitude.to_degrees()
+        ));
     }
     Ok((up.direction(azimuth, altitude), at.eccentricity()))
 }
 
-/// Reads a light file, in the units of the scene, and adds its lights. `up` wins over what the file says. Tells where its sun
-/// stands, if it has one.
+/// Reads a light file in the units of the scene, and adds its lights to the scene. `up` takes precedence over the
+/// file's own setting. Returns the position of its first sun, if it has one.
 ///
 /// # Errors
-/// [`Error::Io`] when a file cannot be read, [`Error::Input`] with the line when it cannot be used.
+/// [`Error::Io`] when a file cannot be read. [`Error::Input`], with the line, when its contents cannot be used.
 pub fn add(scene: &mut Scene, path: &Path, up: Option<Up>) -> Result<Option<SunAt>> {
     let text = std::fs::read_to_string(path).map_err(|source| Error::io(path, source))?;
     let wrong = |span: Option<Range<usize>>, message: String| {
@@ -183,7 +186,7 @@ pub fn add(scene: &mut Scene, path: &Path, up: Option<Up>) -> Result<Option<SunA
     Ok(reader.sun)
 }
 
-/// What is wrong with a table, or with a file that it names.
+/// An error in a table, or in a file that the table names.
 enum Fault {
     Here(String),
     Elsewhere(Error),
@@ -226,23 +229,27 @@ struct Reader<'a> {
     sun: Option<SunAt>,
 }
 
-/// A colour of numbers that are not negative.
+/// R G B of a colour. Negative numbers are errors.
 fn strength(colour: Colour, what: &str) -> Read<[f64; 3]> {
     let rgb = colour.rgb();
-    if rgb.into_iter().all(is_radiance) { Ok(rgb) } else { Err(format!("{what} is not negative").into()) }
+    if rgb.into_iter().all(is_radiance) {
+        Ok(rgb)
+    } else {
+        Err(format!("{what} must not be negative").into())
+    }
 }
 
 fn number(value: Option<f64>, what: &str) -> Read<f64> {
     match value {
         Some(x) if is_radiance(x) => Ok(x),
-        Some(_) => Err(format!("{what} is not negative").into()),
+        Some(_) => Err(format!("{what} must not be negative").into()),
         None => Err(format!("{what} is missing").into()),
     }
 }
 
 fn place(values: [f64; 3], what: &str) -> Read<DVec3> {
     let good = values.into_iter().all(|x| x.is_finite() && x.abs() < 1e30);
-    if good { Ok(DVec3::from(values)) } else { Err(format!("{what} is no point").into()) }
+    if good { Ok(DVec3::from(values)) } else { Err(format!("{what} must be three finite numbers").into()) }
 }
 
 fn axis(values: [f64; 3]) -> Read<DVec3> {
@@ -256,12 +263,12 @@ fn axis(values: [f64; 3]) -> Read<DVec3> {
 fn within(value: f64, range: std::ops::RangeInclusive<f64>, what: &str) -> Read<f64> {
     match range.contains(&value) {
         true => Ok(value),
-        false => Err(format!("{what} is between {} and {} degrees", range.start(), range.end()).into()),
+        false => Err(format!("{what} must be between {} and {} degrees", range.start(), range.end()).into()),
     }
 }
 
 impl Reader<'_> {
-    /// Reads tables of one kind. An error names the table's place.
+    /// Reads tables of one kind. An error has the line of its table.
     fn all<T>(
         &mut self,
         tables: impl IntoIterator<Item = Spanned<T>>,
@@ -290,7 +297,7 @@ impl Reader<'_> {
                 let longitude = within(longitude, -180.0..=180.0, "the longitude")?;
                 sun_at(self.up, Place { latitude, longitude }, &at.parse()?)?
             }
-            _ => return Err("a sun has azimuth and altitude, or place and at".into()),
+            _ => return Err("a sun needs azimuth and altitude, or place and at".into()),
         };
         self.sun.get_or_insert(at);
         if let Some(irradiance) = table.irradiance {
@@ -303,7 +310,7 @@ impl Reader<'_> {
     }
 
     fn directional(&mut self, table: DirectionalTable) -> Read<()> {
-        // It shines where it points.
+        // The file gives the direction in which the light shines.
         let towards = -axis(table.direction)?;
         let light = Distant::new(towards, strength(table.irradiance, "the irradiance")?, 0.0);
         self.push(table.name, "directional", LightKind::Distant(light));
@@ -321,7 +328,9 @@ impl Reader<'_> {
         let outer = within(table.outer.unwrap_or(45.0), 0.0..=90.0, "the outer angle")?;
         let inner = within(table.inner.unwrap_or(0.0), 0.0..=90.0, "the inner angle")?;
         if inner > outer || outer == 0.0 {
-            return Err("the inner angle of a spot is below the outer one".into());
+            return Err(
+                "the inner angle of a spot must be at most its outer angle, which must be above 0".into()
+            );
         }
         let cone = Distribution::spot(axis(table.direction)?, inner.to_radians(), outer.to_radians());
         let position = place(table.position, "the position")?;
@@ -352,7 +361,7 @@ impl Reader<'_> {
 
     fn sky(&mut self, table: SkyTable) -> Read<()> {
         let up = self.up;
-        let sun = || self.sun.ok_or("this sky needs to know where the sun is: add a [[sun]]");
+        let sun = || self.sun.ok_or("this sky needs the position of the sun: add a [[sun]]");
         let e = || number(table.irradiance, "the irradiance");
         let sky = match table.kind {
             SkyKind::Uniform => Sky::uniform(up, [number(table.radiance, "the radiance")?; 3]),
@@ -433,7 +442,7 @@ mod tests {
         assert_eq!(scene.files.len(), 2);
     }
 
-    /// The sun of an all-weather sky is its direct irradiance, where the file tells no other.
+    /// The sun of an all-weather sky has the direct irradiance, unless the file gives the sun another irradiance.
     #[test]
     fn the_sun_of_an_all_weather_sky() {
         let sky = "[sky]\nkind = \"perez\"\ndirect = 700\ndiffuse = 120\n";
@@ -451,7 +460,7 @@ mod tests {
         for (text, line, what) in [
             ("[[sun]]\nazimuth = 3\n", 1, "azimuth and altitude"),
             ("\n[[point]]\nposition = [0, 0]\nintensity = 1\n", 3, ""),
-            ("[[point]]\nposition = [0, 0, 0]\nintensity = -1\n", 1, "not negative"),
+            ("[[point]]\nposition = [0, 0, 0]\nintensity = -1\n", 1, "must not be negative"),
             ("[[point]]\nposition = [0, 0, 0]\nintensity = \"x\"\n", 3, "a number"),
             ("[[point]]\nposition = [0, 0, 0]\nintensity = 1\nrange = 3\n", 4, "range"),
             ("[[spot]]\nposition = [0, 0, 0]\ndirection = [0, 0, 0]\nintensity = 1\n", 1, "no length"),

@@ -1,15 +1,16 @@
 //! IES files: ANSI/IES LM-63 of 1986, 1991, 1995, 2002 and 2019.
 //!
-//! After lines of text comes `TILT=`, then numbers, wherever lines end: of lamps, lumens a lamp, multiplier, counts of vertical and
-//! horizontal angles, type, unit, width, length and height of the opening, ballast factor, one more factor, watts, then all angles and
-//! the intensities plane by plane.
+//! After lines of text comes `TILT=`. Then come numbers, and lines may end anywhere between them: the number of lamps,
+//! lumens per lamp, the multiplier, the counts of vertical and horizontal angles, type, unit, width, length and height
+//! of the opening, the ballast factor, one more factor, and watts. All angles follow, and then the intensities plane by
+//! plane.
 
 use super::measured::{Goniometer, MOST_DIRECTIONS, Measured, Opening, Wrong};
 
-/// Metres of a foot.
+/// Metres per foot.
 const FOOT: f64 = 0.3048;
 
-/// Numbers of a text with the lines that they are in.
+/// The numbers of a text, with their lines.
 struct Numbers<'a> {
     words: std::vec::IntoIter<(usize, &'a str)>,
     line: usize,
@@ -23,7 +24,7 @@ impl<'a> Numbers<'a> {
             .ok_or_else(|| Wrong::at(self.line, format!("the file ends where {what} should be")))?;
         self.line = line;
         let number = word.parse::<f64>().ok().filter(|x| x.is_finite() && x.abs() < 1e30);
-        number.ok_or_else(|| Wrong::at(line, format!("`{word}` is no number: {what} should be here")))
+        number.ok_or_else(|| Wrong::at(line, format!("`{word}` is not a number: {what} should be here")))
     }
 
     fn count(&mut self, what: &str) -> Result<usize, Wrong> {
@@ -51,7 +52,7 @@ impl<'a> Numbers<'a> {
 pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
     let lines: Vec<&str> = text.trim_start_matches('\u{feff}').lines().collect();
     let header = lines.first().map_or("", |line| line.trim());
-    // From 2002 on the second factor is reserved.
+    // Since 2002, the second factor is reserved.
     let has_second = !(header.contains("LM-63-2002") || header.contains("LM-63-2019"));
     let Some(tilt) = lines.iter().position(|line| line.trim_start().to_uppercase().starts_with("TILT="))
     else {
@@ -74,10 +75,12 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
             for _ in 0..2 * pairs {
                 numbers.next("a tilt angle or its factor")?;
             }
-            warnings.push("the factors of tilt are left out: the luminaire hangs as it was measured".into());
+            warnings
+                .push("the tilt factors are left out: the luminaire has the tilt of the measurement".into());
         }
-        _ => warnings
-            .push(format!("the tilt file `{of_tilt}` is not read: the luminaire hangs as it was measured")),
+        _ => warnings.push(format!(
+            "the tilt file `{of_tilt}` is not read: the luminaire has the tilt of the measurement"
+        )),
     }
     let lamps = numbers.next("the number of lamps")?;
     let lumens = numbers.next("the lumens of a lamp")?;
@@ -88,12 +91,19 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
         1.0 => Goniometer::C,
         2.0 => Goniometer::B,
         3.0 => Goniometer::A,
-        other => return Err(Wrong::at(numbers.line, format!("{other} is no photometric type: 1, 2 or 3"))),
+        other => {
+            return Err(Wrong::at(
+                numbers.line,
+                format!("the photometric type must be 1, 2 or 3, not {other}"),
+            ));
+        }
     };
     let unit = match numbers.next("the type of unit")? {
         1.0 => FOOT,
         2.0 => 1.0,
-        other => return Err(Wrong::at(numbers.line, format!("{other} is no type of unit: 1 or 2"))),
+        other => {
+            return Err(Wrong::at(numbers.line, format!("the type of unit must be 1 or 2, not {other}")));
+        }
     };
     let [width, length, _height] =
         [numbers.next("the width")?, numbers.next("the length")?, numbers.next("the height")?];
@@ -102,7 +112,7 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
     numbers.next("the input watts")?;
     let factors = multiplier * ballast * if has_second && second > 0.0 { second } else { 1.0 };
     if !(factors > 0.0) {
-        return Err(Wrong::at(numbers.line, "multiplier and ballast factor have to be above 0"));
+        return Err(Wrong::at(numbers.line, "multiplier and ballast factor must be above 0"));
     }
     if rows.saturating_mul(columns) > MOST_DIRECTIONS {
         return Err(Wrong::at(numbers.line, format!("{rows} times {columns} directions are too many")));
@@ -122,7 +132,7 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
         candela.push(intensity * factors);
     }
     if numbers.words.next().is_some() {
-        warnings.push("what follows the intensities is left out".into());
+        warnings.push("numbers after the intensities are left out".into());
     }
     Ok(Measured {
         goniometer,
@@ -135,35 +145,35 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
     })
 }
 
-/// What the angles of each type may be.
+/// Checks that the angles are in the range of their photometric type.
 fn check_angles(goniometer: Goniometer, vertical: &[f64], horizontal: &[f64]) -> Result<(), String> {
     let ends = |angles: &[f64]| (angles[0], angles[angles.len() - 1]);
     let ((low, high), (first, last)) = (ends(vertical), ends(horizontal));
     match goniometer {
         Goniometer::C => {
             if !(0.0..=180.0).contains(&low) || high > 180.0 {
-                return Err("vertical angles of type C are between 0 and 180".into());
+                return Err("vertical angles of type C must be between 0 and 180".into());
             }
             let whole = first == 0.0 && (last == 0.0 || last == 90.0 || last == 180.0 || last > 180.0);
             if !whole && (first, last) != (90.0, 270.0) {
                 return Err(format!(
-                    "horizontal angles of type C run from 0 to 0, 90, 180 or 360, or from 90 to 270, not from {first} to {last}"
+                    "horizontal angles of type C must run from 0 to 0, 90, 180 or 360, or from 90 to 270, not from {first} to {last}"
                 ));
             }
         }
         Goniometer::B | Goniometer::A => {
             if low < -90.0 || high > 90.0 || (low > 0.0) {
-                return Err("vertical angles of types A and B run from -90 or 0 to 90".into());
+                return Err("vertical angles of types A and B must run from -90 or 0 to 90".into());
             }
             if first < -180.0 || last > 180.0 || first > 0.0 {
-                return Err("horizontal angles of types A and B run from -180, -90 or 0 on".into());
+                return Err("horizontal angles of types A and B must begin at -180, -90 or 0".into());
             }
         }
     }
     Ok(())
 }
 
-/// The shining part: negative sizes mean round ones.
+/// The luminous opening. Negative sizes mean that it is round.
 fn opening(width: f64, length: f64) -> Option<Opening> {
     let round = width < 0.0 || length < 0.0;
     let (width, length) = (width.abs(), length.abs());
@@ -199,7 +209,7 @@ mod tests {
         assert_eq!(read(&FILE.replace("1 1000", "1 -1")).stated_flux, None);
     }
 
-    /// Lines end anywhere, commas separate too, and tilt factors come first.
+    /// Lines may end anywhere, commas separate too, and tilt factors come first.
     #[test]
     fn numbers_wrap_freely() {
         let wrapped = FILE
@@ -212,7 +222,7 @@ mod tests {
         assert!(read(&FILE.replace("TILT=NONE", "tilt=lamp.tlt")).warnings[0].contains("lamp.tlt"));
     }
 
-    /// Feet are metres times 0.3048, and negative sizes are round.
+    /// A foot has 0.3048 metres, and negative sizes mean a round opening.
     #[test]
     fn openings() {
         let of = |sizes: &str| read(&FILE.replace("1 2 0.1 0.2 0", sizes)).opening;
@@ -222,7 +232,7 @@ mod tests {
         assert_eq!(of("1 2 0 0 0"), None);
     }
 
-    /// Type B aims down: its vertical angles lean towards C0, its horizontal ones away from C90.
+    /// A luminaire of type B aims down. Its vertical angles turn towards C0, its horizontal angles away from C90.
     #[test]
     fn floodlights_of_type_b() {
         let text = "IESNA91\nTILT=NONE\n1 -1 1 3 3 2 2 0 0 0 1 1 1\n-90 0 90\n-90 0 90\n0 10 20  30 40 50  60 70 80\n";
@@ -238,7 +248,7 @@ mod tests {
         near(DVec3::Y, 10.0);
     }
 
-    /// Each wrong file is refused with the line where it goes wrong.
+    /// Each wrong file is refused with the line of the error.
     #[test]
     fn wrong_files_name_the_line() {
         let wrong = |from: &str, to: &str, line: usize| {

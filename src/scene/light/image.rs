@@ -1,7 +1,7 @@
 //! Images of the sky: all directions in latitude and longitude.
 //!
-//! The top row is the zenith. Columns run clockwise as seen from above: the left edge is north, a quarter further is east. Where y is up,
-//! that is -z and +x. Each texel has one radiance.
+//! The top row is the zenith. Columns run clockwise as seen from above. The left edge is north, and a quarter of the
+//! width further is east. If y is up, these are -z and +x. The radiance is constant over a texel.
 
 use std::{
     f64::consts::{FRAC_PI_2, PI, TAU},
@@ -14,20 +14,20 @@ use glam::DVec3;
 use super::Up;
 use crate::{Error, Result};
 
-/// Texels brighter than this many times the mean are looked for by shadow rays. Hemisphere rays meet dimmer ones often enough: 16
-/// times the mean over a hundredth of the sky is a sixth of its light.
+/// Texels brighter than this many times the mean are sampled by shadow rays. Hemisphere rays hit dimmer texels often
+/// enough: at 16 times the mean, a hundredth of the sky has a sixth of its light.
 const BRIGHT: f64 = 16.0;
-/// Cells of bright texels at most: each is a lamp that all patches choose among.
+/// Largest number of cells of bright texels. Each cell is a lamp that all patches sample.
 const MOST_CELLS: usize = 96;
 
-/// A texel, or several, and their mean radiance.
+/// A block of one or more texels.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Cell {
-    /// Azimuths from and to, before the image was turned; radians.
+    /// The lowest and highest azimuth before the rotation of the image, in radians.
     azimuth: [f64; 2],
-    /// Sines of the altitudes from and to.
+    /// Sines of the lowest and highest altitude.
     sine: [f64; 2],
-    /// Added to azimuths.
+    /// Rotation of the image, which is added to azimuths, in radians.
     rotation: f64,
     up: Up,
 }
@@ -37,21 +37,21 @@ pub(crate) struct Cell {
 pub struct SkyImage {
     width: usize,
     height: usize,
-    /// Row by row from the top; what is not finite or negative is zero.
+    /// Radiance row by row from the top. Values that are negative or not finite become zero.
     texels: Arc<Vec<[f32; 3]>>,
-    /// Radians that the image is turned by, clockwise as seen from above.
+    /// Rotation of the image in radians, clockwise as seen from above.
     rotation: f64,
-    /// Running sums of radiance times solid angle, all channels together.
+    /// Running sums of radiance times solid angle, over all channels.
     cumulative: Arc<Vec<f64>>,
     is_grey: bool,
     brightest: [f64; 3],
 }
 
 impl SkyImage {
-    /// Reads an image in .hdr or .exr, or any other whose colours are linear.
+    /// Reads an image: .hdr, .exr, or another format with linear colours.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Input`] when it cannot be read.
+    /// [`Error::Io`] or [`Error::Input`] when the image cannot be read.
     pub fn load(path: &Path) -> Result<SkyImage> {
         let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
         let image = image::load_from_memory(&bytes)
@@ -60,10 +60,11 @@ impl SkyImage {
         let (width, height) = (image.width() as usize, image.height() as usize);
         let texels = image.into_raw().as_chunks().0.to_vec();
         SkyImage::new(width, height, texels)
-            .ok_or_else(|| Error::input(path, None, "an image of the sky has texels, and some of them shine"))
+            .ok_or_else(|| Error::input(path, None, "an image of the sky needs texels that are not black"))
     }
 
-    /// An image from its texels, row by row from the top; `None` where there are not as many, or none shines.
+    /// Makes an image from its texels, R G B in W/(m² sr), row by row from the top. `None` if there are not `width`
+    /// times `height` texels, or if all are black.
     pub fn new(width: usize, height: usize, mut texels: Vec<[f32; 3]>) -> Option<SkyImage> {
         if width == 0 || height == 0 || texels.len() != width * height {
             return None;
@@ -95,7 +96,7 @@ impl SkyImage {
         (sum > 0.0 && sum.is_finite()).then_some(image)
     }
 
-    /// Turned by an angle in radians, clockwise as seen from above.
+    /// The image rotated to an angle in radians, clockwise as seen from above.
     pub fn turned(self, rotation: f64) -> SkyImage {
         SkyImage { rotation, ..self }
     }
@@ -108,7 +109,7 @@ impl SkyImage {
         self.brightest
     }
 
-    /// Sines of the altitudes of the upper and the lower edge of a row.
+    /// Sines of the altitudes of the upper and lower edge of a row.
     fn edges(&self, row: usize) -> [f64; 2] {
         [row, row + 1].map(|r| (PI * r as f64 / self.height as f64).cos())
     }
@@ -119,7 +120,7 @@ impl SkyImage {
         (upper - lower) * TAU / self.width as f64
     }
 
-    /// The texel in a direction, a unit vector.
+    /// Index of the texel in a direction, a unit vector.
     fn texel(&self, up: Up, direction: DVec3) -> usize {
         let [east, north, sin] = up.of_scene(direction);
         let row = (0.5 - sin.clamp(-1.0, 1.0).asin() / PI) * self.height as f64;
@@ -133,7 +134,7 @@ impl SkyImage {
         self.texels[self.texel(up, direction)].map(f64::from)
     }
 
-    /// A direction chosen by radiance, and its density.
+    /// Samples a direction by radiance. Returns it with its density, 1/sr.
     pub(super) fn sample(&self, up: Up, [u, v]: [f64; 2]) -> (DVec3, f64) {
         let total = self.cumulative[self.cumulative.len() - 1];
         let wanted = u * total;
@@ -146,7 +147,7 @@ impl SkyImage {
         (direction, (self.cumulative[k] - below) / (total * self.solid_angle(k / self.width)))
     }
 
-    /// The density of [`SkyImage::sample`] in a direction.
+    /// The density of [`SkyImage::sample`] in a direction, 1/sr.
     pub(super) fn density(&self, up: Up, direction: DVec3) -> f64 {
         let k = self.texel(up, direction);
         let below = if k > 0 { self.cumulative[k - 1] } else { 0.0 };
@@ -193,7 +194,7 @@ impl SkyImage {
             cells.push((cell, (sum / whole).to_array()));
         }
         let dim = SkyImage::new(self.width, self.height, rest.clone()).unwrap_or_else(|| {
-            // All light is in bright cells.
+            // All light is in bright cells, and the rest is black.
             SkyImage { texels: Arc::new(rest), brightest: [0.0; 3], ..self.clone() }
         });
         (cells, dim.turned(self.rotation))
@@ -201,21 +202,22 @@ impl SkyImage {
 }
 
 impl Cell {
-    /// Its solid angle.
+    /// The solid angle of the cell, sr.
     pub(crate) fn solid_angle(&self) -> f64 {
         (self.azimuth[1] - self.azimuth[0]) * (self.sine[1] - self.sine[0])
     }
 
-    /// A direction into it, evenly over its solid angle.
+    /// Samples a direction into the cell, uniformly over its solid angle.
     pub(crate) fn sample(&self, [u, v]: [f64; 2]) -> DVec3 {
         let within = |[from, to]: [f64; 2], share: f64| from + (to - from) * share;
         let altitude = within(self.sine, v).clamp(-1.0, 1.0).asin();
         self.up.direction(within(self.azimuth, u) + self.rotation, altitude)
     }
 
-    /// The irradiance of a plane with this unit normal, over its radiance: of the part of it that is above the plane.
+    /// The unblocked irradiance of a plane with this unit normal, divided by the radiance of the cell. Only the part of
+    /// the cell above the plane counts.
     pub(crate) fn unblocked(&self, normal: DVec3) -> f64 {
-        // The integral of the direction over the cell, where all of it is above.
+        // If all of the cell is above the plane, the integral of the direction over the cell has a closed form.
         let corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
         let heights = corners.map(|at| self.sample(at).dot(normal));
         let wide = self.azimuth[1] - self.azimuth[0] > FRAC_PI_2;
@@ -235,7 +237,7 @@ impl Cell {
         sum * self.solid_angle() / (STEPS * STEPS) as f64
     }
 
-    /// What decides on its samples.
+    /// The numbers that determine the samples of the cell.
     pub(crate) fn words(&self) -> Vec<u64> {
         let [from, to] = self.azimuth;
         [from, to, self.sine[0], self.sine[1], self.rotation].map(f64::to_bits).into()
@@ -246,16 +248,17 @@ impl Cell {
 mod tests {
     use super::*;
 
-    /// One texel a colour: where each column and row is seen. Turned by a quarter, what was in the north is in the east.
+    /// Each texel has a value of its own, which identifies it. After a quarter turn, the north of the image is in the
+    /// east.
     #[test]
-    fn where_columns_and_rows_are() {
+    fn columns_and_rows_are_in_their_directions() {
         let texels = (0..8).map(|k| [k as f32 + 1.0, 0.0, 0.0]).collect();
         let image = SkyImage::new(4, 2, texels).unwrap();
         for up in [Up::Y, Up::Z] {
             let seen = |image: &SkyImage, azimuth: f64, altitude: f64| {
                 image.radiance(up, up.direction(azimuth, altitude))[0]
             };
-            // Columns begin at north: their middles are in the north-east, south-east, south-west and north-west.
+            // Columns begin at north. Their middles are in the north-east, south-east, south-west and north-west.
             for column in 0..4 {
                 let azimuth = (f64::from(column) + 0.5) * FRAC_PI_2;
                 assert_eq!(seen(&image, azimuth, 0.3), f64::from(column) + 1.0);
@@ -264,7 +267,7 @@ mod tests {
                 assert_eq!(seen(&turned, azimuth + FRAC_PI_2, 0.3), f64::from(column) + 1.0);
             }
         }
-        // As Mitsuba has it where y is up: column 0 at -z, a quarter at +x.
+        // With y up, as in Mitsuba: column 0 is at -z, and a quarter of the width is at +x.
         assert_eq!(image.radiance(Up::Y, DVec3::new(0.01, 0.1, -1.0).normalize())[0], 1.0);
         assert_eq!(image.radiance(Up::Y, DVec3::new(1.0, 0.1, 0.01).normalize())[0], 2.0);
     }
@@ -277,7 +280,7 @@ mod tests {
         SkyImage::new(64, 32, texels).unwrap().turned(0.3)
     }
 
-    /// Samples follow radiance, with the density that is told of their direction.
+    /// Samples follow the radiance, and [`SkyImage::density`] is their density.
     #[test]
     fn samples_follow_the_radiance() {
         let (image, up) = (patterned(), Up::Z);
@@ -293,7 +296,7 @@ mod tests {
         assert!((mean / total - 1.0).abs() < 1e-6, "{mean} {total}");
     }
 
-    /// The irradiance of a plane by the bright cells and by the rest sums to that of the image.
+    /// The irradiance from the bright cells and the irradiance from the rest sum to the irradiance from the image.
     #[test]
     fn bright_cells_and_the_rest_are_the_whole() {
         let (image, up) = (patterned(), Up::Y);
@@ -316,7 +319,7 @@ mod tests {
             let (all, rest) = (irradiance(&image, normal), irradiance(&dim, normal));
             assert!((of_cells + rest - all).abs() < 2e-3 * all, "{of_cells} {rest} {all}");
         }
-        // Cells that a plane cuts, too.
+        // The same holds for a cell that the plane cuts.
         let (cell, _) = &cells[0];
         for normal in [cell.sample([0.5, 0.5]).any_orthonormal_vector(), cell.sample([0.2, 0.9])] {
             let many = 300;
@@ -329,7 +332,7 @@ mod tests {
         }
     }
 
-    /// Of more bright texels than cells, several are one.
+    /// If there are more bright texels than cells, several texels form one cell.
     #[test]
     fn many_bright_texels_are_few_cells() {
         let bright = |k: usize| (k / 256) < 40 && k % 256 < 10;

@@ -1,4 +1,4 @@
-//! Luminaires of photometric files: how they hang.
+//! Luminaires of photometric files, and their mounting.
 
 use std::sync::Arc;
 
@@ -6,21 +6,21 @@ use glam::{DQuat, DVec3};
 
 use super::{Distribution, Photometry, PointLight, Up, Web, point::Area};
 
-/// How a luminaire hangs.
+/// The mounting of a luminaire.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mounting {
-    /// Where, in the unit of the scene.
+    /// The position, in the unit of the scene.
     pub position: DVec3,
-    /// Where straight down of the file points; `None` is down.
+    /// The direction in the scene that is straight down in the file; `None` for down in the scene too.
     pub aim: Option<DVec3>,
-    /// Turned by this about the vertical, in radians, counter-clockwise as seen from above.
+    /// Rotation about the vertical in radians, counter-clockwise as seen from above. It comes before the aim.
     pub rotation: f64,
-    /// A factor of its intensity.
+    /// A factor of the intensity.
     pub dimming: f64,
 }
 
-/// The light of a photometric file: C0 along +x, C90 along −z where y is up and along +y where z is up, before it is turned. A candela
-/// counts as 1 / `efficacy` W/sr.
+/// The light of a photometric file. Before its rotation, C0 points along +x. C90 points along −z if y is up, and along
+/// +y if z is up. A candela counts as 1 / `efficacy` W/sr.
 pub fn luminaire(photometry: Photometry, up: Up, mounting: &Mounting, efficacy: f64) -> PointLight {
     let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|axis| up.to_scene(axis));
     let turn = DQuat::from_axis_angle(axes[2], mounting.rotation);
@@ -46,7 +46,7 @@ mod tests {
     use super::super::measured::{Goniometer, Measured};
     use super::*;
 
-    /// Candela by plane: sideways 1, 2, 3, 4 in C0, C90, C180 and C270; down 10.
+    /// Intensities: 1, 2, 3 and 4 cd sideways in C0, C90, C180 and C270, and 10 cd down.
     fn four() -> Photometry {
         Photometry::new(Measured {
             goniometer: Goniometer::C,
@@ -59,7 +59,7 @@ mod tests {
         })
     }
 
-    /// As the contract has it: 0 degrees looks down, C0 along +x, C90 along -z where y is up and +y where z is up.
+    /// 0 degrees points down, and C0 along +x. C90 points along -z if y is up, and along +y if z is up.
     #[test]
     fn luminaires_hang_as_in_the_file() {
         let at = |up: Up, rotation: f64, aim: Option<DVec3>| {
@@ -77,11 +77,11 @@ mod tests {
             close(light(-DVec3::X), 3.0);
             close(light(-c90), 4.0);
             close(light(-down), 0.0);
-            // A quarter turn counter-clockwise brings C0 to where C90 was.
+            // A quarter turn counter-clockwise moves C0 to the former direction of C90.
             let turned = at(up, std::f64::consts::FRAC_PI_2, None);
             close(turned(c90), 1.0);
             close(turned(-DVec3::X), 2.0);
-            // Aimed along +x.
+            // The luminaire is aimed along +x.
             close(at(up, 0.0, Some(3.0 * DVec3::X))(DVec3::X), 10.0);
         }
     }

@@ -1,30 +1,30 @@
-//! A distribution of intensity as photometric files have it.
+//! A distribution of intensity as in photometric files.
 
-/// Most directions that a file may tell of: one every half degree.
+/// Largest number of directions in a file. It allows steps of half a degree.
 pub(super) const MOST_DIRECTIONS: usize = 1 << 20;
-/// The axes that angles are measured about.
+/// The axes about which angles are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Goniometer {
-    /// Planes through the vertical axis, by C; in them γ from straight down.
+    /// The angle C selects a plane through the vertical axis. In the plane, γ is the angle from straight down.
     C,
-    /// Planes through a horizontal axis, by the vertical angle; in them the lateral angle.
+    /// The vertical angle selects a plane through a horizontal axis. The lateral angle is measured in the plane.
     B,
-    /// Planes through the vertical axis, by the lateral angle; in them the vertical angle.
+    /// The lateral angle selects a plane through the vertical axis. The vertical angle is measured in the plane.
     A,
 }
 
-/// The part of a luminaire that shines, in metres: a rectangle, or a disc where it is round.
+/// The luminous opening of a luminaire: a rectangle or an ellipse.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Opening {
-    /// Along C0.
+    /// Size along C0, in metres.
     pub length: f64,
-    /// Along C90.
+    /// Size along C90, in metres.
     pub width: f64,
     /// Whether it is an ellipse.
     pub round: bool,
 }
 
-/// A distribution as a file has it.
+/// The contents of a photometric file.
 pub(super) struct Measured {
     pub(super) goniometer: Goniometer,
     pub(super) horizontal: Vec<f64>,
@@ -35,7 +35,7 @@ pub(super) struct Measured {
     pub(super) warnings: Vec<String>,
 }
 
-/// What is wrong in a text, and where.
+/// An error in a text, and its line.
 #[derive(Debug)]
 pub(super) struct Wrong {
     pub(super) line: Option<usize>,

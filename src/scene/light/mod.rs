@@ -1,8 +1,8 @@
-//! Lights that are no surfaces: sun, sky, points, spots and luminaires.
+//! Lights that are not surfaces: sun, sky, points, spots and luminaires.
 //!
-//! They belong to the scene and are known by what arrives from them: a [`Distant`] light by the irradiance on a plane that faces it, a
-//! [`PointLight`] by its intensity in every direction, a [`Sky`] by its radiance in every direction. Positions are in the unit of the
-//! file, directions point from the scene to the light.
+//! They belong to the scene. A [`Distant`] light is given by the irradiance on a plane that faces it, a [`PointLight`]
+//! by its intensity in every direction, and a [`Sky`] by its radiance in every direction. Positions are in the unit of
+//! the file. Directions point from the scene to the light.
 
 mod cie;
 mod distant;
@@ -37,7 +37,7 @@ pub use units::{LUMINOUS_EFFICACY, UnitNames, Units};
 pub use weather::{Hour, Weather};
 pub use web::Web;
 
-/// Which axis points up: the frame of azimuths and altitudes.
+/// The axis that points up. It defines the frame of azimuths and altitudes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Up {
     /// y is up, north is −z, east is +x.
@@ -48,7 +48,7 @@ pub enum Up {
 }
 
 impl Up {
-    /// A direction given by its parts towards east, north and up.
+    /// Makes a direction of the scene from its components towards east, north and up.
     pub fn to_scene(self, [east, north, up]: [f64; 3]) -> DVec3 {
         match self {
             Up::Y => DVec3::new(east, up, -north),
@@ -56,7 +56,7 @@ impl Up {
         }
     }
 
-    /// The parts of a direction towards east, north and up.
+    /// The components of a direction of the scene towards east, north and up.
     pub fn of_scene(self, direction: DVec3) -> [f64; 3] {
         match self {
             Up::Y => [direction.x, -direction.z, direction.y],
@@ -64,7 +64,8 @@ impl Up {
         }
     }
 
-    /// The unit vector at this azimuth, in radians clockwise from north as seen from above, and this altitude above the horizon.
+    /// The unit vector at this azimuth, in radians clockwise from north as seen from above, and this altitude above the
+    /// horizon.
     pub fn direction(self, azimuth: f64, altitude: f64) -> DVec3 {
         let (sin, cos) = azimuth.sin_cos();
         let level = altitude.cos();
@@ -76,14 +77,14 @@ impl Up {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Light {
-    /// For messages and to choose it by; names need not be unique.
+    /// The name, for messages and for choosing lights. Names need not be unique.
     pub name: String,
-    /// What it is.
+    /// The kind of light, with its data.
     pub kind: LightKind,
 }
 
 impl Light {
-    /// A light of this name.
+    /// Makes a light of this name.
     pub fn new(name: &str, kind: LightKind) -> Light {
         Light { name: name.into(), kind }
     }
@@ -92,14 +93,15 @@ impl Light {
 /// The kinds of lights that are seen in one direction from any place.
 #[derive(Debug, Clone, PartialEq)]
 pub enum LightKind {
-    /// So far away that its direction is the same everywhere.
+    /// A light so far away that its direction is the same everywhere.
     Distant(Distant),
-    /// At a point of the scene.
+    /// A light at a point of the scene.
     Point(PointLight),
 }
 
 impl LightKind {
-    /// Its colour: irradiance on a plane that faces it, or intensity.
+    /// R G B of the light: the irradiance on a plane that faces a distant light, or the intensity of a light at a
+    /// point.
     pub fn colour(&self) -> [f64; 3] {
         match self {
             LightKind::Distant(distant) => distant.irradiance,
@@ -111,7 +113,7 @@ impl LightKind {
 /// The name of the sky among [`Lights::names`].
 pub const SKY: &str = "sky";
 
-/// All lights of a scene that are no surfaces.
+/// All lights of a scene that are not surfaces.
 #[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Lights {
@@ -122,23 +124,23 @@ pub struct Lights {
 }
 
 impl Lights {
-    /// Whether there is none.
+    /// Whether there are no lights.
     pub fn is_empty(&self) -> bool {
         self.list.is_empty() && self.sky.is_none()
     }
 
-    /// The names of all of them; that of the sky is [`SKY`].
+    /// The names of all lights. The sky has the name [`SKY`].
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.list.iter().map(|light| &light.name[..]).chain(self.sky.as_ref().map(|_| SKY))
     }
 
-    /// Keeps only those with these names.
+    /// Keeps only the lights for whose names `keep` returns true.
     pub fn retain(&mut self, keep: impl Fn(&str) -> bool) {
         self.list.retain(|light| keep(&light.name));
         self.sky = self.sky.take().filter(|_| keep(SKY));
     }
 
-    /// The radiance, R G B, that is seen in a direction of any length: of the sky and of distant discs.
+    /// The radiance, R G B, W/(m² sr), of the sky and of distant discs in a direction of any length.
     pub fn seen(&self, direction: DVec3) -> [f64; 3] {
         let Some(direction) = crate::scene::direction(direction) else { return [0.0; 3] };
         let mut seen = self.sky.as_ref().map_or(DVec3::ZERO, |sky| sky.radiance(direction).into());
@@ -153,12 +155,13 @@ impl Lights {
         seen.to_array()
     }
 
-    /// Whether any of them may be too small for hemisphere rays to meet: all but the sky, and images of it.
+    /// Whether any light may be too small for hemisphere rays to hit. This holds for all lights but the sky, and for
+    /// images of the sky.
     pub(crate) fn need_shadow_rays(&self) -> bool {
         !self.list.is_empty() || self.sky.as_ref().is_some_and(|sky| sky.as_image().is_some())
     }
 
-    /// Whether all of them send as much in each channel.
+    /// Whether all lights have three equal channels.
     pub fn is_grey(&self) -> bool {
         let grey = |c: [f64; 3]| c[0] == c[1] && c[1] == c[2];
         self.list.iter().all(|light| grey(light.kind.colour())) && self.sky.as_ref().is_none_or(Sky::is_grey)
@@ -170,7 +173,8 @@ mod tests {
     use super::*;
     use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
-    /// Azimuths run clockwise from north as seen from above: the sun of a northern noon is in the south, in the morning in the east.
+    /// Azimuths run clockwise from north as seen from above. On the northern hemisphere, the sun is in the south at
+    /// noon and in the east in the morning.
     #[test]
     fn azimuths_run_from_north_over_east() {
         for (up, north, east, zenith) in

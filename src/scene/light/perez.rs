@@ -1,20 +1,22 @@
-//! The all-weather sky of Perez, Seals and Michalsky ("All-weather model for sky luminance distribution: preliminary configuration and
-//! validation", Solar Energy 50, 1993, with its erratum, 51, 1993).
+//! The all-weather sky of Perez, Seals and Michalsky ("All-weather model for sky luminance distribution: preliminary
+//! configuration and validation", Solar Energy 50, 1993, with its erratum, 51, 1993).
 //!
-//! L = (1 + a exp(b / cos ζ)) (1 + c exp(d γ) + e cos² γ), with ζ the angle from the zenith and γ that from the sun. The five
-//! coefficients follow from the sun's zenith angle, from the clearness ε and the brightness Δ of the sky.
+//! L = (1 + a exp(b / cos ζ)) (1 + c exp(d γ) + e cos² γ), where ζ is the angle from the zenith and γ the angle from
+//! the sun. The five coefficients follow from the sun's zenith angle Z and from the clearness ε and the brightness Δ of
+//! the sky.
 
 use std::f64::consts::FRAC_PI_2;
 
 /// Irradiance of the sun outside the atmosphere on a plane that faces it, W/m², at the mean distance.
 pub const SOLAR_CONSTANT: f64 = 1367.0;
-/// The same in lx, for skies given in photometric units.
+/// Illuminance of the sun outside the atmosphere on a plane that faces it, lx, for skies in photometric units.
 pub const SOLAR_ILLUMINANCE: f64 = 127_500.0;
 
-/// Upper ends of the bins of clearness but the last.
+/// Upper ends of the bins of clearness. The last bin has no end.
 const BINS: [f64; 7] = [1.065, 1.230, 1.500, 1.950, 2.800, 4.500, 6.200];
 
-/// Table 1 of the paper: x1 to x4 of a, b, c, d and e, where x = x1 + x2 Z + Δ (x3 + x4 Z).
+/// Table 1 of the paper: for each bin, x1 to x4 of the coefficients a, b, c, d and e. A coefficient is
+/// x = x1 + x2 Z + Δ (x3 + x4 Z).
 const TABLE: [[[f64; 4]; 5]; 8] = [
     [
         [1.3525, -0.2576, -0.2690, -1.4366],
@@ -78,9 +80,9 @@ const TABLE: [[[f64; 4]; 5]; 8] = [
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Perez([f64; 5]);
 
-/// Coefficients a to d of the luminous efficacy of diffuse and of direct light, lm/W, in each bin (Perez, Ineichen, Seals, Michalsky and
-/// Stewart, "Modeling daylight availability and irradiance components from direct and global irradiance", Solar Energy 44, 1990,
-/// table 4).
+/// Coefficients a to d of the luminous efficacy of diffuse and of direct light, lm/W, in each bin (Perez, Ineichen,
+/// Seals, Michalsky and Stewart, "Modeling daylight availability and irradiance components from direct and global
+/// irradiance", Solar Energy 44, 1990, table 4).
 const EFFICACY: [[[f64; 4]; 2]; 8] = [
     [[97.24, -0.46, 12.00, -8.91], [57.20, -4.55, -2.98, 117.12]],
     [[107.22, 1.15, 0.59, -3.95], [98.99, -3.46, -1.21, 12.38]],
@@ -92,7 +94,7 @@ const EFFICACY: [[[f64; 4]; 2]; 8] = [
     [[152.23, 0.35, -45.27, -7.98], [101.18, 1.58, -1.10, -8.29]],
 ];
 
-/// What decides on a sky: the sun's zenith angle, the bin of clearness, and the brightness.
+/// The parameters of a sky: the sun's zenith angle, the clearness, and the brightness.
 struct Conditions {
     zenith: f64,
     clearness: f64,
@@ -118,8 +120,9 @@ impl Conditions {
     }
 }
 
-/// Luminous efficacy of direct and diffuse light, lm/W, at this direct normal and diffuse horizontal irradiance in W/m², altitude of
-/// the sun in radians, irradiance outside the atmosphere, and dew point in °C.
+/// Luminous efficacies of direct and of diffuse light, lm/W. They follow from the direct normal and the diffuse
+/// horizontal irradiance in W/m², the altitude of the sun in radians, the irradiance of the sun outside the atmosphere
+/// in W/m², and the dew point in °C.
 pub fn luminous_efficacy(
     [direct, diffuse]: [f64; 2],
     altitude: f64,
@@ -135,12 +138,12 @@ pub fn luminous_efficacy(
 }
 
 impl Perez {
-    /// The sky of this direct normal and diffuse horizontal irradiance, with the sun at this altitude in radians.
+    /// Makes the sky from the direct normal and the diffuse horizontal irradiance and the sun's altitude in radians.
     /// `extraterrestrial` is the irradiance of the sun outside the atmosphere, in the same unit.
     pub fn new(direct: f64, diffuse: f64, altitude: f64, extraterrestrial: f64) -> Perez {
         let of = Conditions::new(direct, diffuse, altitude, extraterrestrial);
         let (zenith, bin) = (of.zenith, of.bin());
-        // Where the table was not fitted, this bound keeps the sky from turning negative.
+        // Outside the range of the table's fit, this bound keeps the radiance from becoming negative.
         let dim = (1.065..2.8).contains(&of.clearness);
         let brightness = if dim { of.brightness.max(0.2) } else { of.brightness };
         let row = &TABLE[bin];
@@ -157,7 +160,7 @@ impl Perez {
         Perez(found)
     }
 
-    /// Relative radiance at the altitude whose sine is `sin`, at the angle whose cosine is `cos_sun` from the sun.
+    /// Relative radiance at the altitude whose sine is `sin`. `cos_sun` is the cosine of the angle from the sun.
     pub(super) fn shape(&self, sin: f64, cos_sun: f64) -> f64 {
         let [a, b, c, d, e] = self.0;
         let gamma = cos_sun.clamp(-1.0, 1.0).acos();
@@ -182,7 +185,7 @@ mod tests {
         assert!((0.8..1.6).contains(&around), "{around}");
     }
 
-    /// About 100 to 130 lm/W, as daylight has.
+    /// Daylight has about 100 to 130 lm/W.
     #[test]
     fn efficacies_are_those_of_daylight() {
         for (of, altitude) in [([700.0, 120.0], 0.9), ([0.0, 150.0], 0.8), ([300.0, 200.0], 0.4)] {
@@ -192,7 +195,7 @@ mod tests {
         }
     }
 
-    /// No hour of a year makes a sky that is negative or not finite, not even with the sun at the horizon.
+    /// No irradiance makes a sky that is negative or not finite, not even with the sun at the horizon.
     #[test]
     fn skies_are_finite() {
         for altitude in [0.0, 0.01, 0.2, 0.7, 1.5] {

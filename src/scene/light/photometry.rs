@@ -1,4 +1,4 @@
-//! What a photometric file says of a luminaire: its intensity in every direction.
+//! The photometry of a luminaire: its intensity in every direction.
 
 use std::{f64::consts::TAU, path::Path, sync::Arc};
 
@@ -10,9 +10,10 @@ use super::{
 };
 use crate::{Error, Result};
 
-/// Share by which the integral of the intensity may differ from the flux that the file states before it is worth a word.
+/// Largest relative difference without a warning between the integral of the intensity and the flux that the file
+/// states.
 const FLUX: f64 = 0.05;
-/// Steps a half turn in which the integral is summed.
+/// Number of steps per half turn for the integral.
 const STEPS: usize = 180;
 
 /// A distribution of intensity.
@@ -22,17 +23,17 @@ const STEPS: usize = 180;
 #[non_exhaustive]
 pub struct Photometry {
     goniometer: Goniometer,
-    /// Degrees, ascending. Type C: all round from 0 to 360, symmetry written out.
+    /// Horizontal angles in degrees, ascending. For type C, they run all round from 0 to 360 without use of symmetry.
     horizontal: Vec<f64>,
-    /// Degrees, ascending.
+    /// Vertical angles in degrees, ascending.
     vertical: Vec<f64>,
-    /// Candela, plane by plane.
+    /// Intensities in candela, plane by plane.
     candela: Arc<Vec<f64>>,
     /// The flux that the file states, lm; `None` for absolute photometry.
     pub stated_flux: Option<f64>,
-    /// The shining part, if it has a size.
+    /// The luminous opening, if it has a size.
     pub opening: Option<Opening>,
-    /// What the reader left out or assumed, one sentence each.
+    /// Warnings of the reader, one sentence each, about omissions and assumptions.
     pub warnings: Vec<String>,
 }
 
@@ -40,7 +41,7 @@ impl Photometry {
     /// Reads an IES file (LM-63 of 1986 to 2019), or a EULUMDAT file if its name ends in `.ldt`.
     ///
     /// # Errors
-    /// [`Error::Io`] when it cannot be read, [`Error::Input`] with the line when it cannot be used.
+    /// [`Error::Io`] when the file cannot be read. [`Error::Input`], with the line, when its contents cannot be used.
     pub fn load(path: &Path) -> Result<Photometry> {
         let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
         let text = String::from_utf8_lossy(&bytes);
@@ -74,11 +75,11 @@ impl Photometry {
     pub fn intensity(&self, direction: DVec3) -> f64 {
         let DVec3 { x, y, z } = direction;
         let degrees = |sine: f64| sine.clamp(-1.0, 1.0).asin().to_degrees();
-        // Types B and A aim straight down: upwards in the beam is C0, to its right is opposite C90.
-        // Differences, since a negative zero would turn an angle around.
+        // Luminaires of types B and A aim straight down here. Upwards in the beam is C0, and right is opposite to C90.
+        // The differences avoid a negative zero, which would turn an angle around.
         let (forward, above, right) = (0.0 - z, x, 0.0 - y);
         let (h, v) = match self.goniometer {
-            // Of a cosine next to 1 the angle would be off by a hundred millionth.
+            // The arc cosine of a number next to 1 would have an error of a hundred millionth. The arc tangent has not.
             Goniometer::C => {
                 (y.atan2(x).to_degrees().rem_euclid(360.0), x.hypot(y).atan2(forward).to_degrees())
             }
@@ -88,9 +89,9 @@ impl Photometry {
         self.at(h, v)
     }
 
-    /// Linear between the angles of the file, zero beyond them.
+    /// Intensity at two angles in degrees: linear between the angles of the file, and zero beyond them.
     fn at(&self, h: f64, v: f64) -> f64 {
-        // Half of a beam that starts at zero stands for both halves.
+        // If the angles start at zero, they describe half of a beam that stands for both halves.
         let folded = |angles: &[f64], angle: f64| if angles[0] >= 0.0 { angle.abs() } else { angle };
         let (h, v) = (folded(&self.horizontal, h), folded(&self.vertical, v));
         let (Some((i, s)), Some((j, t))) = (between(&self.horizontal, h), between(&self.vertical, v)) else {
@@ -105,7 +106,7 @@ impl Photometry {
 
     /// The integral of the intensity over all directions, lm.
     pub fn flux(&self) -> f64 {
-        // Rings between angles from straight down, where distributions change most, and even steps around.
+        // Rings of equal width in γ, because distributions change most with this angle, and equal steps around.
         let ring = |k: usize| {
             let edge = |k: usize| (std::f64::consts::PI * k as f64 / STEPS as f64).cos();
             let (upper, lower) = (edge(k), edge(k + 1));
@@ -125,10 +126,10 @@ impl Photometry {
     }
 }
 
-/// The interval of ascending angles that an angle is in, and where in it.
+/// The interval of ascending angles that contains an angle, and the position in it from 0 to 1.
 fn between(angles: &[f64], angle: f64) -> Option<(usize, f64)> {
     let (first, last) = (angles[0], angles[angles.len() - 1]);
-    // Rounding of trigonometric functions is within this.
+    // Bound of the rounding errors of trigonometric functions, in degrees.
     const ROUNDING: f64 = 1e-9;
     if angles.len() == 1 {
         return Some((0, 0.0));
@@ -141,8 +142,8 @@ fn between(angles: &[f64], angle: f64) -> Option<(usize, f64)> {
     Some((k, ((angle - low) / (high - low)).clamp(0.0, 1.0)))
 }
 
-/// Planes of type C all round, by the symmetry that their angles imply: a single plane stands for all; 0 to 90 for a quadrant;
-/// 0 to 180, and 90 to 270 or -90 to 90, for a half.
+/// Planes of type C all round, by the symmetry that their angles imply. A single plane stands for all. Planes from 0 to
+/// 90 are a quadrant. Planes from 0 to 180, from 90 to 270 or from -90 to 90 are a half.
 fn all_round(planes: &[f64], candela: &[f64], rows: usize) -> (Vec<f64>, Vec<f64>) {
     let (first, last) = (planes[0], planes[planes.len() - 1]);
     if planes.len() == 1 {
@@ -153,7 +154,7 @@ fn all_round(planes: &[f64], candela: &[f64], rows: usize) -> (Vec<f64>, Vec<f64
         (0.0, 180.0) => &[|c| c, |c| 360.0 - c],
         (90.0, 270.0) => &[|c| c, |c| (540.0 - c).rem_euclid(360.0), |c| 540.0 - c],
         (-90.0, 90.0) => &[|c| c.rem_euclid(360.0), |c| 180.0 - c, |c| if c == 0.0 { 360.0 } else { c }],
-        // All planes, of which the last may be left out.
+        // All planes are in the file. The last, at 360, may be missing.
         _ => &[|c| c, |c| if c == 0.0 { 360.0 } else { c }],
     };
     let mut all: Vec<(f64, usize)> = Vec::new();
@@ -193,7 +194,7 @@ mod tests {
         (from..=to).step_by(step).map(f64::from).collect()
     }
 
-    /// 4π I of an isotropic light, π I of one that follows the cosine.
+    /// The flux is 4π I for an isotropic light, and π I for a cosine distribution.
     #[test]
     fn flux_of_isotropic_and_cosine() {
         let even = measured(&[0.0], &[0.0, 180.0], |_, _| 100.0);
@@ -204,7 +205,8 @@ mod tests {
         assert!((cosine.intensity(towards(77.0, 30.5)) - 100.0 * 30.5f64.to_radians().cos()).abs() < 0.01);
     }
 
-    /// A quadrant, a half and the whole tell the same of a distribution with their symmetry, in all directions.
+    /// A quadrant, a half and the whole give the same intensity in all directions if the distribution has their
+    /// symmetry.
     #[test]
     fn symmetric_quadrants_and_halves() {
         let quadrant = |c: f64, v: f64| 10.0 + v + 50.0 * c.to_radians().cos().abs();

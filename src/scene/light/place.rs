@@ -1,16 +1,16 @@
-//! Where the sun stands at a place and a time (by the crate `solar-positioning`: Reda and Andreas, "Solar position algorithm for solar
-//! radiation applications", Solar Energy 76, 2004).
+//! The position of the sun at a place and a time, by the crate `solar-positioning` (Reda and Andreas, "Solar position
+//! algorithm for solar radiation applications", Solar Energy 76, 2004).
 
 use std::{f64::consts::TAU, str::FromStr};
 
 use solar_positioning::{Location, RefractionCorrection, SolarPositions, time::JulianDate};
 
-/// A place on the Earth, in degrees: longitudes are positive in the east.
+/// A place on the Earth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
-    /// North of the equator.
+    /// Latitude in degrees, positive north of the equator.
     pub latitude: f64,
-    /// East of Greenwich.
+    /// Longitude in degrees, positive east of Greenwich.
     pub longitude: f64,
 }
 
@@ -26,11 +26,12 @@ pub struct Moment {
     offset: f64,
 }
 
-/// Days of the months of a year that is no leap year.
+/// Days of the months of a common year.
 const DAYS: [u32; 12] = [31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
 
 impl Moment {
-    /// A moment; `None` where there is no such day or hour, or the year is not within 1900 to 2200.
+    /// Makes a moment from a local date and hour, and the hours that local time is ahead of UTC. `None` if there is no
+    /// such day or hour, or if the year is outside 1900 to 2200.
     pub fn new(year: i32, month: u32, day: u32, hours: f64, offset: f64) -> Option<Moment> {
         let days = |month: usize| DAYS[month - 1] + u32::from(month == 2 && is_leap(year));
         let good = (1900..=2200).contains(&year)
@@ -41,22 +42,23 @@ impl Moment {
         good.then_some(Moment { year, month, day, hours, offset })
     }
 
-    /// The number of its day in the year, from 1.
+    /// The number of the day in the year, from 1.
     pub fn day_of_year(&self) -> u32 {
         let before = self.month as usize - 1;
         let leap = u32::from(before > 1 && is_leap(self.year));
         DAYS[..before].iter().sum::<u32>() + leap + self.day
     }
 
-    /// The squared ratio of the mean distance of the sun to that of the day (Spencer, "Fourier series representation of the position of
-    /// the sun", 1971): what the solar constant is to be multiplied by.
+    /// The factor of the solar constant on this day: the square of the mean distance of the sun over its distance on
+    /// the day (Spencer, "Fourier series representation of the position of the sun", 1971).
     pub fn eccentricity(&self) -> f64 {
         let angle = TAU * f64::from(self.day_of_year() - 1) / 365.0;
         let (twice, cos, sin) = (2.0 * angle, angle.cos(), angle.sin());
         1.00011 + 0.034221 * cos + 0.00128 * sin + 0.000719 * twice.cos() + 0.000077 * twice.sin()
     }
 
-    /// Azimuth, clockwise from north, and altitude of the sun in radians, as the atmosphere refracts it.
+    /// Azimuth, clockwise from north, and altitude of the sun in radians, including refraction by the atmosphere.
+    /// `None` if the position cannot be computed.
     pub fn sun(&self, place: Place) -> Option<(f64, f64)> {
         let midnight = JulianDate::from_utc(self.year, self.month, self.day, 0, 0, 0.0, 0.0).ok()?;
         let delta_t = solar_positioning::delta_t::estimate_from_date(self.year, self.month).ok()?;
@@ -76,7 +78,7 @@ fn is_leap(year: i32) -> bool {
 impl FromStr for Place {
     type Err = String;
 
-    /// `LATITUDE,LONGITUDE` in degrees.
+    /// Reads `LATITUDE,LONGITUDE` in degrees.
     fn from_str(text: &str) -> Result<Place, String> {
         let numbers: Option<Vec<f64>> = text.split(',').map(|word| word.trim().parse().ok()).collect();
         match numbers.as_deref() {
@@ -93,11 +95,11 @@ impl FromStr for Place {
 impl FromStr for Moment {
     type Err = String;
 
-    /// `YYYY-MM-DDTHH:MM[:SS]` with `Z` or an offset like `+02:00`.
+    /// Reads `YYYY-MM-DDTHH:MM[:SS]` with `Z` or an offset like `+02:00`.
     fn from_str(text: &str) -> Result<Moment, String> {
         let wanted = || {
             String::from(
-                "expected a date, a time and its offset from UTC, as in 2026-06-21T12:00+02:00, or Z instead of the offset",
+                "expected a date, a time and its offset from UTC, as in 2026-06-21T12:00+02:00; Z stands for no offset",
             )
         };
         let read = || -> Option<Moment> {
@@ -139,10 +141,12 @@ mod tests {
         [azimuth.to_degrees(), altitude.to_degrees()]
     }
 
-    /// At the solstice the noon sun of Munich stands 90 - 48.1 + 23.44 degrees high, in the south; in Sydney in the north.
+    /// At the solstice, the noon sun of Munich has an altitude of 90 - 48.1 + 23.44 degrees, in the south. In Sydney,
+    /// it is in the north.
     #[test]
     fn the_noon_sun() {
-        // Solar noon: 12:00 UTC less the longitude over 15, and the equation of time, -1.8 minutes.
+        // Solar noon in hours of UTC is 12, minus the longitude over 15, corrected by the equation of time, -1.8
+        // minutes.
         let [azimuth, altitude] = sun("48.1,11.6", "2026-06-21T13:15:30+02:00");
         assert!((azimuth - 180.0).abs() < 1.0, "{azimuth}");
         assert!((altitude - (90.0 - 48.1 + 23.436)).abs() < 0.02, "{altitude}");
@@ -151,7 +155,8 @@ mod tests {
         assert!((altitude - (90.0 - 33.87 + 23.436)).abs() < 0.05, "{altitude}");
     }
 
-    /// The example of the algorithm's report: zenith 50.11162, azimuth 194.34024 degrees, at 1830 m and 820 mbar.
+    /// The example in the algorithm's report: zenith angle 50.11162 and azimuth 194.34024 degrees, at 1830 m and 820
+    /// mbar.
     #[test]
     fn the_example_of_the_algorithm() {
         let [azimuth, altitude] = sun("39.742476,-105.1786", "2003-10-17T12:30:30-07:00");
@@ -159,7 +164,8 @@ mod tests {
         assert!((altitude - (90.0 - 50.112)).abs() < 0.01, "{altitude}");
     }
 
-    /// East is where the sun rises, and longitudes are positive there: an hour later in UTC, 15 degrees further west.
+    /// The sun rises in the east, and longitudes are positive there. An hour later in UTC, the sun has the same
+    /// position 15 degrees further west.
     #[test]
     fn longitudes_are_positive_in_the_east() {
         let [morning, _] = sun("0,0", "2026-03-20T07:00Z");
@@ -198,7 +204,7 @@ mod tests {
         }
     }
 
-    /// 3.4 % nearer at the beginning of January than in the mean, and farther in July.
+    /// Sunlight is about 3.4 % stronger than the mean at the beginning of January, and weaker in July.
     #[test]
     fn the_distance_of_the_sun() {
         let of = |date: &str| format!("{date}T12:00Z").parse::<Moment>().unwrap().eccentricity();

@@ -6,38 +6,38 @@ use glam::DVec3;
 
 use super::Web;
 
-/// How the intensity of a light at a point depends on the direction.
+/// The intensity of a light at a point as a function of the direction.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Distribution {
-    /// Alike in all directions.
+    /// The same in all directions.
     Isotropic,
-    /// A cone about `axis`, a unit vector: full intensity within the inner angle, none beyond the outer angle, and between them the
+    /// A cone: full intensity within the inner angle, and none beyond the outer angle. In between, the intensity is the
     /// square of a ramp linear in the cosine, as in the glTF extension KHR_lights_punctual.
     Spot {
-        /// Where it shines.
+        /// The axis of the cone, a unit vector away from the light.
         axis: DVec3,
-        /// Cosine of the angle to the edge of the full intensity.
+        /// Cosine of the inner half angle.
         inner: f64,
-        /// Cosine of the angle to the edge of the cone.
+        /// Cosine of the outer half angle.
         outer: f64,
     },
-    /// That of a photometric file.
+    /// The distribution of a photometric file.
     Web(Arc<Web>),
 }
 
-/// What a light shines from: a parallelogram or, where it is round, an ellipse in it, with these two half axes.
+/// The luminous area of a light: a parallelogram, or the ellipse in it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Area {
-    /// The one.
+    /// The first half axis.
     pub first: DVec3,
-    /// The other.
+    /// The second half axis.
     pub second: DVec3,
-    /// Whether it is an ellipse.
+    /// Whether the area is an ellipse.
     pub round: bool,
 }
 
 impl Area {
-    /// A point of it relative to its middle, evenly.
+    /// Samples a point of the area uniformly, relative to its middle.
     pub fn sample(&self, [u, v]: [f64; 2]) -> DVec3 {
         if self.round {
             let (sin, cos) = (std::f64::consts::TAU * v).sin_cos();
@@ -51,21 +51,21 @@ impl Area {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct PointLight {
-    /// Where it is, in the unit of the file.
+    /// The position, in the unit of the file.
     pub position: DVec3,
-    /// Its intensity, R G B, W/sr, where its distribution is 1.
+    /// Intensity, R G B, W/sr, in directions where the distribution is 1.
     pub intensity: [f64; 3],
-    /// How that depends on the direction.
+    /// Factor of the intensity, by direction.
     pub distribution: Distribution,
-    /// What it shines from, each point of it alike; `None` for a point.
+    /// The luminous area, which emits equally from all its points; `None` for a point.
     pub area: Option<Area>,
 }
 
-/// Least difference of the cosines of a cone's edges, as glTF has it.
+/// Least difference between the cosines of the inner and the outer angle, as in glTF.
 const LEAST_RAMP: f64 = 1e-3;
 
 impl Distribution {
-    /// A cone about an axis, with its half angles in radians.
+    /// Makes a cone about an axis, with its inner and outer half angles in radians.
     ///
     /// # Panics
     /// When the axis has no length.
@@ -74,7 +74,7 @@ impl Distribution {
         Distribution::Spot { axis, inner: inner.cos(), outer: outer.cos() }
     }
 
-    /// Intensity in a direction, a unit vector from the light on, relative to the light's.
+    /// Factor of the intensity in a direction, a unit vector away from the light.
     pub fn towards(&self, direction: DVec3) -> f64 {
         match self {
             Distribution::Isotropic => 1.0,
@@ -86,12 +86,12 @@ impl Distribution {
         }
     }
 
-    /// The integral over all directions, sr.
+    /// The integral of [`Distribution::towards`] over all directions, sr.
     pub fn total(&self) -> f64 {
         match self {
             Distribution::Isotropic => 4.0 * std::f64::consts::PI,
             Distribution::Spot { inner, outer, .. } => {
-                // A third of the ramp's width counts.
+                // The mean of the squared ramp is a third.
                 let ramp = (inner - outer).max(LEAST_RAMP);
                 let full = (1.0 - outer - ramp).max(0.0);
                 let of_ramp = ramp.min(1.0 - outer);
@@ -103,12 +103,12 @@ impl Distribution {
 }
 
 impl PointLight {
-    /// A light that shines alike in all directions.
+    /// Makes a light with the same intensity in all directions.
     pub fn isotropic(position: DVec3, intensity: [f64; 3]) -> PointLight {
         PointLight::new(position, intensity, Distribution::Isotropic)
     }
 
-    /// A light with this distribution.
+    /// Makes a light with this distribution.
     pub fn new(position: DVec3, intensity: [f64; 3], distribution: Distribution) -> PointLight {
         PointLight { position, intensity, distribution, area: None }
     }
@@ -118,7 +118,7 @@ impl PointLight {
 mod tests {
     use super::*;
 
-    /// The ramp of glTF: attenuation = clamp((cos θ - cos outer) / (cos inner - cos outer))²; and its integral.
+    /// The ramp of glTF, clamp((cos θ - cos outer) / (cos inner - cos outer))², and its integral.
     #[test]
     fn the_cone_of_gltf() {
         for (inner, outer) in [(0.0, 0.8), (0.3, 0.5), (0.5, 0.5), (0.0, 0.01)] {

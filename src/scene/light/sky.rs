@@ -1,6 +1,6 @@
 //! The sky: radiance by direction, from infinitely far away.
 //!
-//! Below the horizon a sky model is dark. An image covers all directions.
+//! A sky model is dark below the horizon. An image covers all directions.
 
 use std::f64::consts::{PI, TAU};
 
@@ -8,19 +8,19 @@ use glam::DVec3;
 
 use super::{Cell, Perez, SkyImage, Up, cie};
 
-/// Steps of altitude and azimuth in which the irradiance of a model is integrated.
+/// Number of steps of altitude and of azimuth for the irradiance of a model.
 const STEPS: usize = 512;
 
-/// How the radiance of a sky depends on the direction.
+/// The radiance of a sky as a function of the direction.
 #[derive(Debug, Clone, PartialEq)]
 pub enum SkyModel {
     /// The same everywhere above the horizon.
     Uniform,
-    /// CIE overcast sky: three times as bright at the zenith as at the horizon.
+    /// The CIE overcast sky: three times as bright at the zenith as at the horizon.
     Overcast,
-    /// CIE clear sky with the sun in this direction.
+    /// The CIE clear sky with the sun in this direction.
     Clear(DVec3),
-    /// CIE intermediate sky with the sun in this direction.
+    /// The CIE intermediate sky with the sun in this direction.
     Intermediate(DVec3),
     /// The all-weather sky of Perez with the sun in this direction.
     AllWeather(Perez, DVec3),
@@ -34,12 +34,12 @@ pub enum SkyModel {
 pub struct Sky {
     model: SkyModel,
     up: Up,
-    /// Radiance, R G B, where the model is 1.
+    /// Radiance, R G B, in directions where the model is 1.
     scale: [f64; 3],
 }
 
 impl SkyModel {
-    /// Relative radiance in a direction, a unit vector; an image has a colour besides.
+    /// Relative radiance in a direction, a unit vector. It is 1 for an image, whose texels hold the radiance.
     fn shape(&self, up: Up, direction: DVec3) -> f64 {
         let [_, _, sin] = up.of_scene(direction);
         if sin < 0.0 {
@@ -55,13 +55,14 @@ impl SkyModel {
         }
     }
 
-    /// The irradiance of an unobstructed horizontal plane where the relative radiance is in W/(m² sr).
+    /// The irradiance of an unobstructed horizontal plane, W/m², if the relative radiance is in W/(m² sr).
     fn horizontal(&self, up: Up) -> f64 {
         match self {
             SkyModel::Uniform => PI,
             SkyModel::Overcast => 7.0 * PI / 9.0,
             _ => {
-                // Equal steps of sin², in which the cosine of a level plane is even, and of azimuth.
+                // Equal steps of sin² of the altitude and of azimuth have equal projected solid angles on a level
+                // plane.
                 let step = |k: usize| (k as f64 + 0.5) / STEPS as f64;
                 let row = |i: usize| {
                     let altitude = step(i).sqrt().asin();
@@ -75,41 +76,42 @@ impl SkyModel {
 }
 
 impl Sky {
-    /// A sky of this radiance, W/(m² sr), everywhere above the horizon.
+    /// Makes a sky with this radiance, W/(m² sr), everywhere above the horizon.
     pub fn uniform(up: Up, radiance: [f64; 3]) -> Sky {
         Sky { model: SkyModel::Uniform, up, scale: radiance }
     }
 
-    /// A sky that sends this irradiance, W/m², to an unobstructed horizontal plane.
+    /// Makes a sky that gives an unobstructed horizontal plane this irradiance, W/m².
     pub fn with_irradiance(model: SkyModel, up: Up, irradiance: [f64; 3]) -> Sky {
         let whole = model.horizontal(up);
         Sky { model, up, scale: irradiance.map(|e| e / whole) }
     }
 
-    /// The all-weather sky of Perez: of direct normal and diffuse horizontal irradiance in W/m², with the sun in the direction
-    /// `towards`, whose irradiance outside the atmosphere is `extraterrestrial`. The sun itself is no part of it.
+    /// Makes the all-weather sky of Perez from the direct normal and the diffuse horizontal irradiance in W/m².
+    /// `towards` is the direction to the sun, and `extraterrestrial` the irradiance of the sun outside the atmosphere.
+    /// The sun itself is not part of the sky.
     pub fn all_weather(up: Up, [direct, diffuse]: [f64; 2], towards: DVec3, extraterrestrial: f64) -> Sky {
         let altitude = up.of_scene(towards)[2].clamp(-1.0, 1.0).asin();
         let perez = Perez::new(direct, diffuse, altitude, extraterrestrial);
         Sky::with_irradiance(SkyModel::AllWeather(perez, towards), up, [diffuse; 3])
     }
 
-    /// A sky with the radiance that the model has by itself.
+    /// Makes a sky with the relative radiance of its model.
     pub fn relative(model: SkyModel, up: Up) -> Sky {
         Sky { model, up, scale: [1.0; 3] }
     }
 
-    /// An image times a factor.
+    /// Makes a sky from an image whose radiance is multiplied by `strength`.
     pub fn image(image: SkyImage, up: Up, strength: f64) -> Sky {
         Sky { model: SkyModel::Image(image), up, scale: [strength; 3] }
     }
 
-    /// The same with each channel times a factor.
+    /// Multiplies each channel by a factor.
     pub fn coloured(self, colour: [f64; 3]) -> Sky {
         Sky { scale: std::array::from_fn(|c| self.scale[c] * colour[c]), ..self }
     }
 
-    /// The image, if it is one.
+    /// The image, if the sky is an image.
     pub(crate) fn as_image(&self) -> Option<&SkyImage> {
         match &self.model {
             SkyModel::Image(image) => Some(image),
@@ -117,7 +119,8 @@ impl Sky {
         }
     }
 
-    /// Parts of an image that are much brighter than the rest, with their radiance, and the sky without them.
+    /// Splits off the parts of an image that are much brighter than the rest. Returns them with their radiance, and the
+    /// sky without them.
     pub(crate) fn split(&self) -> (Vec<(Cell, [f64; 3])>, Sky) {
         let Some(image) = self.as_image() else { return (Vec::new(), self.clone()) };
         let (mut cells, dim) = image.split(self.up);
@@ -127,22 +130,22 @@ impl Sky {
         (cells, Sky { model: SkyModel::Image(dim), ..*self })
     }
 
-    /// A direction into an image, chosen by its radiance, and its density.
+    /// Samples a direction by the radiance of an image. Returns it with its density, 1/sr.
     pub(crate) fn sample_image(&self, at: [f64; 2]) -> Option<(DVec3, f64)> {
         self.as_image().map(|image| image.sample(self.up, at))
     }
 
-    /// The density of [`Sky::sample_image`] in a direction.
+    /// The density of [`Sky::sample_image`] in a direction, 1/sr.
     pub(crate) fn density_of_image(&self, direction: DVec3) -> Option<f64> {
         self.as_image().map(|image| image.density(self.up, direction))
     }
 
-    /// The model.
+    /// The model of the sky.
     pub fn model(&self) -> &SkyModel {
         &self.model
     }
 
-    /// Which axis is up.
+    /// The axis that points up.
     pub fn up(&self) -> Up {
         self.up
     }
@@ -157,7 +160,7 @@ impl Sky {
         self.scale.map(|scale| scale * shape)
     }
 
-    /// About its largest radiance, R G B.
+    /// An estimate of the largest radiance, R G B: the radiance where a model is 1, or the brightest texel of an image.
     pub(crate) fn strongest(&self) -> [f64; 3] {
         match &self.model {
             SkyModel::Image(image) => {
@@ -168,7 +171,7 @@ impl Sky {
         }
     }
 
-    /// Whether all channels are alike.
+    /// Whether all channels are equal.
     pub fn is_grey(&self) -> bool {
         let of_model = self.as_image().is_none_or(SkyImage::is_grey);
         of_model && self.scale[0] == self.scale[1] && self.scale[1] == self.scale[2]
@@ -179,7 +182,7 @@ impl Sky {
 mod tests {
     use super::*;
 
-    /// The irradiance of a plane with this normal by a midpoint rule over azimuth and the sine of altitude.
+    /// The irradiance of a plane with this normal, by a midpoint rule over azimuth and the sine of altitude.
     fn irradiance(sky: &Sky, normal: DVec3) -> f64 {
         let many = 1000;
         let step = |k: usize| (k as f64 + 0.5) / many as f64;
@@ -191,7 +194,8 @@ mod tests {
         sum * 4.0 * PI / (many * many) as f64
     }
 
-    /// Uniform: π L on a horizontal and half of it on a vertical plane. Overcast: 7π/9 and π/6 + 4/9 times the zenith's radiance.
+    /// A uniform sky gives π L on a horizontal plane and half of it on a vertical plane. An overcast sky gives 7π/9 and
+    /// π/6 + 4/9 times the radiance of the zenith.
     #[test]
     fn closed_forms_of_uniform_and_overcast_sky() {
         for up in [Up::Y, Up::Z] {
@@ -211,7 +215,7 @@ mod tests {
         }
     }
 
-    /// Skies with a sun have the irradiance that is asked for, and are brightest around it.
+    /// Skies with a sun have the requested irradiance, and are brightest around the sun.
     #[test]
     fn skies_with_a_sun_have_their_irradiance() {
         for up in [Up::Y, Up::Z] {

@@ -1,23 +1,23 @@
-//! What the numbers of a scene mean: watts or lumens.
+//! The units of light in a scene: watts or lumens.
 
 use serde::Serialize;
 
 use super::{SOLAR_CONSTANT, SOLAR_ILLUMINANCE};
 
-/// Lumens of a watt of light where all of it has the wavelength that the eye is most sensitive to; as Blender and glTF convert.
-/// RADIANCE takes 179, for white light.
+/// Lumens per watt of light at the wavelength to which the eye is most sensitive. Blender and glTF convert with this
+/// value. RADIANCE uses 179, the value for white light.
 pub const LUMINOUS_EFFICACY: f64 = 683.0;
 
 /// Radiometric or photometric quantities. Reflectance is the same in both.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Units {
-    /// W, W/sr, W/m² and W/(m² sr); luminous quantities of photometric files and of glTF are divided by so many lumens a watt.
+    /// W, W/sr, W/m² and W/(m² sr). Luminous quantities of photometric files and of glTF are divided by `efficacy`.
     Radiometric {
-        /// Lumens of a watt.
+        /// Lumens per watt.
         efficacy: f64,
     },
-    /// lm, cd, lx and cd/m²; nothing is divided.
+    /// lm, cd, lx and cd/m². Luminous quantities are not converted.
     Photometric,
 }
 
@@ -25,27 +25,27 @@ pub enum Units {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct UnitNames {
-    /// Of power.
+    /// The unit of power.
     pub power: &'static str,
-    /// Of irradiance.
+    /// The unit of irradiance.
     pub irradiance: &'static str,
-    /// Of radiosity.
+    /// The unit of radiosity.
     pub radiosity: &'static str,
-    /// Of radiance.
+    /// The unit of radiance.
     pub radiance: &'static str,
-    /// Lumens that count as a watt where luminous quantities are read; `null` where nothing is converted.
+    /// Divisor of luminous quantities when they are read, in lumens per watt; `null` if they are not converted.
     pub lumens_per_watt: Option<f64>,
 }
 
 impl Default for Units {
-    /// Radiometric, with [`LUMINOUS_EFFICACY`].
+    /// Radiometric units with [`LUMINOUS_EFFICACY`].
     fn default() -> Units {
         Units::Radiometric { efficacy: LUMINOUS_EFFICACY }
     }
 }
 
 impl Units {
-    /// What luminous quantities of files are divided by.
+    /// The divisor of luminous quantities in files.
     pub fn efficacy(self) -> f64 {
         match self {
             Units::Radiometric { efficacy } => efficacy,
@@ -53,7 +53,7 @@ impl Units {
         }
     }
 
-    /// Irradiance of the sun outside the atmosphere.
+    /// Irradiance of the sun outside the atmosphere, W/m² or lx, on a plane that faces it.
     pub fn extraterrestrial(self) -> f64 {
         match self {
             Units::Radiometric { .. } => SOLAR_CONSTANT,

@@ -1,26 +1,28 @@
-//! Weather files in EPW (EnergyPlus Weather): a comma-separated table of the hours of a year after eight lines of headers.
+//! Weather files in EPW (EnergyPlus Weather): a comma-separated table of the hours of a year after eight lines of
+//! headers.
 //!
-//! An hour is labelled by its end: hour 1 is from midnight to one. So the sun stands for it where it is half an hour before the label,
-//! or, in the hours of sunrise and sunset, in the middle of the part of the hour in which it is up.
+//! The label of an hour is its end: hour 1 is from midnight to one. So the sun of an hour is its position half an hour
+//! before the label. In the hours of sunrise and sunset, it is the position in the middle of the time that the sun is
+//! up.
 
 use std::path::Path;
 
 use super::{Moment, Place};
 use crate::{Error, Result};
 
-/// Headers before the table.
+/// Number of header lines before the table.
 const HEADERS: usize = 8;
 /// Columns of the direct normal and the diffuse horizontal irradiance, counted from 0.
 const DIRECT: usize = 14;
 const DIFFUSE: usize = 15;
-/// That of the dew point, and what it is taken to be where it is missing.
+/// Column of the dew point, and the value used if it is missing, in °C.
 const DEW_POINT: usize = 7;
 const USUAL_DEW_POINT: f64 = 10.0;
-/// Hours of a file at most.
+/// Largest number of hours in a file.
 const MOST_HOURS: usize = 100_000;
-/// Values from here on mean that there is none.
+/// Irradiances from this value on mean that the value is missing.
 const MISSING: f64 = 9999.0;
-/// Parts of an hour that are asked whether the sun is up.
+/// Number of moments in an hour for which the program computes whether the sun is up.
 const PARTS: usize = 60;
 
 /// An hour of a weather file.
@@ -35,9 +37,9 @@ pub struct Hour {
     pub diffuse: f64,
     /// Dew point, °C.
     pub dew_point: f64,
-    /// Azimuth and altitude of the sun in radians, where it is up in any part of the hour.
+    /// Azimuth and altitude of the sun in radians, if it is up in any part of the hour.
     pub sun: Option<(f64, f64)>,
-    /// What the solar constant is to be multiplied by on that day.
+    /// The factor of the solar constant on that day.
     pub eccentricity: f64,
 }
 
@@ -49,7 +51,7 @@ pub struct Weather {
     pub place: Place,
     /// Hours that local time is ahead of UTC.
     pub offset: f64,
-    /// In the order of the file.
+    /// The hours, in the order of the file.
     pub hours: Vec<Hour>,
 }
 
@@ -57,7 +59,7 @@ impl Weather {
     /// Reads an EPW file.
     ///
     /// # Errors
-    /// [`Error::Io`] when it cannot be read, [`Error::Input`] with the line when it cannot be used.
+    /// [`Error::Io`] when the file cannot be read. [`Error::Input`], with the line, when its contents cannot be used.
     pub fn load(path: &Path) -> Result<Weather> {
         let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
         parse(&String::from_utf8_lossy(&bytes))
@@ -71,11 +73,11 @@ fn parse(text: &str) -> std::result::Result<Weather, Wrong> {
     let lines: Vec<&str> = text.trim_start_matches('\u{feff}').lines().collect();
     let header: Vec<&str> = lines.first().map_or(Vec::new(), |line| line.split(',').map(str::trim).collect());
     if header.first().is_none_or(|word| !word.eq_ignore_ascii_case("LOCATION")) {
-        return Err((1, "an EPW file begins with LOCATION".into()));
+        return Err((1, "not an EPW file: it does not begin with LOCATION".into()));
     }
     let figure = |column: usize, range: std::ops::RangeInclusive<f64>, what: &str| {
         let value = header.get(column).and_then(|word| word.parse().ok()).filter(|x| range.contains(x));
-        value.ok_or_else(|| (1, format!("{what} is missing or no such number")))
+        value.ok_or_else(|| (1, format!("{what} is missing, not a number, or out of range")))
     };
     let place = Place {
         latitude: figure(6, -90.0..=90.0, "the latitude, column 7,")?,
@@ -102,13 +104,13 @@ fn hour(line: &str, place: Place, offset: f64) -> std::result::Result<Hour, Stri
     let words: Vec<&str> = line.split(',').map(str::trim).collect();
     let whole = |column: usize, what: &str| {
         let value = words.get(column).and_then(|word| word.parse::<u32>().ok());
-        value.ok_or_else(|| format!("column {}, {what}, is no number", column + 1))
+        value.ok_or_else(|| format!("column {}, {what}, is not a number", column + 1))
     };
     let [year, month, day, label] =
         [whole(0, "the year")?, whole(1, "the month")?, whole(2, "the day")?, whole(3, "the hour")?];
     let light = |column: usize, what: &str| {
         let value = words.get(column).and_then(|word| word.parse::<f64>().ok());
-        let value = value.ok_or_else(|| format!("column {}, {what}, is no number", column + 1))?;
+        let value = value.ok_or_else(|| format!("column {}, {what}, is not a number", column + 1))?;
         Ok::<f64, String>(if (0.0..MISSING).contains(&value) { value } else { 0.0 })
     };
     let (direct, diffuse) = (
@@ -118,9 +120,10 @@ fn hour(line: &str, place: Place, offset: f64) -> std::result::Result<Hour, Stri
     let dew_point = words.get(DEW_POINT).and_then(|word| word.parse().ok());
     let dew_point = dew_point.filter(|t| (-70.0..70.0).contains(t)).unwrap_or(USUAL_DEW_POINT);
     if !(1..=24).contains(&label) {
-        return Err(format!("column 4: {label} is no hour from 1 to 24"));
+        return Err(format!("column 4: the hour {label} is not from 1 to 24"));
     }
-    // A typical year is made of months of several; its dates are those of a year without a leap day.
+    // A typical year consists of months of several years. Each hour uses the year in its line, if that year has the
+    // day.
     let of_file = i32::try_from(year).ok().filter(|year| (1900..=2200).contains(year)).unwrap_or(2001);
     let at = |hours: f64| {
         let of = |year: i32| Moment::new(year, month, day, hours, offset);
@@ -128,7 +131,7 @@ fn hour(line: &str, place: Place, offset: f64) -> std::result::Result<Hour, Stri
     };
     let moment =
         at(f64::from(label) - 0.5).ok_or_else(|| format!("there is no day {day} in month {month}"))?;
-    // Where the sun is up, minute by minute.
+    // Whether the sun is up at a part of the hour, from 0 to 1.
     let is_up = |part: &f64| {
         let moment = at(f64::from(label) - 1.0 + part);
         moment.and_then(|moment| moment.sun(place)).is_some_and(|(_, altitude)| altitude > 0.0)
@@ -172,7 +175,7 @@ mod tests {
         text
     }
 
-    /// Hour 13 is from noon to one: its sun is that of half past twelve, local standard time.
+    /// Hour 13 is from noon to one. Its sun is the sun at half past twelve, local standard time.
     #[test]
     fn hours_end_at_their_label() {
         let weather = parse(&file(&[(6, 21, 13, "700", "120")])).unwrap();
@@ -180,15 +183,17 @@ mod tests {
         assert_eq!((hour.direct, hour.diffuse, hour.label), (700.0, 120.0, [6, 21, 13]));
         let noon: Moment = "2026-06-21T12:30+01:00".parse().unwrap();
         assert_eq!(hour.sun, noon.sun(weather.place));
-        // Solar noon is at 12:15 in Munich's standard time: the sun of hour 12 is before it, that of hour 13 after it.
+        // Solar noon is at 12:15 in Munich's standard time. The sun of hour 12 is east of south, the sun of hour 13
+        // west of it.
         let [before, after] = [12, 13]
             .map(|h| parse(&file(&[(6, 21, h, "1", "1")])).unwrap().hours[0].sun.unwrap().0.to_degrees());
         assert!(before < 180.0 && after > 180.0, "{before} {after}");
     }
 
-    /// The sun rises at 4:15 in Munich at midsummer: for the hour from 4 to 5 it stands where it is at 4:37, not below the horizon.
+    /// The sun rises at 4:15 in Munich at midsummer. The hour from 4 to 5 has the sun of 4:37, which is above the
+    /// horizon.
     #[test]
-    fn the_hour_of_sunrise_is_that_of_the_risen_sun() {
+    fn the_hour_of_sunrise_has_the_risen_sun() {
         let weather = parse(&file(&[(6, 21, 5, "30", "20"), (6, 21, 4, "0", "0")])).unwrap();
         let (_, altitude) = weather.hours[0].sun.unwrap();
         let later: Moment = "2026-06-21T04:37:30+01:00".parse().unwrap();
@@ -198,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_light_is_none_and_wrong_lines_are_named() {
+    fn missing_light_is_zero_and_wrong_lines_are_named() {
         let weather = parse(&file(&[(1, 1, 12, "9999", "-3")])).unwrap();
         assert_eq!((weather.hours[0].direct, weather.hours[0].diffuse), (0.0, 0.0));
         for (text, line) in [

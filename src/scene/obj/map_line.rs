@@ -1,4 +1,5 @@
-//! The value of `map_Kd` and `map_Ke`: options, then a file name that may contain blanks. tobj returns it as one string.
+//! The value of `map_Kd` and `map_Ke`: options, then a file name that may contain blanks. tobj returns it as one
+//! string.
 
 use crate::scene::text::split_keyword;
 
@@ -9,7 +10,7 @@ pub(super) struct MapLine {
     pub(super) scale: [f64; 2],
     pub(super) offset: [f64; 2],
     pub(super) clamp: bool,
-    /// Options that have no effect here.
+    /// Options that this reader ignores.
     pub(super) ignored: Vec<String>,
 }
 

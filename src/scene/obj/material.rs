@@ -1,4 +1,4 @@
-//! The layer after tobj: converts its materials to ours and checks their values.
+//! The layer after tobj: converts its materials to [`Material`] and checks their values.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use crate::scene::{
     warnings::Warnings,
 };
 
-/// Makes each material that faces use once, in the order of their first use.
+/// Makes the materials that faces use, each once, in the order of first use.
 pub(super) struct Materials {
     pub(super) options: LoadOptions,
     pub(super) materials: Vec<Material>,
@@ -24,7 +24,7 @@ pub(super) struct Materials {
     pub(super) files: Vec<PathBuf>,
     /// Names of textures that could not be read.
     pub(super) missing: Vec<String>,
-    /// Materials by the index of tobj, whether textures apply, and whether vertices have colours.
+    /// Materials. The key is the index of tobj, whether textures apply, and whether vertices have colours.
     made: HashMap<(Option<usize>, bool, bool), u32>,
     read: HashMap<PathBuf, Option<usize>>,
     absent: HashSet<(PathBuf, String)>,
@@ -48,7 +48,8 @@ impl Materials {
         }
     }
 
-    /// The index of the material `id` for a face with or without texture coordinates, and with or without vertex colours.
+    /// The index of the material `id` for a face with or without texture coordinates, and with or without vertex
+    /// colours.
     pub(super) fn index(
         &mut self,
         id: Option<usize>,
@@ -111,14 +112,14 @@ impl Materials {
         });
         let [reflectance_map, emission_map] = maps;
         if !textured {
-            let after = " have no texture coordinates; they go without its texture";
+            let after = " have no texture coordinates; they get no texture";
             self.warnings.repeat(origin.file.display().to_string(), "faces of material", name, after);
         }
-        let told = reflectance_map.is_some() || coloured;
-        let plain = if told { [1.0; 3] } else { self.options.default_reflectance() };
-        let told =
+        let has_colour = reflectance_map.is_some() || coloured;
+        let plain = if has_colour { [1.0; 3] } else { self.options.default_reflectance() };
+        let warned =
             coloured || map_of(definition, "map_Kd").is_some() || !origin.notes.is_empty() || !origin.defined;
-        if definition.diffuse.is_none() && !told && self.options.reflectance.is_none() {
+        if definition.diffuse.is_none() && !warned && self.options.reflectance.is_none() {
             let after = format!(" has no Kd; {} is used", self.options.default_in_words());
             self.warnings.repeat(origin.place("newmtl"), "material", name, &after);
         }
@@ -141,7 +142,7 @@ impl Materials {
         })
     }
 
-    /// Where the material has holes: by `map_d`, else by the alpha of `map_Kd`.
+    /// The texture that gives the material its holes: `map_d`, or else the alpha of `map_Kd`.
     fn cutout(&mut self, definition: &tobj::Material, origin: &Origin, first: bool) -> Option<TextureMap> {
         for statement in ["map_d", "map_Kd"] {
             let Some(value) = map_of(definition, statement) else { continue };
@@ -163,7 +164,7 @@ impl Materials {
         None
     }
 
-    /// The index of a texture with holes. With `whiteness`, black texels are holes if its alpha has none.
+    /// The index of a texture with holes. With `whiteness`, black texels are holes if the alpha has none.
     fn mask(&mut self, path: &Path, whiteness: bool) -> Option<usize> {
         let path = path.canonicalize().unwrap_or(path.to_owned());
         *self.masks.entry((path.clone(), whiteness)).or_insert_with(|| {
@@ -199,7 +200,7 @@ impl Materials {
         Some(TextureMap { texture, scale, offset, clamp: line.clamp })
     }
 
-    /// The index of a texture, which is read once. A texture that is missing or damaged causes one warning.
+    /// The index of a texture. Each texture is read once, and causes one warning if it is missing or damaged.
     fn texture(
         &mut self,
         name: &str,
@@ -267,16 +268,16 @@ struct Asked {
     clamped: Option<(&'static str, f64)>,
 }
 
-/// Reads the specular part of a material. `Pr` and `Pm` take precedence over `Ks` and `Ns`, because exporters that write both
-/// fill `Ks` and `Ns` with conventions of their own. `illum` 3 and 8 are mirrors, 5 is a mirror with a Fresnel term, 0 and 1
-/// have no highlights, and glass is left out. Without `illum`, `Ks` is a highlight as in `illum` 2.
+/// Reads the specular part of a material. `Pr` and `Pm` take precedence over `Ks` and `Ns`, because exporters that
+/// write both follow their own conventions for `Ks` and `Ns`. `illum` 3 and 8 are mirrors, 5 is a mirror with a Fresnel
+/// term, 0 and 1 have no highlights, and glass is left out. Without `illum`, `Ks` is a highlight as in `illum` 2.
 fn specular(definition: &tobj::Material) -> Asked {
     let mut clamped = None;
     let mut within = |statement: &'static str, value: f64, most: f64| {
         if !(0.0..=most).contains(&value) {
             clamped.get_or_insert((statement, value));
         }
-        // NaN counts as nothing too.
+        // NaN becomes 0.
         value.max(0.0).min(most)
     };
     let parameter = |key: &str| number(definition, key);
@@ -316,7 +317,7 @@ fn map_of<'a>(definition: &'a tobj::Material, statement: &str) -> Option<&'a str
     }
 }
 
-/// Statements of a material other than diffuse and specular reflection and emission.
+/// Statements of a material that the reader does not support.
 fn left_out(definition: &tobj::Material) -> Vec<String> {
     let parameter = |key: &str| definition.unknown_param.get(key);
     let number = |key: &str| number(definition, key);

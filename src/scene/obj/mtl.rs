@@ -1,5 +1,6 @@
-//! The layer before tobj for material libraries. tobj panics on some lines (`Kd 0.5`) and drops the whole library because of
-//! others (`Kd spectral …`). This layer rewrites or removes such lines, and remembers the line of every statement.
+//! The layer before tobj for material libraries. tobj panics on some lines (`Kd 0.5`), and drops the whole library
+//! because of others (`Kd spectral …`). This layer rewrites or removes such lines. It also records the line number of
+//! every statement.
 
 use std::collections::{HashMap, HashSet};
 use std::fmt::Write as _;
@@ -16,7 +17,7 @@ const STATEMENTS: [&str; 24] = [
     "bump", "map_bump", "norm", "disp", "decal", "refl", "Pm", "Pc", "Ns", "Pr", "aniso",
 ];
 
-/// The origin of a material. The list has the order of tobj's materials.
+/// The origin of a material.
 pub(super) struct Origin {
     pub(super) file: PathBuf,
     lines: HashMap<&'static str, usize>,
@@ -55,6 +56,7 @@ impl Origin {
 pub(super) struct Libraries {
     /// The text of all libraries for tobj.
     pub(super) text: String,
+    /// The origins of the materials, in tobj's order.
     pub(super) origins: Vec<Origin>,
     pub(super) warnings: Warnings,
     /// Libraries that were read.
@@ -179,7 +181,7 @@ enum Unread {
     Word(String),
 }
 
-/// Three numbers; one number is a grey (MTL specification: g and b default to r). `xyz` is turned into Rec. 709.
+/// Reads three numbers. One number is a grey (MTL specification: g and b default to r). `xyz` is converted to Rec. 709.
 fn colour(value: &str) -> std::result::Result<[f64; 3], Unread> {
     let mut words: Vec<&str> = value.split_whitespace().take(4).collect();
     let kind = words.first().map(|w| w.to_ascii_lowercase());
@@ -203,8 +205,8 @@ fn colour(value: &str) -> std::result::Result<[f64; 3], Unread> {
     Ok(if xyz { rec709(c) } else { c })
 }
 
-/// CIE XYZ (D65) to linear Rec. 709. A colour that is outside the gamut by the rounding of the file's digits is moved onto its
-/// rim.
+/// Converts CIE XYZ (D65) to linear Rec. 709. A colour that lies outside the gamut only by the rounding of the file's
+/// digits is moved onto its border.
 fn rec709([x, y, z]: [f64; 3]) -> [f64; 3] {
     let rgb = [
         3.2404542 * x - 1.5371385 * y - 0.4985314 * z,
@@ -224,12 +226,12 @@ fn rec709([x, y, z]: [f64; 3]) -> [f64; 3] {
 }
 
 fn leading_number(value: &str) -> Option<f64> {
-    // `d -halo 0.5` gives the factor last.
+    // In `d -halo 0.5`, the factor comes last.
     value.split_whitespace().find_map(|w| w.parse().ok())
 }
 
-/// The file names of one `mtllib` line. Names may contain blanks: the whole value is one name if such a file exists.
-/// Otherwise it is cut after each `.mtl`, or else at each blank.
+/// The file names of one `mtllib` line. Names may contain blanks, so the whole value is one name if such a file exists.
+/// Otherwise the value is cut after each `.mtl`; without any `.mtl`, it is cut at each blank.
 fn library_names(folder: &Path, value: &str) -> Vec<String> {
     if value.is_empty() {
         return Vec::new();

@@ -1,5 +1,5 @@
-//! The layer before tobj for the OBJ itself. It checks every line, remembers its number, and writes a text that tobj can
-//! read.
+//! The layer before tobj for the OBJ file itself. It checks every line, records its number, and writes a text that tobj
+//! can read.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -13,7 +13,7 @@ use crate::{Error, Result, tone};
 /// Name of a material without a name.
 pub(super) const UNNAMED: &str = "(unnamed)";
 
-/// A polygon. tobj returns it at the same index of its list.
+/// A polygon. It has the same index in tobj's list of faces.
 pub(super) struct Face {
     pub(super) line: usize,
     /// Whether every corner has a texture coordinate.
@@ -26,7 +26,8 @@ pub(super) struct Face {
 
 /// An OBJ file, checked.
 pub(super) struct Scan {
-    /// The text for tobj: first all vertices, since faces may come before them in the file, then faces with absolute indices.
+    /// The text for tobj: first all vertices, because faces may come before them in the file; then faces with absolute
+    /// indices.
     pub(super) text: String,
     /// The polygons of `text`, in order.
     pub(super) faces: Vec<Face>,
@@ -34,14 +35,14 @@ pub(super) struct Scan {
     pub(super) colours: Vec<Option<[f32; 3]>>,
     /// Normals, in file order.
     pub(super) normals: Vec<[f32; 3]>,
-    /// Vertices and normals of all faces, counted from 0; a normal that is not there has a number that does not exist. Empty if
-    /// neither colours nor normals are given.
+    /// Indices of the vertex and the normal of each corner of all faces, from 0. A corner without a normal has an index
+    /// that does not exist. Empty if the file has neither colours nor normals.
     pub(super) corners: Vec<(u32, u32)>,
     /// Objects and groups of faces.
     pub(super) parts: Vec<Part>,
     /// `mtllib` lines.
     pub(super) libraries: Vec<(usize, String)>,
-    /// Names after `usemtl`, each with the line where a face first needed it.
+    /// Names after `usemtl`, each with the line of the first face that uses it.
     pub(super) used: Vec<(usize, String)>,
     pub(super) warnings: Warnings,
 }
@@ -50,7 +51,7 @@ struct Scanner<'a> {
     path: &'a Path,
     positions: usize,
     texcoords: usize,
-    /// The value of full brightness in the file's colours: 1 or 255. `None` if vertices have no colours.
+    /// The value of white in the file's colours: 1 or 255. `None` if vertices have no colours.
     white: Option<f64>,
     has_normals: bool,
     total_positions: usize,
@@ -59,7 +60,7 @@ struct Scanner<'a> {
     face_text: String,
     material: Option<String>,
     part: Part,
-    /// Index of `part`, if a face needed it.
+    /// Index of `part` in the list, if a face has used it.
     current: Option<u32>,
     known: HashMap<Part, u32>,
     skipped: Noted,
@@ -167,7 +168,7 @@ impl Scanner<'_> {
         Ok(())
     }
 
-    /// A normal that is none counts as one that is not given: light does not depend on it.
+    /// Reads a normal. Numbers that are missing or wrong become 0, without an error: light does not depend on normals.
     fn normal(&mut self, rest: &str) {
         let mut normal = [0.0; 3];
         for (value, word) in normal.iter_mut().zip(rest.split_whitespace()) {
@@ -218,7 +219,7 @@ impl Scanner<'_> {
         Ok(())
     }
 
-    /// Begins another object or group. Without a name the next faces belong to none.
+    /// Begins another object or group. With an empty name, the next faces belong to none.
     fn belongs(&mut self, to: impl Fn(&mut Part) -> &mut Option<String>, name: &str) {
         *to(&mut self.part) = (!name.is_empty()).then(|| name.into());
         self.current = None;
@@ -236,7 +237,7 @@ impl Scanner<'_> {
         })
     }
 
-    /// Writes `usemtl` only where a face needs it.
+    /// Writes `usemtl` before the first face that needs it.
     fn use_material(&mut self, line: usize) {
         if let Some(name) = self.material.take() {
             let _ = writeln!(self.face_text, "usemtl {name}");
@@ -246,9 +247,8 @@ impl Scanner<'_> {
         }
     }
 
-    /// Vertex and texture coordinate of a corner, counted from 1, and its normal, counted from 0. The order of the vertices
-    /// decides which side is the front. A texture coordinate or a normal that does not exist is not an error, since the light
-    /// may not depend on it.
+    /// Indices of the vertex and texture coordinate of a corner, from 1, and of its normal, from 0. A texture
+    /// coordinate or a normal that does not exist is not an error, because the light may not depend on it.
     fn corner(&mut self, line: usize, word: &str) -> Result<(usize, Option<usize>, u32)> {
         let mut parts = word.split('/');
         let mut index = || match parts.next().unwrap_or_default() {
@@ -262,7 +262,7 @@ impl Scanner<'_> {
         };
         let Some(position) = absolute(v, self.positions, self.total_positions) else {
             let why = match v {
-                0 => "vertex 0 does not exist, they count from 1".into(),
+                0 => "vertex 0 does not exist: vertices count from 1".into(),
                 v if v < 0 => format!("vertex {v} does not exist, {} came before", self.positions),
                 v => format!("vertex {v} does not exist, the file has {}", self.total_positions),
             };
@@ -290,7 +290,7 @@ impl Scanner<'_> {
         note(&self.bad_texcoords, "a texture coordinate is not finite; 0 0 is used instead");
         note(
             &self.absent_texcoords,
-            "a face corner names a texture coordinate that does not exist; the face goes without texture",
+            "a face corner names a texture coordinate that does not exist; the face gets no texture",
         );
         note(&self.surfaces, "a free-form surface is left out");
         scan.text = self.vertex_text + &self.face_text;
@@ -298,8 +298,8 @@ impl Scanner<'_> {
     }
 }
 
-/// The colour of a vertex line: the last three of six numbers, or of seven, of which the fourth is the weight. `None` for other
-/// lines and for words that are not numbers.
+/// The colour of a vertex line: the last three of six numbers, or of seven numbers (then the fourth is the weight).
+/// `None` for other lines and for words that are not numbers.
 fn colour(rest: &str) -> Option<[f64; 3]> {
     let mut words = rest.split_whitespace().skip(3);
     let mut numbers = [0.0; 4];
@@ -313,7 +313,7 @@ fn colour(rest: &str) -> Option<[f64; 3]> {
     }
 }
 
-/// The value of full brightness: 1, or 255 if a colour is larger than 1. `None` if no vertex has a colour.
+/// The value of white: 1, or 255 if a colour is larger than 1. `None` if no vertex has a colour.
 fn white(text: &str) -> Option<f64> {
     let lines = text::lines(text);
     let colours = lines.filter_map(|(_, line)| match split_keyword(&line) {
@@ -324,7 +324,7 @@ fn white(text: &str) -> Option<f64> {
     Some(if most > 1.0 { 255.0 } else { 1.0 })
 }
 
-/// An index counted from 1; negative ones count back from the last element read.
+/// Makes an index absolute, counted from 1. Negative indices count back from the last element read.
 fn absolute(index: i64, so_far: usize, total: usize) -> Option<usize> {
     let index = if index < 0 { index.checked_add_unsigned(so_far as u64)?.checked_add(1)? } else { index };
     usize::try_from(index).ok().filter(|i| (1..=total).contains(i))

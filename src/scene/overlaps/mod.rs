@@ -1,17 +1,18 @@
 //! Faces that overlap in one plane and face the same way: a lamp flush with the ceiling, a rug on the floor, a decal.
 //!
-//! One of such faces is in front and hides the others. The reader cuts the hidden parts away. Every method then works on
-//! surfaces that do not overlap, so all methods agree, and areas, means and emitted power count visible surface only. A
-//! depth priority at ray hits would leave partly hidden patches, and their areas, means and shares of rays would each need
-//! a special rule.
+//! One of such faces is in front and hides the others. The reader cuts the hidden parts away. Every method then works
+//! on surfaces that do not overlap, so all methods agree, and areas, means and emitted power count visible surface
+//! only. A depth priority at ray hits would leave partly hidden patches, and their areas, means and shares of rays
+//! would each need a special rule.
 //!
 //! The rule, in this order:
 //! 1. a face that emits is in front of one that does not;
-//! 2. the smaller surface is in front, where a surface is all triangles of one material that share edges and lie in one plane;
+//! 2. the smaller surface is in front, where a surface is all triangles of one material that share edges and lie in one
+//!    plane;
 //! 3. the surface that comes first in the file is in front.
 //!
-//! `pairs` finds the faces and `overlay` cuts them. Cuts end at new vertices on edges. Every triangle with such an edge gets
-//! these vertices too, so that there are no cracks between neighbours.
+//! `pairs` finds the faces and `overlay` cuts them. Cuts end at new vertices on edges. Every triangle with such an edge
+//! gets these vertices too, so that there are no cracks between neighbours.
 
 mod overlay;
 mod pairs;
@@ -21,7 +22,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use super::{Scene, cutting, triangle_area};
 use overlay::Overlay;
 
-/// Surface of one material that was cut away because it lies behind other faces in one plane.
+/// The surface of one material that was cut away because it lies behind other faces in one plane.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hidden {
     /// Name of the material.
@@ -69,15 +70,15 @@ pub(super) fn resolve(scene: &mut Scene) -> Vec<Hidden> {
         chains.extend(overlay.chains);
         inner.extend(overlay.inner);
     }
-    let told = tell(scene, &pairs, &ranks, &hidden);
-    // What is left of a face is no face of the file.
+    let list = by_material(scene, &pairs, &ranks, &hidden);
+    // The rest of a face is not a face of the file.
     scene.face_corners.clear();
     let cuts = cutting::cuts(scene, chains, inner);
     cutting::replace(scene, &left, &cuts);
-    told
+    list
 }
 
-/// Pairs of triangles that overlap in one plane, whichever way they face.
+/// Pairs of triangles that overlap in one plane, whether they face the same way or opposite ways.
 pub(crate) fn in_one_plane(scene: &Scene) -> Vec<[u32; 2]> {
     pairs::find(scene, pairs::Facing::Any).into_iter().map(|pair| pair.triangles).collect()
 }
@@ -167,7 +168,8 @@ fn sizes(areas: &[f64]) -> Vec<u32> {
     sizes
 }
 
-/// For each triangle the first triangle of its surface.
+/// The first triangle of each triangle's surface. A surface is all triangles of one material that share edges and lie
+/// in one plane.
 pub(super) fn surfaces(scene: &Scene) -> Vec<u32> {
     /// Cosine of the largest angle between neighbours in one plane. Coordinates are rounded.
     const FLAT: f64 = 1.0 - 1e-6;
@@ -190,7 +192,8 @@ pub(super) fn surfaces(scene: &Scene) -> Vec<u32> {
     (0..scene.triangles.len() as u32).map(|t| sets.first(t)).collect()
 }
 
-/// Joins vertices of a component that lie at one place, in the whole scene, so that neighbours stay connected.
+/// Joins vertices of a component that lie at one place. This changes all triangles of the scene, so that neighbours
+/// stay connected.
 fn weld(scene: &mut Scene, components: &[Component]) {
     let mut same = Sets::default();
     for component in components {
@@ -216,13 +219,18 @@ fn weld(scene: &mut Scene, components: &[Component]) {
 }
 
 /// The hidden surfaces, by material, in the order of the scene.
-fn tell(scene: &Scene, pairs: &[pairs::Pair], ranks: &[Rank], hidden: &HashMap<u32, f64>) -> Vec<Hidden> {
+fn by_material(
+    scene: &Scene,
+    pairs: &[pairs::Pair],
+    ranks: &[Rank],
+    hidden: &HashMap<u32, f64>,
+) -> Vec<Hidden> {
     let material = |t: u32| scene.triangles[t as usize].material;
     let mut areas: BTreeMap<u32, f64> = BTreeMap::new();
     let mut triangles: Vec<u32> = hidden.keys().copied().collect();
     triangles.sort_unstable();
     for t in triangles {
-        // Triangles that only got new vertices on their edges change by rounding.
+        // The area of a triangle that only got new vertices on its edges changes by rounding.
         if hidden[&t] > 1e-9 * scene.area(t as usize) {
             *areas.entry(material(t)).or_default() += hidden[&t];
         }
@@ -234,10 +242,10 @@ fn tell(scene: &Scene, pairs: &[pairs::Pair], ranks: &[Rank], hidden: &HashMap<u
         fronts.entry(material(back)).or_default().insert(material(front));
     }
     let name = |m: u32| scene.materials[m as usize].name.clone();
-    let tell = |(m, area): (u32, f64)| Hidden {
+    let of_material = |(m, area): (u32, f64)| Hidden {
         material: name(m),
         behind: fronts.get(&m).into_iter().flatten().map(|&front| name(front)).collect(),
         area,
     };
-    areas.into_iter().map(tell).collect()
+    areas.into_iter().map(of_material).collect()
 }

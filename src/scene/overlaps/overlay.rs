@@ -1,8 +1,8 @@
 //! Cuts triangles that overlap in one plane, so that each keeps its visible part.
 //!
-//! A constrained Delaunay triangulation with the edges of all triangles gives cells that no edge crosses. Each cell belongs
-//! to the frontmost triangle that contains it. The cells of a triangle are then triangulated again from their outline alone,
-//! so that triangles in front are not cut along the edges of hidden ones.
+//! A constrained Delaunay triangulation with the edges of all triangles gives cells that no edge crosses. Each cell
+//! belongs to the frontmost triangle that contains it. The cells of a triangle are then triangulated again from their
+//! outline alone. So triangles in front are not cut along the edges of hidden triangles.
 
 use std::collections::HashMap;
 
@@ -19,16 +19,16 @@ use crate::scene::{
 
 /// The visible parts of some triangles.
 pub(super) struct Overlay {
-    /// For each member its visible triangles, which may be none; `None` if the member has not changed.
+    /// The visible triangles of each member. The list is empty for a hidden member, and `None` for an unchanged one.
     pub(super) left: Vec<Option<Vec<[u32; 3]>>>,
     /// The vertices on edges of members.
     pub(super) chains: Vec<Chain>,
-    /// The vertices on edges that only pieces have.
+    /// The vertices on edges of pieces.
     pub(super) inner: Vec<Chain>,
 }
 
 impl Overlay {
-    /// Overlays `members` of `scene`, the frontmost first. Adds vertices to the scene.
+    /// Overlays `members`, triangles of `scene` with the frontmost first. Adds vertices to the scene.
     pub(super) fn new(scene: &mut Scene, members: &[u32], tolerance: f64) -> Overlay {
         let mut sheet = Sheet::new(scene, members, tolerance);
         sheet.cut_edges(scene);
@@ -59,14 +59,15 @@ impl Overlay {
     }
 }
 
-/// An edge of members, and the vertices on it with their distances from its first end, in order.
+/// An edge of members, and the vertices on it in order, with their distances from its first end.
 struct Edge {
     ends: [usize; 2],
     on: Vec<(usize, f64)>,
 }
 
-/// Vertices that lie in a line because they are on one edge. Rounding can form triangles of them, which have no area but
-/// separate their neighbours. They are left out, and the neighbour at their longest side gets their vertices.
+/// Vertices that lie in a line because they are on one edge. Rounding can make triangles of three such vertices. They
+/// have no area but separate their neighbours. So they are left out, and the neighbour at the longest side gets their
+/// vertices.
 struct Straight {
     /// All vertices of each edge, in order.
     lines: Vec<Vec<usize>>,
@@ -88,7 +89,7 @@ impl Straight {
         Straight { lines, of }
     }
 
-    /// If three corners lie in a line: all vertices on that line from the first corner to the last.
+    /// If three corners lie in a line, all vertices on that line from the first corner to the last.
     fn across(&self, corners: &[usize; 3]) -> Option<Vec<usize>> {
         let places = |&k: &usize| {
             let place = |v: &usize| self.lines[k].iter().position(|w| w == v);
@@ -107,12 +108,12 @@ struct Sheet {
     /// Indices of vertices in the scene, and their positions in the plane.
     vertices: Vec<u32>,
     points: Vec<DVec2>,
-    /// By index into `vertices`, counter-clockwise.
+    /// The members as indices into `vertices`, counter-clockwise.
     triangles: Vec<[usize; 3]>,
     edges: Vec<Edge>,
 }
 
-/// Cells with their corners, counter-clockwise, and the neighbours across the edge from each corner to the next.
+/// Cells. Each has its corners, counter-clockwise, and the neighbours across the edges from each corner to the next.
 struct Cells {
     corners: Vec<[usize; 3]>,
     neighbours: Vec<[Option<usize>; 3]>,
@@ -163,7 +164,7 @@ impl Sheet {
         }
     }
 
-    /// Vertices from `first` on that lie on edges.
+    /// Finds the edges on which vertices lie. Looks at vertices with an index of at least `first`.
     fn find_on_edges(&mut self, first: usize) {
         let mut order: Vec<usize> = (first..self.points.len()).collect();
         order.sort_by(|&v, &w| self.points[v].x.total_cmp(&self.points[w].x));
@@ -218,7 +219,7 @@ impl Sheet {
         let ([p, q], [r, s]) = (first.ends.map(|v| self.points[v]), second.ends.map(|v| self.points[v]));
         let share = (s - r).perp_dot(p - r) / (s - r).perp_dot(p - q);
         let at = p + (q - p) * share;
-        // Straight edges meet once. Almost parallel edges would seem to cross elsewhere too.
+        // Straight edges meet only once. By rounding, almost parallel edges would seem to cross elsewhere too.
         if all(first).into_iter().any(|v| on(second, v)) {
             return;
         }
@@ -284,7 +285,7 @@ impl Sheet {
         cells
     }
 
-    /// The point in the frontmost plane above a point.
+    /// The point of the frontmost member's plane that projects to `at`.
     fn lift(&self, scene: &Scene, at: DVec2) -> DVec3 {
         let corners = self.triangles[0].map(|v| scene.vertices[self.vertices[v] as usize]);
         let [normal, along] = [self.plane.normal, DVec3::AXES[self.plane.along]];
@@ -303,8 +304,8 @@ impl Sheet {
         let mut order: Vec<usize> = (0..centres.len()).collect();
         order.sort_by(|&i, &j| centres[i].x.total_cmp(&centres[j].x));
         let mut owners = vec![None; centres.len()];
-        // Edges bend by the tolerance where they run through vertices beside them. A cell that no triangle contains is then
-        // a strip beside one.
+        // An edge bends by up to the tolerance, because it runs through vertices beside it. So a cell outside all
+        // triangles may be a strip beside a triangle.
         for slack in [0.0, self.tolerance] {
             for (m, corners) in self.triangles.iter().enumerate() {
                 let [a, b, c] = corners.map(|v| self.points[v]);
@@ -328,7 +329,7 @@ impl Sheet {
         owners
     }
 
-    /// The visible part of a member.
+    /// The visible part of a member. `None` if all of it is visible.
     fn left(&self, member: u32, cells: &Cells, owners: &[Option<u32>]) -> Option<Vec<[usize; 3]>> {
         let own = |k: usize| owners[k] == Some(member);
         let mut outline = Vec::new();

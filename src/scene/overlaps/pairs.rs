@@ -1,4 +1,4 @@
-//! Which triangles overlap in one plane.
+//! Finds triangles that overlap in one plane.
 
 use glam::{DVec2, DVec3, Vec3, Vec3A};
 use obvhs::aabb::Aabb;
@@ -13,27 +13,29 @@ pub(super) struct Pair {
     pub(super) tolerance: f64,
 }
 
-/// Planes closer than this share of the longest side of the scene are one. Files often pass through single precision.
+/// Planes closer than this share of the longest side of the scene count as one. Files often pass through single
+/// precision.
 const SAME_PLANE: f64 = 1e-6;
-/// Planes farther apart than this share of the smaller face are two, even in a large scene. The light that passes through
-/// such a gap is about that share of the light of the face.
+/// Planes farther apart than this share of the smaller face count as two, even in a large scene. The light that passes
+/// through such a gap is about this share of the light that the face receives.
 const OF_FACE: f64 = 1e-3;
-/// The share of the largest rounding error that counts as one plane. Coordinates of six digits are wrong by at most half a
-/// unit of the sixth digit. Two faces in one plane parallel to the axes have equal digits, so a difference of a whole unit
-/// is a gap.
+/// Planes closer than this share of the largest rounding error count as one. The rounding error of a coordinate of six
+/// digits is at most half a unit of the sixth digit. But two faces in one plane perpendicular to an axis have equal
+/// digits, so that a difference of a whole unit is a gap.
 const OF_ROUNDING: f64 = 0.9;
-/// Two normals with a larger cosine may belong to one plane. The heights decide.
+/// Two triangles may lie in one plane if the cosine of the angle between their normals is at least this. Then the
+/// heights decide.
 const PARALLEL: f32 = 0.99;
 
-/// Which way two triangles face.
+/// Whether two triangles must face the same way.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Facing {
     Same,
     Any,
 }
 
-/// All pairs, in no order that matters. Of triangles with the same three corners in the same winding, only the first is
-/// compared with others.
+/// All pairs. Their order has no meaning. Of triangles with the same three corners in the same winding, only the first
+/// is compared with others.
 pub(super) fn find(scene: &Scene, facing: Facing) -> Vec<Pair> {
     let (centre, half) = centre_and_extent(scene.vertices.iter().copied());
     let search = Search { scene, facing, extent: 2.0 * half, normals: normals(scene) };
@@ -56,8 +58,8 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Separates triangles that equal an earlier one. Returns the other triangles, and the equal ones as pairs. Building the
-    /// hierarchy takes quadratic time if many boxes are equal.
+    /// Separates triangles that equal an earlier one, because building the hierarchy takes quadratic time if many boxes
+    /// are equal. Returns the other triangles, and pairs of equal ones.
     fn distinct(&self) -> (Vec<u32>, Vec<Pair>) {
         let cycle = |t: u32| {
             let [a, b, c] = self.scene.triangles[t as usize].vertices;
@@ -85,7 +87,7 @@ impl Search<'_> {
         (b - a).length().max((c - b).length()).max((a - c).length())
     }
 
-    /// The tolerance of a triangle with itself.
+    /// The tolerance between a triangle and its copy.
     fn own_tolerance(&self, t: u32) -> f64 {
         (SAME_PLANE * self.extent).min(OF_FACE * self.longest(t))
     }
@@ -128,7 +130,7 @@ impl Search<'_> {
         one.then_some(Pair { triangles: [s, t], tolerance })
     }
 
-    /// The largest distance of the planes of two triangles that count as one plane.
+    /// The largest distance at which the planes of two triangles count as one.
     fn tolerance(&self, s: u32, t: u32, normal: DVec3) -> f64 {
         let corners = || [s, t].into_iter().flat_map(|t| self.scene.corners(t as usize));
         let mut widest = SAME_PLANE * self.extent;
@@ -141,12 +143,12 @@ impl Search<'_> {
     }
 }
 
-/// Half a unit of the sixth digit.
+/// Half a unit of the sixth decimal digit of `x`.
 fn half_unit(x: f64) -> f64 {
     if x > 0.0 { 0.5 * 10f64.powf(x.log10().floor() - 5.0) } else { 0.0 }
 }
 
-/// Whether a number has six decimal digits at most, up to the rounding of double precision.
+/// Whether a number has at most six decimal digits, up to the rounding of double precision.
 fn has_six_digits(x: f64) -> bool {
     if x == 0.0 {
         return true;
@@ -155,7 +157,7 @@ fn has_six_digits(x: f64) -> bool {
     (digits - digits.round()).abs() <= 1e-8
 }
 
-/// Whether a line through an edge separates the two triangles, up to an overlap of this width.
+/// Whether the line through an edge separates two triangles. An overlap of up to `width` does not count.
 fn separated(a: &[DVec2; 3], b: &[DVec2; 3], width: f64) -> bool {
     let divides = |edges: &[DVec2; 3], other: &[DVec2; 3]| {
         (0..3).any(|k| {
@@ -167,7 +169,7 @@ fn separated(a: &[DVec2; 3], b: &[DVec2; 3], width: f64) -> bool {
     divides(a, b) || divides(b, a)
 }
 
-/// The share of triangle `a` that triangle `b` covers, where both lie in one plane.
+/// The share of triangle `a` that triangle `b` covers. Both lie in one plane.
 pub(crate) fn covered(a: [DVec3; 3], b: [DVec3; 3]) -> f64 {
     let plane = Plane::of(a);
     let [a, b] = [a, b].map(|corners| plane.counter_clockwise(corners));
@@ -229,7 +231,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_of_six_digits_are_told_from_others() {
+    fn numbers_of_six_digits_are_recognised() {
         for x in [0.0, 1.0, -3.0, 0.123456, 2.99999, 5004.12, 1.5e-7, 987654.0, 1e300] {
             assert!(has_six_digits(x), "{x}");
         }

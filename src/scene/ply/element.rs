@@ -1,4 +1,4 @@
-//! The elements of a PLY file, for any type of numbers.
+//! The elements of a PLY file, with numbers of any type.
 
 use ply_rs::ply::{Property, PropertyAccess, PropertyAccessResult};
 
@@ -46,7 +46,7 @@ const COLOUR: [&str; 3] = ["red", "green", "blue"];
 #[derive(Default)]
 pub(super) struct Vertex {
     pub(super) position: [f64; 3],
-    /// Zero where none is given.
+    /// Zero if the file gives none.
     pub(super) normal: [f32; 3],
     pub(super) colour: Channels,
 }
@@ -80,7 +80,7 @@ pub(super) struct Face {
     pub(super) colour: Channels,
     pub(super) reflectance: Channels,
     pub(super) emission: Channels,
-    /// In files of this program: not 0 for a back.
+    /// The side of the patch, in files of this program: 0 for a front.
     pub(super) side: f64,
     /// Other numbers, by which faces may be grouped.
     pub(super) others: Vec<(String, f64)>,
@@ -139,7 +139,7 @@ fn number(property: &Property) -> Option<f64> {
     })
 }
 
-/// The value of a colour that means 1.
+/// The value of a colour that stands for 1.
 fn full(property: &Property) -> f64 {
     match property {
         Property::Float(_) | Property::Double(_) => 1.0,

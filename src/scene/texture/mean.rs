@@ -1,19 +1,19 @@
-//! The mean of a texture over a triangle, from a pyramid of means. A square inside the triangle costs one look-up; squares
-//! on its rim are cut in four, down to texels.
+//! The mean of a texture over a triangle, from a pyramid of means. A square inside the triangle costs one look-up.
+//! Squares on its rim are split into four, down to texels.
 
 use glam::DVec2;
 
 use super::Texture;
 
-/// A cell on the rim is not split if its side is smaller than the triangle's extent divided by this. A convex curve crosses
-/// at most about four times as many cells.
+/// A cell on the rim is split only if its side is larger than the triangle's extent divided by this number. A convex
+/// curve crosses at most about four times this number of cells.
 const CELLS_ACROSS: f64 = 512.0;
 
-/// The lowest level that the pyramid stores. Its cells are 4 by 4 texels, so the pyramid takes a third of the memory of the
-/// texels.
+/// The lowest level that the pyramid stores. Its cells are 4 by 4 texels, so the pyramid takes a third of the memory of
+/// the texels.
 const FIRST_STORED: u32 = 2;
 
-/// Means of squares with edges of 2^level texels, cut off at the right and lower rim of the image.
+/// Means of squares with sides of 2^level texels. Squares on the right and lower rim of the image are cut off there.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Pyramid {
     levels: Vec<Level>,
@@ -162,7 +162,7 @@ pub(super) fn over(texture: &Texture, clamp: bool, corners: [DVec2; 3]) -> Optio
     if !(low.is_finite() && high.is_finite()) {
         return None;
     }
-    // Subtracts whole repeats, which would only add rounding errors.
+    // Whole repeats are subtracted, because large coordinates would only add rounding errors.
     let home = if clamp { DVec2::ZERO } else { (low / size).floor() * size };
     let mut triangle = Polygon { corners: [DVec2::ZERO; 12], len: 0 };
     corners.iter().for_each(|&c| triangle.push(c - home));
@@ -188,7 +188,7 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    /// A square of 2^`level` by 2^`level` repeats, the first of them at `low`.
+    /// Adds the part of a polygon in a square of 2^`level` by 2^`level` repeats, the first of them at `low`.
     fn repeats(&mut self, polygon: &Polygon, size: DVec2, low: DVec2, level: f64) {
         let area = polygon.area();
         if area <= 0.0 {
@@ -209,7 +209,7 @@ impl Walk<'_> {
         }
     }
 
-    /// The part of a polygon in cell `(i, j)` of the image.
+    /// Adds the part of a polygon in cell `(i, j)` of the image.
     fn cell(&mut self, polygon: &Polygon, level: u32, i: usize, j: usize) {
         let area = polygon.area();
         let (low, high) = cell_bounds(self.texture, level, i, j);
@@ -229,7 +229,7 @@ impl Walk<'_> {
         }
     }
 
-    /// The part outside a clamped image, where the texels of its rim extend.
+    /// Adds the part outside a clamped image, where the texels of its rim extend.
     fn rim(&mut self, triangle: &Polygon, size: DVec2) {
         let last = [self.texture.width - 1, self.texture.height - 1];
         for axis in [0, 1] {
@@ -265,7 +265,7 @@ mod tests {
     use crate::scene::TextureMap;
     use proptest::prelude::*;
 
-    /// Texels that follow no pattern.
+    /// Texels without a pattern.
     fn noise(w: usize, h: usize) -> Texture {
         let mut state = 12345u32;
         let texels = (0..3 * w * h).map(|_| {
@@ -275,7 +275,7 @@ mod tests {
         Texture::new(w, h, texels.collect())
     }
 
-    /// The mean of `at` over `n` by `n` parallelograms' centroids, folded into the triangle.
+    /// The mean of [`Texture::at`] over the centroids of n² small triangles that make up the triangle.
     fn sampled(texture: &Texture, map: &TextureMap, uv: [DVec2; 3], n: usize) -> [f64; 3] {
         let mut sum = Sum::default();
         for i in 0..n {
@@ -299,7 +299,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn mean_is_what_many_samples_say(uv in uv(), clamp: bool, w in 1usize..9, h in 1usize..9) {
+        fn mean_agrees_with_many_samples(uv in uv(), clamp: bool, w in 1usize..9, h in 1usize..9) {
             prop_assume!((uv[1] - uv[0]).perp_dot(uv[2] - uv[0]).abs() > 0.01);
             let texture = noise(w, h);
             let map = TextureMap { clamp, ..TextureMap::new(0) };
@@ -329,7 +329,7 @@ mod tests {
         let texture = Texture::new(2, 1, vec![0, 0, 0, 255, 255, 255]);
         let map = TextureMap::new(0);
         let [a, b, c, d] = [[0., 0.], [1., 0.], [1., 1.], [0., 1.]].map(DVec2::from);
-        // Black left half: three quarters of the upper left triangle.
+        // The left half is black: three quarters of the upper left triangle.
         assert!((texture.mean(&map, [a, c, d])[0] - 0.25).abs() < 1e-12);
         assert!((texture.mean(&map, [a, b, c])[0] - 0.75).abs() < 1e-12);
         let far = DVec2::new(-7.0, 5.0);
@@ -365,7 +365,7 @@ mod tests {
         assert!(texture.mean(&map, nowhere)[0].is_finite());
     }
 
-    /// Texel by texel this would take years.
+    /// A sum over texels would take years here.
     #[test]
     fn huge_footprints_are_quick_and_right() {
         let texture = noise(300, 200);
