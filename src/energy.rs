@@ -1,15 +1,15 @@
-//! The energy ledger: all power that is emitted or enters the scene (from sky, sun and other lights that are not
-//! surfaces) is absorbed or escapes.
+//! The energy ledger. All power that is emitted or enters is absorbed or escapes.
 //!
-//! Do is the direct irradiance from lights that are not surfaces. Their power enters as Σ A Do. The emission Bd of
-//! lamps arrives as direct irradiance Dl or escapes. Form factors carry U = B - Bd. With irradiance E = Dl + Do + F U
-//! and residual r = Be + ρ E - B, exactly
+//! Power enters from sky, sun and other lights that are not surfaces. Do is their direct irradiance, so the power that
+//! enters is Σ A Do. The emission Bd of lamps arrives as direct irradiance Dl or escapes. Form factors carry the rest
+//! of the radiosity, U = B - Bd. With the irradiance E = Dl + Do + F U and the residual r = Be + ρ E - B, this equation
+//! is exact:
 //!
 //!   emitted + entered - absorbed - escaped = Σ_i A_i r_i + Σ_j U_j Σ_i (A_j F_ji - A_i F_ij)
 //!
-//! The first part is the solver's error, the second the defect of reciprocity. A balanced ledger proves only that both
-//! are small: a wrong but symmetric matrix balances perfectly. Error bars and an independent estimator test whether the
-//! result is right.
+//! The first sum is the solver's error, and the second is the defect of reciprocity. A balanced ledger proves only that
+//! both are small: a wrong but symmetric matrix balances perfectly. Error bars and an independent estimator show
+//! whether the solution is correct.
 
 use crate::{
     form_factor::FormFactors,
@@ -20,22 +20,22 @@ use crate::{
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct EnergyLedger {
-    /// Σ A Be.
+    /// Emitted power, Σ A Be.
     pub emitted: Vec<f64>,
-    /// Σ A Do: power that arrives directly from lights that are not surfaces.
+    /// Power that arrives directly from lights that are not surfaces, Σ A Do.
     pub entered: Vec<f64>,
-    /// Σ A (1 - ρ) E.
+    /// Absorbed power, Σ A (1 - ρ) E.
     pub absorbed: Vec<f64>,
-    /// Power that leaves the scene: Σ A U times the escaped share, the lamps' power that arrives at no patch, Σ A (Bd -
-    /// Dl), and the correction for linear light.
+    /// Power that escapes: Σ A U times the share of rays that leave the scene, plus the power of lamps that arrives
+    /// nowhere, Σ A (Bd - Dl), plus a correction for light that varies over patches.
     pub escaped: Vec<f64>,
-    /// Σ A r.
+    /// The solver's part of the imbalance, Σ A r.
     pub solver_part: Vec<f64>,
-    /// Σ_j U_j Σ_i (A_j F_ji - A_i F_ij).
+    /// The part of the imbalance from the defect of reciprocity, Σ_j U_j Σ_i (A_j F_ji - A_i F_ij).
     pub reciprocity_part: Vec<f64>,
-    /// Σ A B: the power that leaves the patches, counted at every bounce.
+    /// The power that leaves the patches, counted at every bounce, Σ A B.
     pub leaving: Vec<f64>,
-    /// Lamps' power that arrives at no patch, beyond sampling error, in a scene from which no ray escapes.
+    /// Power of lamps that arrives nowhere although no ray leaves the scene. Zero if sampling errors explain it.
     pub leaking: Vec<f64>,
 }
 
@@ -43,7 +43,7 @@ impl EnergyLedger {
     /// The ledger of a solution.
     ///
     /// # Panics
-    /// When the sizes disagree.
+    /// When the numbers of patches or channels disagree.
     pub fn of<'a>(
         form_factors: &FormFactors,
         radiometry: impl Into<Radiometry<'a>>,
@@ -53,8 +53,7 @@ impl EnergyLedger {
         let channels = radiometry.channels;
         assert_eq!(solution.radiosity.len(), form_factors.len() * channels, "sizes disagree");
         let (areas, escaped) = (form_factors.areas(), form_factors.escaped());
-        // A_j Σ_i F_ji, the exchange area by which patch j sends; and Σ_i A_i F_ij, the one by which others receive
-        // from it.
+        // The exchange area of patch j towards all others by rows, A_j Σ_i F_ji, and by columns, Σ_i A_i F_ij.
         let sent: Vec<f64> = form_factors.row_sums().iter().zip(areas).map(|(sum, a)| a * sum).collect();
         let taken = form_factors.column_sums();
         let direct = form_factors.direct_powers(radiometry.emission, channels);
@@ -103,13 +102,13 @@ impl EnergyLedger {
         self.worst(|c| self.reciprocity_part[c])
     }
 
-    /// The rounding of the power that leaves the patches, relative to the power that is emitted and enters, in the
-    /// worst channel. No balance can be closer. It matters if surfaces reflect nearly all light.
+    /// One rounding error of the power that leaves the patches, relative to the power that is emitted and enters, in
+    /// the worst channel. No balance can be closer. This matters if surfaces reflect nearly all light.
     pub fn rounding(&self) -> f64 {
         self.worst(|c| f64::EPSILON * self.leaving[c])
     }
 
-    /// Leaking power, relative to the power that is emitted and enters, in the worst channel.
+    /// The power that leaks, relative to the power that is emitted and enters, in the worst channel.
     pub fn relative_leak(&self) -> f64 {
         self.worst(|c| self.leaking[c])
     }

@@ -1,7 +1,7 @@
 //! Errors.
 //!
-//! A file, a terminal or a disk can cause an [`Error`]. A bug of the caller, such as an index out of range or vectors of
-//! different lengths, is a panic.
+//! A file, a terminal or a disk can cause an [`Error`]. A bug of the caller, such as an index out of range or vectors
+//! of different lengths, causes a panic.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ pub enum Error {
         /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A file was read, but its contents cannot be used. Displays as `FILE:LINE: what is wrong`.
+    /// A file was read, but its contents cannot be used. The text is `FILE:LINE: message`.
     #[error("{}{}: {message}", file.display(), line.map_or(String::new(), |l| format!(":{l}")))]
     Input {
         /// The file.
@@ -29,7 +29,7 @@ pub enum Error {
         /// What to do about it.
         hint: Option<String>,
     },
-    /// Arrays that are no mesh, given to [`Scene::from_indexed`](crate::Scene::from_indexed).
+    /// Arrays that do not form a mesh, given to [`Scene::from_indexed`](crate::Scene::from_indexed).
     #[error(transparent)]
     Mesh(MeshError),
     /// A request that cannot be fulfilled.
@@ -40,10 +40,10 @@ pub enum Error {
         /// What to do about it.
         hint: Option<String>,
     },
-    /// Settings that cannot be honoured together, or for this scene.
+    /// Settings that cannot be combined, or that do not suit the scene.
     #[error("{message}")]
     Setting {
-        /// The settings to change; each of them helps.
+        /// The settings to change. A change of any one of them helps.
         settings: &'static [Setting],
         /// What is wrong.
         message: String,
@@ -52,22 +52,22 @@ pub enum Error {
     },
     /// The iteration stopped before it reached its tolerance.
     #[error(
-        "{solver} did not converge: relative residual {residual:.3e} after {iterations} iterations, {tolerance:.1e} demanded"
+        "{solver} did not converge: the relative residual is {residual:.3e} after {iterations} iterations, but the tolerance is {tolerance:.1e}"
     )]
     NotConverged {
         /// Name of the solver.
         solver: &'static str,
-        /// Iterations done.
+        /// Number of iterations.
         iterations: usize,
-        /// The relative residual reached.
+        /// The relative residual after these iterations.
         residual: f64,
-        /// The relative residual demanded.
+        /// The largest relative residual that is allowed.
         tolerance: f64,
     },
     /// The scene has no equilibrium: light enters it and never leaves it.
     #[error("the scene has no equilibrium: it is closed, it emits, and nothing in it absorbs")]
     NoEquilibrium,
-    /// Surfaces were declared to enclose a room, but rays leave it or hit backs.
+    /// The caller declared that surfaces enclose a room, but rays leave the room or hit backs.
     #[error("the view factors of surface {surface} sum to {sum:.4}: the surfaces do not enclose a room")]
     NotEnclosed {
         /// Index of the surface whose row sum deviates most from 1.
@@ -80,7 +80,7 @@ pub enum Error {
     Stopped,
 }
 
-/// What a caller may set. A program that asks its user for settings can add its own names of them to a hint.
+/// A setting of the caller. A program with its own names for settings can add these names to a hint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Setting {
@@ -88,13 +88,13 @@ pub enum Setting {
     Checkpoint,
     /// Length of a texel of a lightmap, [`Layout::Texel`](crate::lightmap::Layout::Texel).
     TexelLength,
-    /// Texels a side of a lightmap, [`Layout::Resolution`](crate::lightmap::Layout::Resolution).
+    /// Texels per side of a lightmap, [`Layout::Resolution`](crate::lightmap::Layout::Resolution).
     Resolution,
-    /// Which texture coordinates a lightmap has, [`Coordinates`](crate::lightmap::Coordinates).
+    /// The texture coordinates of a lightmap, [`Coordinates`](crate::lightmap::Coordinates).
     Coordinates,
     /// The algorithm for the linear system, [`Solver`](crate::solve::Solver).
     Solver,
-    /// How hits become form factors, [`Estimator`](crate::form_factor::Estimator).
+    /// The estimator of form factors, [`Estimator`](crate::form_factor::Estimator).
     Estimator,
     /// Number or size of patches, [`Subdivision`](crate::patch::Subdivision).
     Patches,
@@ -102,15 +102,15 @@ pub enum Setting {
     PictureSize,
     /// Vertical angle of view of a camera.
     FieldOfView,
-    /// Where a camera stands.
+    /// The position of a camera.
     Eye,
-    /// What a camera looks at.
+    /// The point that a camera looks at.
     LookAt,
-    /// The direction that is upwards in a picture.
+    /// The upward direction of a picture.
     Up,
 }
 
-/// What is wrong with arrays that should be a mesh. Indices count from 0.
+/// An error in arrays that should form a mesh. Indices count from 0.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MeshError {
@@ -125,15 +125,15 @@ pub enum MeshError {
     FewCorners {
         /// Index of the face.
         face: usize,
-        /// Its corners.
+        /// Number of its corners.
         corners: usize,
     },
-    /// A concave face has more corners than can be cut into triangles in reasonable time.
+    /// A concave face has too many corners to be cut into triangles in reasonable time.
     #[error("face {face} is concave and has {corners} corners; at most 10000 are possible")]
     ManyCorners {
         /// Index of the face.
         face: usize,
-        /// Its corners.
+        /// Number of its corners.
         corners: usize,
     },
     /// A face refers to a vertex that does not exist.
@@ -179,7 +179,7 @@ pub enum MeshError {
         material: String,
         /// The radiance.
         value: f64,
-        /// The largest radiance possible.
+        /// The largest radiance that is allowed.
         most: f64,
     },
     /// A material has a texture, but arrays have no texture coordinates.
@@ -191,17 +191,17 @@ pub enum MeshError {
 }
 
 impl Error {
-    /// An [`Error::Input`] for `file`, at `line` if a single line is wrong.
+    /// Makes an [`Error::Input`] for `file`, at `line` if a single line is wrong.
     pub fn input(file: &Path, line: Option<usize>, message: impl Into<String>) -> Self {
         Error::Input { file: file.to_owned(), line, message: message.into(), hint: None }
     }
 
-    /// An [`Error::Io`] for `path`.
+    /// Makes an [`Error::Io`] for `path`.
     pub fn io(path: &Path, source: std::io::Error) -> Self {
         Error::Io { path: path.to_owned(), source }
     }
 
-    /// An [`Error::Setting`] with advice for the user.
+    /// Makes an [`Error::Setting`] with advice for the user.
     pub(crate) fn setting(
         settings: &'static [Setting],
         message: impl Into<String>,
@@ -210,12 +210,12 @@ impl Error {
         Error::Setting { settings, message: message.into(), hint: Some(hint.into()) }
     }
 
-    /// The settings to change, where settings are to blame.
+    /// The settings to change. Empty if the error is not an [`Error::Setting`].
     pub fn settings(&self) -> &'static [Setting] {
         if let Error::Setting { settings, .. } = self { settings } else { &[] }
     }
 
-    /// The same error with advice for the user. Errors without a hint stay as they are.
+    /// Adds advice for the user. Kinds of errors that have no field for a hint stay as they are.
     #[must_use]
     pub fn with_hint(mut self, advice: impl Into<String>) -> Self {
         if let Error::Input { hint, .. } | Error::Usage { hint, .. } | Error::Setting { hint, .. } = &mut self

@@ -1,8 +1,9 @@
-//! Computes how light spreads between Lambertian surfaces, and how accurate the result is.
+//! Computes the exchange of light between Lambertian surfaces, and the accuracy of the result.
 //!
-//! The radiosity method cuts surfaces into patches of constant or linear light. A form factor F_ij is the share of the light
-//! leaving patch i that arrives at patch j. Rays estimate the form factors. A linear system then gives the radiosity B of
-//! every patch, the light that leaves it per area: B = Be + ρ F B, with emission Be and reflectance ρ.
+//! The radiosity method cuts surfaces into patches of constant or linear light. A form factor F_ij is the share of the
+//! light leaving patch i that arrives at patch j. Rays estimate the form factors. The radiosity B of a patch is the
+//! power that leaves it per area. It is the solution of the linear system B = Be + ρ F B, with emission Be and
+//! reflectance ρ.
 //!
 //! # From a file to radiosity
 //!
@@ -29,7 +30,7 @@
 //! ```
 //!
 //! [`accuracy::error_bars::ErrorBars`] gives the standard error of every patch. [`output`] writes meshes, pictures and
-//! reports, [`lightmap`] bakes textures.
+//! reports. [`lightmap`] bakes textures.
 //!
 //! # Your own mesh, and other lamps without new rays
 //!
@@ -63,8 +64,8 @@
 //!
 //! # The same light by path tracing
 //!
-//! [`monte_carlo`] follows light without form factors. It shares only the scene and the rays with the solver, and so it
-//! checks the solver. [`accuracy::validation`] compares both patch by patch.
+//! [`monte_carlo`] computes light without form factors. It shares only the scene and the ray tracer with the solver, so
+//! it is an independent check. [`accuracy::validation`] compares both patch by patch.
 //!
 //! ```
 //! use radiosity::{Progress, Scene, glam::dvec3, monte_carlo::{Effort, PathOptions, PathTracer, Receiver}, trace::Tracer};
@@ -83,9 +84,9 @@
 //!
 //! # Options, errors and features
 //!
-//! Structs of options have defaults and a method `with_…` for each field. New versions may add fields. Input that cannot
-//! be used is an [`Error`]; a wrong index is a panic. The default feature `cli` builds the program `radiosity`; the library
-//! does not need it: `radiosity = { version = "0.1", default-features = false }`.
+//! Option structs have defaults and a method `with_…` for each field. New versions may add fields. Unusable input gives
+//! an [`Error`]. A wrong index panics. The default feature `cli` builds the program `radiosity`. The library does not
+//! need it: `radiosity = { version = "0.1", default-features = false }`.
 
 #![deny(missing_docs)]
 #![deny(unsafe_code)]

@@ -2,16 +2,17 @@
 
 use rayon::prelude::*;
 
-/// Patches that are hardly worth a task of their own.
+/// A number of patches that is barely worth a separate task.
 pub(crate) const SHORT: usize = 4096;
 
-/// Does work of many short parallel parts on one of rayon's threads: from outside of these, each part would wake one and wait.
-/// A thousand patches take a twelfth less time.
+/// Runs work that has many short parallel parts on one of rayon's threads. From another thread, each part would wake
+/// one of rayon's threads and wait for it. This saves a twelfth of the time for a thousand patches.
 pub(crate) fn together<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     rayon::scope(|_| work())
 }
 
-/// The sum of a value a patch: of each run of patches by itself, then of the runs, whatever the number of threads.
+/// The sum of one value per patch. Each run of [`SHORT`] patches is summed by itself, and then the runs are summed in
+/// order. So the result does not depend on the number of threads.
 pub(crate) fn ordered_sum<T: Copy + Send + std::iter::Sum<T>>(
     len: usize,
     value: impl Fn(usize) -> T + Sync,
@@ -21,10 +22,10 @@ pub(crate) fn ordered_sum<T: Copy + Send + std::iter::Sum<T>>(
     runs.into_iter().sum()
 }
 
-/// The power of two next below the largest size, or 1 where there is none: dividing by it costs no rounding, and brings
-/// squares and single precision into range, however bright or dark a scene is.
+/// The largest power of two that is at most the largest absolute value; 1 if all values are zero. Division by it causes
+/// no rounding. It brings squares and numbers of single precision into range, however bright or dark a scene is.
 pub(crate) fn magnitude(values: &[f64]) -> f64 {
     let largest = values.iter().copied().map(f64::abs).fold(0.0, f64::max);
-    // Not below what has an inverse.
+    // The clamp keeps the inverse finite.
     if largest > 0.0 { 2f64.powi(largest.log2().floor().clamp(-1000.0, 1000.0) as i32) } else { 1.0 }
 }

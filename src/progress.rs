@@ -1,11 +1,11 @@
-//! How far a long computation is, and the request to stop it.
+//! The progress of a long computation, and the request to stop it.
 
 use std::sync::{
     Mutex, PoisonError,
     atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
-/// Shared between a computation, which counts its steps, and the thread that watches it.
+/// The progress of a computation. The computation counts its steps here, and another thread watches them.
 ///
 /// A computation consists of stages. Each stage has a name and counts steps: rays, paths or texels. Counting takes no
 /// lock and does not change results.
@@ -39,13 +39,13 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Nothing done yet, and no request to stop.
+    /// Makes a progress without steps done or a request to stop.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Starts a stage of `total` steps. The total is 0 where the number of steps is unknown.
+    /// Starts a stage of `total` steps. The total is 0 if the number of steps is unknown.
     pub fn begin(&self, stage: &'static str, total: u64) {
         *self.stage.lock().unwrap_or_else(PoisonError::into_inner) = stage;
         self.done.store(0, Ordering::Relaxed);
@@ -62,12 +62,12 @@ impl Progress {
         *self.stage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Steps of the present stage; 0 where their number is unknown.
+    /// Number of steps of the present stage; 0 if it is unknown.
     pub fn total(&self) -> u64 {
         self.total.load(Ordering::Relaxed)
     }
 
-    /// Steps done of the present stage.
+    /// Number of steps done in the present stage.
     pub fn done(&self) -> u64 {
         self.done.load(Ordering::Relaxed)
     }
@@ -82,10 +82,10 @@ impl Progress {
         self.stopped.load(Ordering::Relaxed)
     }
 
-    /// Lets a computation end early.
+    /// Returns an error if the computation should stop. Computations call this often.
     ///
     /// # Errors
-    /// [`Error::Stopped`](crate::Error::Stopped) once [`Progress::stop`] was called.
+    /// [`Error::Stopped`](crate::Error::Stopped) after a call of [`Progress::stop`].
     pub fn check(&self) -> crate::Result<()> {
         if self.is_stopped() { Err(crate::Error::Stopped) } else { Ok(()) }
     }

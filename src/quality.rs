@@ -1,11 +1,11 @@
-//! Presets of the two numbers that decide the cost of a solution.
+//! Presets of the two numbers that determine the cost of a solution.
 
-/// A number of patches and a number of rays a patch. Memory grows with their product.
+/// A number of patches and a number of rays per patch. Memory grows with their product.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Quality {
-    /// About how many patches the fronts are cut into. Every triangle has at least one.
+    /// Approximate number of patches of the fronts. Every triangle has at least one.
     pub patches: usize,
-    /// Mean number of rays a patch.
+    /// Mean number of rays per patch.
     pub rays: u32,
 }
 
@@ -17,14 +17,14 @@ impl Quality {
         ("high", Quality::HIGH),
         ("reference", Quality::REFERENCE),
     ];
-    /// 1,000 patches with 64 rays, to check a scene: less than a tenth of a second. On the Cornell box of `meshes/` the
-    /// mean irradiances of about 1,000 patches have an RMS error of 4.4 %.
+    /// 1,000 patches with 64 rays, for a check of the scene. It takes less than a tenth of a second. On the Cornell box
+    /// of `meshes/`, mean irradiances over about 1,000 patches have an RMS error of 4.4 %.
     pub const DRAFT: Quality = Quality { patches: 1_000, rays: 64 };
-    /// 8,000 patches with 256 rays: about a second for a room. The same means have an RMS error of 0.58 %.
+    /// 8,000 patches with 256 rays. It takes about a second for a room. The same means have an RMS error of 0.58 %.
     pub const MEDIUM: Quality = Quality { patches: 8_000, rays: 256 };
     /// 32,000 patches with 512 rays.
     pub const HIGH: Quality = Quality { patches: 32_000, rays: 512 };
-    /// 100,000 patches with 1,024 rays, to compare other solutions with. Takes a gigabyte or two.
+    /// 100,000 patches with 1,024 rays, as a reference for other solutions. It takes one or two gigabytes.
     pub const REFERENCE: Quality = Quality { patches: 100_000, rays: 1_024 };
 }
 

@@ -1,15 +1,15 @@
-//! From linear light to the colours of a screen.
+//! Conversion of linear light to the colours of a screen.
 
 /// Luminance of linear Rec. 709 red, green and blue.
 pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
-/// The share of the lit surface or pixels that automatic exposure shows at [`BRIGHT`] or darker.
+/// The share of lit surface or lit pixels that automatic exposure shows at a brightness of at most [`BRIGHT`].
 const PERCENTILE: f64 = 0.9;
-/// Linear brightness of that percentile: a well lit white wall, with room for brighter parts.
+/// Linear brightness of this percentile on the screen: a well lit white wall, with room for brighter parts.
 const BRIGHT: f64 = 0.8;
 
-/// How light becomes a colour on a screen: multiplied by a factor, clipped to white, encoded as sRGB. There is no tone
-/// curve: below white the picture is proportional to the light.
+/// An exposure. It converts light to a screen colour: light is multiplied by a factor, clipped to white, and encoded as
+/// sRGB. There is no tone curve: below white, brightness is proportional to light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exposure {
     /// Screen brightness (1 is white) per W/m² of radiosity or W/(m² sr) of radiance.
@@ -17,13 +17,13 @@ pub struct Exposure {
 }
 
 impl Exposure {
-    /// Shows `white` as white and everything else in proportion.
+    /// The exposure that shows the light `white` as white.
     pub fn of_white(white: f64) -> Exposure {
         Exposure { scale: 1.0 / white }
     }
 
-    /// The exposure that shows 90 % of the lit weight at a brightness of at most 0.8, from pairs of luminance and weight.
-    /// Luminances of zero do not count. If nothing is lit the factor is 1.
+    /// The exposure that shows 90 % of the lit weight at a brightness of at most 0.8, from pairs of luminance and
+    /// weight. Luminances of zero do not count. If nothing is lit, the factor is 1.
     pub fn automatic(luminances: impl IntoIterator<Item = (f64, f64)>) -> Exposure {
         let mut lit: Vec<(f64, f64)> =
             luminances.into_iter().filter(|(bright, _)| *bright > 0.0 && bright.is_finite()).collect();
@@ -33,7 +33,7 @@ impl Exposure {
         Exposure { scale: if percentile > 0.0 && scale.is_finite() { scale } else { 1.0 } }
     }
 
-    /// The same, brighter by a number of stops; a stop is a factor of two.
+    /// Makes the exposure brighter by a number of stops. A stop is a factor of two.
     #[must_use]
     pub fn brighter(self, stops: f64) -> Exposure {
         Exposure { scale: self.scale * stops.exp2() }
@@ -50,7 +50,7 @@ impl Exposure {
     }
 }
 
-/// One to three channels as red, green and blue.
+/// Converts one or three channels to red, green and blue.
 pub(crate) fn rgb(values: &[f64]) -> [f64; 3] {
     if let &[grey] = values { [grey; 3] } else { [values[0], values[1], values[2]] }
 }
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn the_percentile_goes_by_weight_and_by_light() {
-        // Of the weight 10 that is lit, 9 lies at 1 and 2.
+        // The lit weight is 10. Nine tenths of it have luminances of 1 and 2.
         let exposure =
             Exposure::automatic([(0.0, 50.0), (3.0, 1.0), (1.0, 5.0), (2.0, 4.0), (f64::NAN, 9.0)]);
         assert!((exposure.scale - 0.8 / 2.0).abs() < 1e-15);

@@ -9,8 +9,8 @@ impl Scene {
     /// Makes a scene from indexed faces.
     ///
     /// A face is a triangle or a polygon, and lists its corners counter-clockwise as seen from its front.
-    /// `material_of_face` gives an index into `materials` for each face. Vertices at equal positions are joined. Triangles
-    /// without area are left out and counted in [`Scene::degenerate`].
+    /// `material_of_face` has an index into `materials` for each face. Vertices at equal positions become one vertex.
+    /// Triangles without area are left out and counted in [`Scene::degenerate`].
     ///
     /// ```
     /// use radiosity::{Scene, glam::dvec3, scene::Material};
