@@ -45,7 +45,7 @@ const RESOLUTION: u32 = 512;
 #[command(after_help = "Example:\n  radiosity bake room.obj -o room-lit/ --resolution 1024\n\n\
     Written to DIR:\n  \
       lightmap.exr, .hdr      irradiance, W/m2, linear R G B\n  \
-      lightmap.png            the same for viewing\n  \
+      lightmap.png            irradiance for viewing\n  \
       scene.obj, .mtl         the mesh; its materials emit scene.png\n  \
       scene.png               radiosity for viewing, without lights\n  \
       scene-original-uv.obj   the same faces with the scene's texture coordinates\n  \
@@ -55,16 +55,16 @@ const RESOLUTION: u32 = 512;
     With -o NAME.glb one glTF file holds the lit scene, with everything else that a glTF scene contained. NAME.exr beside \
     it holds the irradiance.\n\n\
     The map shows the side of each face that has more light, or both with --two-sided. The texture coordinates of the \
-    scene are used if they lie in 0..1, do not overlap and leave room between charts. Otherwise new ones are made, for \
-    which long faces may be cut, and the report says why. A file that no earlier bake wrote is never replaced.")]
+    scene are used if they lie in 0..1, do not overlap and leave room between charts. Otherwise new coordinates are made, \
+    and the report gives the reason. Long faces may be cut for them. A file that no earlier bake wrote is never replaced.")]
 pub struct BakeArgs {
     #[command(flatten)]
     scene: SceneArgs,
     /// Write the files into this directory, which is created if it is missing, or write one glTF file
     #[arg(short, long, value_name = "DIR|NAME.glb")]
     output: PathBuf,
-    /// How a glTF file holds the map: `emissive` materials, which every viewer shows; the extension MOZ_lightmap (`moz`); or texture
-    /// coordinates alone (`uv`)
+    /// Form of the map in a glTF file: `emissive` materials, which every viewer shows; the extension MOZ_lightmap
+    /// (`moz`); or only texture coordinates (`uv`)
     #[arg(long, value_enum, value_name = "HOW", default_value_t = GltfLightmap::Emissive)]
     gltf_lightmap: GltfLightmap,
     /// Write the report to this file too
@@ -73,23 +73,23 @@ pub struct BakeArgs {
     /// Texels per side of a page [default: 512; with --texel up to 4096]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=LARGEST as i64))]
     resolution: Option<u32>,
-    /// Length of a texel, in the unit of the scene. The map takes as many pages as it needs
+    /// Length of a texel, in the unit of the scene. The map has as many pages as it needs
     #[arg(long, value_name = "LENGTH", value_parser = finite_length)]
     texel: Option<f64>,
-    /// Rays per texel for the final gather. 0 takes the irradiance of the patches, with exact flux
+    /// Rays per texel for the final gather. With 0, texels have the irradiance of the patches, and the flux is exact
     #[arg(long, value_name = "N", default_value_t = BakeOptions::default().final_gather,
         value_parser = clap::value_parser!(u32).range(0..=65536))]
     final_gather: u32,
     /// Use the texture coordinates of the scene, or fail
     #[arg(long)]
     keep_uv: bool,
-    /// Make new texture coordinates, even if those of the scene could be used
+    /// Make new texture coordinates, even if the coordinates of the scene could be used
     #[arg(long, conflicts_with = "keep_uv")]
     new_uv: bool,
     /// Give both sides of a face texels if light reaches both. The mesh gets a second face for the back
     #[arg(long, conflicts_with = "keep_uv")]
     two_sided: bool,
-    /// Make the texels of a material FACTOR times shorter than those of others. May be repeated
+    /// Make the texels of a material FACTOR times shorter than other texels. May be repeated
     #[arg(long, value_name = "MATERIAL=FACTOR", value_parser = density, conflicts_with = "keep_uv")]
     density: Vec<(String, f64)>,
     /// Do not denoise the final gather
@@ -101,13 +101,14 @@ pub struct BakeArgs {
     /// Do not smooth the map across seams
     #[arg(long)]
     no_seams: bool,
-    /// Write mask.png too: white is surface, grey hidden surface, dark grey filled from neighbours, black nothing
+    /// Write mask.png too: white is surface, grey is hidden surface, dark grey is filled from neighbours, black is
+    /// empty
     #[arg(long)]
     mask: bool,
     /// Write standard-error.exr too: the standard error of the final gather, W/m2
     #[arg(long)]
     standard_error: bool,
-    /// Make the .png files brighter by this number of stops. Negative is darker
+    /// Make the .png files brighter by this number of stops. A negative number makes them darker
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
     /// Seed of the random numbers. The same seed gives the same bytes
@@ -151,7 +152,7 @@ impl BakeArgs {
         }
     }
 
-    /// The layout of the map. Which faces need both sides follows from the solution.
+    /// The layout of the map. The solution determines later which faces need both sides.
     fn atlas(&self, scene: &Scene) -> Result<AtlasOptions> {
         let mut options = AtlasOptions::new(self.layout(), self.coordinates());
         for (name, factor) in &self.density {
@@ -183,7 +184,7 @@ impl BakeArgs {
     fn check(&self) -> Result<()> {
         if self.standard_error && self.final_gather == 0 {
             return Err(Error::Usage {
-                message: "--standard-error is that of the final gather, and there is none".into(),
+                message: "--standard-error needs a final gather".into(),
                 hint: Some("leave --final-gather 0 out".into()),
             });
         }
@@ -199,7 +200,7 @@ impl BakeArgs {
 pub fn run(args: &BakeArgs) -> Result<Outcome> {
     let start = Instant::now();
     args.check()?;
-    // The one in the output directory is written anyway.
+    // The report in the output directory is written anyway.
     let elsewhere = args.report.as_ref().filter(|path| **path != args.output.join(REPORT));
     let report_file = elsewhere.map(|path| outputs::report(path, &args.scene.path)).transpose()?;
     args.common.start_threads()?;
@@ -213,7 +214,7 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
         false => Some(Directory::new(&args.output, "bake")?),
     };
     let mut layout = args.atlas(&scene)?;
-    // Which faces need two sides is known once there is light; else the layout comes first, because it may be refused.
+    // With two sides, the layout needs the solution. Otherwise the layout comes first, because it may be refused.
     let solve = |times: &mut BakeSeconds| args.job().solve(&scene, &tracer, &watch, &mut times.stages);
     let solved = if args.two_sided { Some(solve(&mut times)?) } else { None };
     if let Some(Solved { patches, solution, .. }) = &solved {
@@ -264,15 +265,15 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// A material's name and a positive factor; names may contain `=`.
+/// Reads a material's name and a positive factor. Names may contain `=`.
 fn density(text: &str) -> std::result::Result<(String, f64), String> {
-    let (name, factor) = text.rsplit_once('=').ok_or("MATERIAL=FACTOR is wanted, as in floor=2")?;
+    let (name, factor) = text.rsplit_once('=').ok_or("expected MATERIAL=FACTOR, as in floor=2")?;
     let factor: f64 = factor.trim().parse().map_err(|_| format!("`{factor}` is not a number"))?;
-    // Wider than this no page holds both kinds of charts.
+    // In a wider range, no page could hold both kinds of charts.
     if (1e-3..=1e3).contains(&factor) {
         Ok((name.to_owned(), factor))
     } else {
-        Err("a factor from 0.001 to 1000 is wanted".into())
+        Err("expected a factor from 0.001 to 1000".into())
     }
 }
 
@@ -291,7 +292,7 @@ fn compute(
     times: &mut BakeSeconds,
 ) -> Result<(Lightmap, BakeReport, Exposures)> {
     let energy = EnergyLedger::of(&form_factors, &patches, &solution);
-    // Texels need only the light. Dropping the rest frees memory.
+    // Texels need only the solution. Dropping the form factors frees memory.
     drop(form_factors);
     let map;
     (map, times.texels) = watch.stage("texels", || {
@@ -331,7 +332,7 @@ fn libraries(scene: &Scene, directory: &Path) -> Vec<String> {
     scene.files.iter().filter(is_library).map(|file| relative(file, directory)).collect()
 }
 
-/// The relative path from a directory to a file, with `/` on every system. The whole path if there is no relative one.
+/// The relative path from a directory to a file, with `/` on every system. The whole path if there is no relative path.
 fn relative(file: &Path, directory: &Path) -> String {
     let [Ok(file), Ok(directory)] = [file, directory].map(std::fs::canonicalize) else {
         return file.display().to_string();
@@ -345,7 +346,7 @@ fn relative(file: &Path, directory: &Path) -> String {
     up.chain(down).collect::<Vec<std::borrow::Cow<str>>>().join("/")
 }
 
-/// All files but the report.
+/// All files except the report.
 struct Files(Vec<File>);
 
 impl Files {
@@ -373,7 +374,7 @@ impl Files {
             meshes.push(("scene-original-uv.obj".to_owned(), Kind::OriginalCoordinates));
         }
         let inputs: [&Path; 1] = [&args.scene.path];
-        // The report is written last, but whether it can be is checked with the others.
+        // The report is written last, but it is checked here with the other files.
         directory.file(REPORT, &inputs)?;
         let files = pictures
             .chain(meshes)
@@ -437,7 +438,7 @@ impl Files {
     }
 }
 
-/// Names of the images of irradiance beside a glTF file, a page each.
+/// Names of the images of irradiance beside a glTF file, one per page.
 fn exr_names(glb: &Path, pages: usize) -> Vec<String> {
     let stem = glb.file_stem().unwrap_or_default().to_string_lossy();
     (0..pages).map(|page| page_name(&stem, page, PictureFormat::Exr)).collect()

@@ -1,4 +1,4 @@
-//! Where the picture is taken from.
+//! The camera of a picture.
 
 use clap::Args;
 use glam::DVec3;
@@ -10,7 +10,7 @@ use radiosity::{
 
 use super::{options::point, watch::Watch};
 
-/// The camera. Everything that is not given is chosen so that the picture frames the scene.
+/// The camera. Options that are not given are chosen so that the picture frames the scene.
 #[derive(Args)]
 pub struct CameraArgs {
     /// Width of the picture
@@ -31,8 +31,8 @@ pub struct CameraArgs {
 }
 
 impl CameraArgs {
-    /// The camera as given, with the direction that is upwards in the picture for a direction of view. Missing values are taken from the
-    /// camera that frames the scene.
+    /// The camera of the options. `up` gives the upward direction of the picture for a direction of view. Missing
+    /// values come from the camera that frames the scene.
     pub fn camera(
         &self,
         up: impl Fn(DVec3) -> Option<DVec3>,
@@ -70,7 +70,10 @@ pub fn check(
 fn look(camera: &Camera, scene: &Scene, tracer: &Tracer, watch: &Watch) -> Result<()> {
     let Some(warning) = camera.check(tracer)? else { return Ok(()) };
     if !camera.sees_light(&PathTracer::new(scene, tracer, PathOptions::default())) {
-        return Err(Error::Usage { message: format!("{warning}; no light gets there"), hint: None });
+        return Err(Error::Usage {
+            message: format!("{warning}; no light reaches the visible surfaces"),
+            hint: None,
+        });
     }
     watch.warn(&warning);
     Ok(())

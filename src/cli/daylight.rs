@@ -1,4 +1,4 @@
-//! `radiosity daylight`: what each part of the sky sends to points, and the hours of a year.
+//! `radiosity daylight`: irradiance from each part of the sky, and the hours of a year.
 
 use std::{path::PathBuf, time::Instant};
 
@@ -31,13 +31,14 @@ use super::{
     watch::Watch,
 };
 
-/// Compute daylight coefficients: what each part of the sky sends to points or patches, and from them every hour of a year
+/// Compute daylight coefficients: the irradiance at points or patches from each part of the sky, and from them the
+/// hours of a year
 #[derive(Args)]
 #[command(
     after_help = "Example:\n  radiosity daylight office.obj --points desks.txt -o office.npz --epw munich.epw\n\n\
-    The parts of the sky are those of Tregenza or Reinhart, in the order of RADIANCE without its ground. The .npz holds \
-    places, parts, coefficients, reflected, sun and daylight_factor, and with --epw hours, illuminance and autonomy; \
-    docs/lights.md describes them. Lamps of the scene do not shine here."
+    The parts of the sky are Tregenza's or Reinhart's, in the order of RADIANCE without its ground. The .npz holds \
+    places, parts, coefficients, reflected, sun and daylight_factor. With --epw, it also holds hours, illuminance and \
+    autonomy. docs/lights.md describes these arrays. Lamps of the scene do not count."
 )]
 pub struct DaylightArgs {
     #[command(flatten)]
@@ -51,10 +52,10 @@ pub struct DaylightArgs {
     /// Also compute every hour of this weather file
     #[arg(long, value_name = "WEATHER.epw")]
     epw: Option<PathBuf>,
-    /// Divide each side of Tregenza's 145 parts by this: 2 gives 577 parts, 4 gives 2305
+    /// Divide each side of Tregenza's 145 parts by this number: 2 gives 577 parts, 4 gives 2305
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=8))]
     division: u32,
-    /// Rays of each point
+    /// Rays per point
     #[arg(long, value_name = "N", default_value_t = DaylightOptions::default().rays_of_points,
         value_parser = clap::value_parser!(u32).range(16..=1 << 24))]
     rays_of_points: u32,

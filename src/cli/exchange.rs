@@ -1,4 +1,4 @@
-//! `radiosity exchange`: heat between surfaces by radiation.
+//! `radiosity exchange`: radiative heat exchange between surfaces.
 
 use std::{path::PathBuf, time::Instant};
 
@@ -25,15 +25,14 @@ use super::{
 /// Compute the heat that surfaces exchange by radiation
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity exchange room.obj --surfaces room.toml --report r.json\n\n\
-    The file has a line for each surface, a group of the scene unless --by says otherwise. Lengths are metres.\n  \
+    The file has a line for each surface. A surface is a group of the scene, or as --by sets it. Lengths are metres.\n  \
     wall = { temperature = 293, emissivity = 0.9 }  # kelvin\n  \
-    heater = { flux = 200, emissivity = 0.8 }       # net W/m2 that leave it\n  \
+    heater = { flux = 200, emissivity = 0.8 }       # net flux, W/m2\n  \
     shield = { emissivity = 0.1 }                   # floats: net heat 0\n  \
-    sky = { temperature = 260 }                     # outside of all surfaces\n\n\
-    Surfaces are grey and diffuse. Radiosity is uniform on each face, temperature on each surface; a surface that \
-    floats has one temperature. Heat is in W, positive where it leaves the surface. Its standard error comes from those \
-    of the view factors. --exchange-areas writes A_i times Hottel's script-F_ij: what surface i absorbs for each sigma \
-    T^4 of surface j.")]
+    sky = { temperature = 260 }                     # outside all surfaces\n\n\
+    Surfaces are grey and diffuse. Radiosity is uniform on each face, and temperature is uniform on each surface. Heat is \
+    in W, and positive if it leaves the surface. Its standard error follows from the standard errors of the view factors. \
+    --exchange-areas writes A_i times Hottel's script-F_ij: the power that surface i absorbs per sigma T^4 of surface j.")]
 pub struct ExchangeArgs {
     #[command(flatten)]
     surfaces: SurfaceArgs,
@@ -43,7 +42,7 @@ pub struct ExchangeArgs {
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
-    /// Write the exchange areas between surfaces in m2, reflections included, as CSV
+    /// Write the exchange areas between surfaces in m2, including reflections, as CSV
     #[arg(long, value_name = "OUT.csv")]
     exchange_areas: Option<PathBuf>,
     #[command(flatten)]
@@ -75,7 +74,7 @@ pub fn run(args: &ExchangeArgs) -> Result<Outcome> {
         find(&args.surfaces, args.common.limit(), DVec3::Y, &parts, &mut told)?;
     if let Some(i) = (0..found.len()).find(|&i| found.areas()[i] <= 0.0) {
         let Surface { name, line, .. } = &parts.list[i];
-        let message = format!("a face of `{name}` is wholly hidden by others in its plane");
+        let message = format!("a face of `{name}` is entirely hidden by other faces in its plane");
         return Err(Error::input(&args.surfaces.scene, *line, message).with_hint("take it out of the scene"));
     }
     let sky = match conditions.sky {
@@ -83,7 +82,7 @@ pub fn run(args: &ExchangeArgs) -> Result<Outcome> {
         None if enclosed => 0.0,
         None => {
             told.warn(format!(
-                "{}: surfaces see the outside, of which nothing is said: it is taken to be at 0 K; add a line  sky = \
+                "{}: surfaces see the outside, but the file has no line for the sky: 0 K is used; add a line like  sky = \
                  {{ temperature = 260 }}",
                 args.conditions.display()
             ));
@@ -125,7 +124,10 @@ pub fn run(args: &ExchangeArgs) -> Result<Outcome> {
     Ok(if exchanged.imbalance.abs() <= BALANCED {
         Outcome::Done
     } else {
-        Outcome::CheckFailed(format!("heat is off balance by {:.1e}", exchanged.imbalance))
+        Outcome::CheckFailed(format!(
+            "the heat does not balance: the relative imbalance is {:.1e}",
+            exchanged.imbalance
+        ))
     })
 }
 

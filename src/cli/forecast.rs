@@ -1,4 +1,4 @@
-//! The memory that a computation will need, and the memory that it may use.
+//! The forecast of the memory of a computation, and its limit.
 
 use radiosity::{
     Error, Result, Scene,
@@ -16,7 +16,7 @@ use super::summary;
 
 /// Patches are numbered with 31 bits.
 const MOST_PATCHES: f64 = (1u64 << 31) as f64;
-/// More than this causes a warning.
+/// More bytes than this cause a warning.
 const MUCH: f64 = (1u64 << 30) as f64;
 
 /// Bytes that a computation may take.
@@ -38,10 +38,10 @@ pub struct Work<'a> {
     pub options: [&'static str; 2],
 }
 
-/// Rays that estimate how much of the scene is seen from behind.
+/// Rays that estimate the area of visible backs.
 const LOOKING: u64 = 10_000;
 
-/// The number of all patches relative to those of fronts: rays will find backs, which need patches too.
+/// The number of all patches relative to the number of fronts. Rays will find backs, which need patches too.
 pub fn with_backs(scene: &Scene, tracer: &Tracer, seed: u64) -> f64 {
     1.0 + Survey::of(scene, tracer, LOOKING, seed).back_area
 }
@@ -54,19 +54,19 @@ pub fn bytes(scene: &Scene, estimator: Estimator, solver: Solver) -> impl Fn(f64
     move |patches, rays| Memory::of(scene, patches, rays, estimator, solver).peak()
 }
 
-/// Bytes that linear light adds, if it is wanted. The number of patches includes backs.
+/// Additional bytes for linear light, if it is wanted. The number of patches includes backs.
 pub fn of_linear_light(scene: &Scene, wanted: bool) -> impl Fn(f64) -> f64 {
     move |patches| if wanted { memory::of_linear_light(scene, patches) } else { 0.0 }
 }
 
 impl Limit {
-    /// The given limit, or else the memory of this machine. There is no limit if that is unknown.
+    /// The given limit, or else the memory of this machine. There is no limit if both are unknown.
     pub fn new(given: Option<f64>) -> Limit {
         let bytes = given.or_else(machine).unwrap_or(f64::INFINITY);
         Limit { bytes, given: given.is_some() }
     }
 
-    /// Why this number of bytes is refused, if it is.
+    /// The reason for refusing this number of bytes, if it is too large.
     fn objection(self, bytes: f64) -> Option<String> {
         let owner = if self.given { "--memory allows" } else { "this machine has" };
         let [need, limit] = [bytes, self.bytes].map(summary::memory);
@@ -78,7 +78,8 @@ impl Limit {
         self.objection(bytes).is_none()
     }
 
-    /// Refuses work that needs too much memory, and says what would fit. Returns a warning if it needs much.
+    /// Refuses work that needs too much memory, with a hint about numbers that would fit. Returns a warning if it needs
+    /// much.
     pub fn check(self, work: &Work) -> Result<Option<String>> {
         let &Work { patches, rays, bytes, options: [many_patches, many_rays], .. } = work;
         if patches >= MOST_PATCHES {
@@ -114,7 +115,7 @@ impl Limit {
             if wanted < least {
                 return None;
             }
-            // The number that there will be, which may be larger than the number asked for.
+            // The actual number of patches may be larger than the requested number.
             let made = Patches::forecast(work.scene, &Subdivision::Count(wanted as usize));
             if self.allows((work.bytes)(made.max(wanted), work.rays)) {
                 return Some(wanted as u64);
@@ -143,8 +144,8 @@ impl Limit {
 
     /// Refuses a picture that needs too much memory.
     pub fn check_picture(self, pixels: f64, by_particles: bool) -> Result<()> {
-        // The film, the values that automatic exposure sorts, and the encoded picture. Light tracing adds a sum for each thread
-        // and an estimate per pixel.
+        // The film, the values that automatic exposure sorts, and the encoded picture. Light tracing adds a sum for
+        // each thread and an estimate per pixel.
         let threads = rayon::current_num_threads() as f64;
         let a_pixel = if by_particles { 200.0 + 24.0 * threads } else { 60.0 };
         self.check_image("picture", "pixels", pixels, a_pixel, "a smaller --width and --height")
@@ -158,8 +159,9 @@ impl Limit {
 
     /// Refuses view factors between a number of polygons if they need too much memory.
     pub fn check_polygons(self, polygons: usize) -> Result<()> {
-        // Polygons with their points; pairs that see each other while they are collected, then both view factors and their
-        // standard errors. In streets of 22,176 polygons each sees 1,700 others.
+        // Memory holds the polygons with their points. For each visible pair, it holds the pair while pairs are
+        // collected, and then both view factors and their standard errors. In streets of 22,176 polygons, each polygon
+        // sees 1,700 others.
         let count = polygons as f64;
         let need = 2e3 * count + 60.0 * count * (0.5 * count).min(1.5e3);
         match self.objection(need) {
@@ -182,18 +184,18 @@ impl Limit {
     }
 }
 
-/// A number as people read it.
+/// A number in a readable form.
 fn count(x: f64) -> String {
     if x < 1e7 { format!("{x:.0}") } else { format!("{x:.2e}") }
 }
 
-/// Two digits, the rest zero.
+/// Rounds down to two digits.
 fn round_down(x: f64) -> f64 {
     let unit = 10f64.powf(x.max(1.0).log10().floor() - 1.0).max(1.0);
     (x / unit).floor() * unit
 }
 
-/// A size as `--memory` reads it, rounded up.
+/// A size in the form of `--memory`, rounded up.
 pub fn exact(bytes: f64) -> String {
     format!("{}MiB", (bytes / f64::from(1 << 20)).ceil())
 }

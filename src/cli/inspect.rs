@@ -26,9 +26,9 @@ use super::{
 /// Check a scene before you compute: its contents, its problems, and the cost of each quality
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity inspect room.obj --report room.json\n\n\
-    Loads the scene, examines how its faces join, casts some rays to find out which sides can be seen, and estimates \
-    patches, memory and time for each quality. The exit status is 0 for every scene that can be loaded, even if \
-    nothing in it emits light.")]
+    Loads the scene, checks the edges of its faces, casts some rays to find the visible sides, and estimates patches, \
+    memory and time for each quality. The exit status is 0 for every scene that can be loaded, even if nothing in it \
+    emits light.")]
 pub struct InspectArgs {
     #[command(flatten)]
     scene: SceneArgs,
@@ -39,7 +39,7 @@ pub struct InspectArgs {
     common: Common,
 }
 
-/// Rays for the survey. They take some ten milliseconds and give shares to half a per cent.
+/// Rays for the survey. They take about ten milliseconds and give shares to half a per cent.
 const RAYS: u64 = 1 << 17;
 
 /// Runs the command.
@@ -75,8 +75,8 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Seconds per ray on this machine for everything except tracing: form factors, solution and error bars. Measured on a room
-/// whose tracing time is measured too.
+/// Seconds per ray on this machine for everything except tracing: form factors, solution and error bars. Measured on a
+/// room whose tracing time is measured too.
 fn bookkeeping(progress: &Progress) -> Result<f64> {
     let at = |k: u32| DVec3::new(f64::from(k & 1), f64::from(k >> 1 & 1), f64::from(k >> 2));
     let walls = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];

@@ -1,4 +1,4 @@
-//! Lights that are no surfaces: options of every command that computes light.
+//! Lights that are not surfaces: options of every command that computes light.
 
 use std::{
     path::{Path, PathBuf},
@@ -28,29 +28,29 @@ const SUN: &str = "sun";
 /// Sun, sky and other lights.
 #[derive(Args)]
 pub struct LightArgs {
-    /// Add the sun: its azimuth in degrees clockwise from north as seen from above, its altitude in degrees, and the irradiance in
-    /// W/m2 on a plane that faces it. North is -z, or +y with --up z; east is +x. Without the irradiance it only says where the sun
-    /// of the sky is
+    /// Add the sun: its azimuth in degrees clockwise from north as seen from above, its altitude in degrees, and the
+    /// irradiance in W/m2 on a plane that faces it. North is -z, or +y with --up z; east is +x. Without the irradiance,
+    /// this is only the position of the sun for --sky
     #[arg(long, value_name = "AZIMUTH,ALTITUDE[,W/M2]", value_parser = sun, allow_hyphen_values = true)]
     sun: Option<SunArg>,
-    /// Add a sky: uniform:RADIANCE in W/(m2 sr); overcast:E, clear:E or intermediate:E (CIE) with the irradiance E in W/m2 on an
-    /// unobstructed horizontal plane; perez:DIRECT,DIFFUSE with the direct normal and the diffuse horizontal irradiance, which adds
-    /// the sun too; or an image of all directions, FILE.hdr or FILE.exr, perhaps with :STRENGTH. All but images are dark below the
-    /// horizon
+    /// Add a sky: uniform:RADIANCE in W/(m2 sr); overcast:E, clear:E or intermediate:E (CIE) with the irradiance E in
+    /// W/m2 on an unobstructed horizontal plane; perez:DIRECT,DIFFUSE with the direct normal and the diffuse horizontal
+    /// irradiance, which adds the sun too; or an image of all directions, FILE.hdr or FILE.exr, optionally with
+    /// :STRENGTH. All skies except images are dark below the horizon
     #[arg(long, value_name = "KIND:VALUE", value_parser = SkyArg::from_str)]
     sky: Option<SkyArg>,
     /// Turn the image of the sky clockwise as seen from above
     #[arg(long, value_name = "DEGREES", requires = "sky", allow_hyphen_values = true)]
     sky_rotation: Option<f64>,
-    /// Where the sun of the sky is, by a place: degrees north and east
+    /// Compute the position of the sun for --sky at this place, in degrees north and east, and at the time of --at
     #[arg(long, value_name = "LAT,LON", value_parser = Place::from_str, requires = "at", conflicts_with = "sun",
         allow_hyphen_values = true)]
     place: Option<Place>,
-    /// and a time with its offset from UTC, for example 2026-06-21T12:00+02:00
+    /// The time for --place, with its offset from UTC, for example 2026-06-21T12:00+02:00
     #[arg(long, value_name = "TIME", value_parser = Moment::from_str, requires = "place")]
     at: Option<Moment>,
-    /// Add a luminaire by its photometric file, .ies or .ldt, at a point. It hangs as in the file: 0 degrees looks down, C0 is along
-    /// +x. May be repeated
+    /// Add a luminaire from its photometric file, .ies or .ldt, at a point. 0 degrees of the file points down, and C0
+    /// along +x. May be repeated
     #[arg(long, value_name = "FILE@X,Y,Z", value_parser = luminaire_at)]
     light: Vec<(PathBuf, DVec3)>,
     /// Add the lights of this file [default: lights.toml beside the scene, if there is one]
@@ -59,12 +59,12 @@ pub struct LightArgs {
     /// Read and write lm, cd, lx and cd/m2 instead of W, W/sr, W/m2 and W/(m2 sr)
     #[arg(long)]
     photometric: bool,
-    /// Without --photometric: the lumens of a watt, by which the candela of photometric files are divided
+    /// Without --photometric: lumens per watt. The candela of photometric files are divided by this number
     #[arg(long, value_name = "LM/W", default_value_t = LUMINOUS_EFFICACY, value_parser = efficacy,
         conflicts_with = "photometric")]
     luminous_efficacy: f64,
-    /// Which axis points up for sun and sky: y or z. `render` also takes the direction that points upwards in the picture, x,y,z; sun
-    /// and sky then follow the nearer axis [default: y]
+    /// The axis that points up for sun and sky: y or z. For `render`, it may also be the upward direction of the
+    /// picture, x,y,z. Sun and sky then use the nearer axis [default: y]
     #[arg(long, value_name = "y|z", value_parser = UpArg::from_str, allow_hyphen_values = true)]
     up: Option<UpArg>,
 }
@@ -112,10 +112,10 @@ fn sun(text: &str) -> Result<SunArg, String> {
         _ => return Err("expected AZIMUTH,ALTITUDE,IRRADIANCE, three numbers without blanks".into()),
     };
     if !(0.0..=90.0).contains(&altitude) {
-        return Err("the altitude of the sun is between 0 and 90 degrees".into());
+        return Err("the altitude of the sun must be between 0 and 90 degrees".into());
     }
     if irradiance.is_some_and(|e| !is_radiance(e)) {
-        return Err("the irradiance is a number that is not negative".into());
+        return Err("the irradiance must not be negative".into());
     }
     Ok(SunArg { azimuth, altitude, irradiance })
 }
@@ -136,13 +136,13 @@ impl FromStr for SkyArg {
             let strength = strength.parse().ok().filter(|&x| is_radiance(x));
             return Ok(SkyArg::Image(
                 file.into(),
-                strength.ok_or("the strength of the image is a number from 0 on")?,
+                strength.ok_or("the strength of the image must be a number that is not negative")?,
             ));
         }
         let (kind, value) = text.split_once(':').ok_or(WANTED)?;
         let number = || {
             let number = value.parse().ok().filter(|&x| is_radiance(x));
-            number.ok_or_else(|| format!("`{value}` is no number from 0 on"))
+            number.ok_or_else(|| format!("`{value}` is not a number from 0 on"))
         };
         Ok(match kind {
             "uniform" => SkyArg::Uniform(number()?),
@@ -187,8 +187,8 @@ impl LightArgs {
         }
     }
 
-    /// The direction that is upwards in a picture with this direction of view, if an option says so: of an axis, where the view follows it,
-    /// north instead.
+    /// The upward direction of a picture with this direction of view, if an option sets it. If the view runs along the
+    /// given axis, north is upward instead.
     pub fn upwards(&self, view: DVec3) -> Option<DVec3> {
         self.up.map(|up| match up {
             UpArg::Axis(up) => {
@@ -200,7 +200,7 @@ impl LightArgs {
         })
     }
 
-    /// What the numbers of the scene mean.
+    /// The units of the scene.
     pub fn units(&self) -> Units {
         match self.photometric {
             true => Units::Photometric,
@@ -208,7 +208,7 @@ impl LightArgs {
         }
     }
 
-    /// Where the options say that the sun is.
+    /// The position of the sun from the options.
     fn given_sun(&self) -> RadiosityResult<Option<SunAt>> {
         if let Some(sun) = self.sun {
             return Ok(Some((self.up().direction(sun.azimuth.to_radians(), sun.altitude.to_radians()), 1.0)));
@@ -243,7 +243,7 @@ impl LightArgs {
             let needless = matches!(self.sun, Some(SunArg { irradiance: None, .. })) || self.place.is_some();
             return match needless && scene.lights.sky.is_none() {
                 true => Err(Error::Usage {
-                    message: "--sun has no irradiance, and there is no sky whose sun it could be".into(),
+                    message: "--sun has no irradiance, and there is no sky that needs a sun".into(),
                     hint: Some(
                         "add it in W/m2, as in --sun 220,40,800, or a sky, as in --sky perez:700,120".into(),
                     ),
@@ -256,18 +256,19 @@ impl LightArgs {
         Ok(())
     }
 
-    /// The sky of the options; adds its image to the files, and the sun of an all-weather sky to the lights.
+    /// The sky of the options. Adds its image to the files of the scene, and the sun of an all-weather sky to the
+    /// lights.
     fn make_sky(&self, sky: &SkyArg, scene: &mut Scene, sun: Option<SunAt>) -> RadiosityResult<Sky> {
         let up = self.up();
         if self.sky_rotation.is_some() && !matches!(sky, SkyArg::Image(..)) {
             return Err(Error::Usage {
-                message: "--sky-rotation turns images only".into(),
+                message: "--sky-rotation needs an image as the sky".into(),
                 hint: Some("leave it out".into()),
             });
         }
         let sun = |kind: &str| {
             sun.ok_or_else(|| Error::Usage {
-                message: format!("--sky {kind} needs to know where the sun is"),
+                message: format!("--sky {kind} needs the position of the sun"),
                 hint: Some("add --sun AZIMUTH,ALTITUDE, or --place LAT,LON --at TIME".into()),
             })
         };
@@ -282,7 +283,7 @@ impl LightArgs {
                 if let Some(SunArg { irradiance: Some(_), .. }) = self.sun {
                     return Err(Error::Usage {
                         message:
-                            "--sky perez brings the sun with its direct irradiance: --sun must not have one"
+                            "--sky perez has the direct irradiance of the sun, so --sun must not have an irradiance"
                                 .into(),
                         hint: Some("give --sun AZIMUTH,ALTITUDE alone".into()),
                     });

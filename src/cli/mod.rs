@@ -1,7 +1,7 @@
 //! The commands, and their exit status.
 //!
-//! Results go to files, a short summary to stdout, progress, warnings and errors to stderr. Exit status: 0 done; 1
-//! computed, but a demanded check failed; 2 bad usage or input; 130 stopped by a signal.
+//! Results go to files, and a short summary to stdout. Progress, warnings and errors go to stderr. Exit status: 0 done;
+//! 1 computed, but a check failed; 2 bad usage or input; 130 stopped by a signal.
 
 mod bake;
 mod camera;
@@ -41,7 +41,7 @@ use clap::{
 };
 use radiosity::{Error, Result, Setting};
 
-/// Compute how light spreads between diffuse surfaces, with error bars
+/// Compute the light between diffuse surfaces, with error bars
 #[derive(Parser)]
 #[command(
     name = "radiosity",
@@ -82,8 +82,8 @@ struct Common {
     /// Number of threads [default: all processors]. The result does not depend on it
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
-    /// Largest amount of memory to use, for example 500MB or 4GiB. A computation that needs more is refused before it starts;
-    /// `solve` can go on without a matrix [default: the memory of this machine]
+    /// Largest amount of memory to use, for example 500MB or 4GiB. A computation that needs more is refused before it
+    /// starts, but `solve` can continue without a matrix [default: the memory of this machine]
     #[arg(long, value_name = "SIZE", value_parser = forecast::size)]
     memory: Option<f64>,
 }
@@ -112,10 +112,10 @@ impl Common {
     }
 }
 
-/// How a computation ended that gave a result.
+/// The outcome of a computation with a result.
 enum Outcome {
     Done,
-    /// A check failed. The sentence says which.
+    /// A check failed. The sentence describes the failure.
     CheckFailed(String),
 }
 
@@ -164,7 +164,7 @@ pub fn run() -> ExitCode {
     }
 }
 
-/// The option of a setting that the library has named in an error.
+/// The option for a setting that an error of the library names.
 fn option(setting: Setting) -> Option<&'static str> {
     Some(match setting {
         Setting::Checkpoint => "--checkpoint",
@@ -183,8 +183,8 @@ fn option(setting: Setting) -> Option<&'static str> {
     })
 }
 
-/// The commands as clap knows them. A word like `-1` is read as the value of an option, so that the option can say what is wrong
-/// with it; clap would advise to put `--` before it.
+/// The commands for clap. A word like `-1` counts as the value of an option, so that the option's own message explains
+/// the error. Otherwise, clap would advise to put `--` before the word.
 fn command() -> clap::Command {
     let is_number = |arg: &Arg| {
         let names_a_file = arg.get_value_parser().type_id() == TypeId::of::<PathBuf>();
@@ -203,9 +203,9 @@ fn usage_error(error: &clap::Error) -> ExitCode {
     if let Some(ContextValue::String(given)) = error.get(ContextKind::InvalidSubcommand)
         && Path::new(given).extension().is_some()
     {
-        // Most likely the file that a command is wanted for.
+        // The word is most likely a scene, and the command before it is missing.
         to_stderr(format_args!("error: `{given}` is not a command"));
-        to_stderr(format_args!("hint: say what to do with it, as in `radiosity solve {given} -o out.ply`"));
+        to_stderr(format_args!("hint: put a command before it, as in `radiosity solve {given} -o out.ply`"));
         return ExitCode::from(BAD_INPUT);
     }
     let text = error.render().to_string();
@@ -230,12 +230,13 @@ fn say_error(what: &dyn Display) {
     to_stderr(format_args!("error: {what}"));
 }
 
-/// Prints one line, even if a file name contains line breaks. A closed stderr is no reason to panic, as `eprintln!` would.
+/// Prints one line, even if a file name contains line breaks. Ignores a closed stderr, on which `eprintln!` would
+/// panic.
 fn to_stderr(line: impl Display) {
     let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()).replace('\n', "\\n"));
 }
 
-/// Prints text that contains its own line ends. A reader that went away is not an error. A full disk behind stdout is.
+/// Prints text that contains its own line ends. A closed pipe is not an error, but a full disk behind stdout is.
 fn to_stdout(text: &str) -> Result<()> {
     let mut out = io::stdout().lock();
     match out.write_all(printable(text).as_bytes()).and_then(|()| out.flush()) {
@@ -244,7 +245,8 @@ fn to_stdout(text: &str) -> Result<()> {
     }
 }
 
-/// The text with control characters escaped. Names come from files, and a terminal would obey their control characters.
+/// The text with its control characters escaped. Names come from files, and a terminal would execute control characters
+/// in them.
 fn printable(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     for c in text.chars() {

@@ -15,9 +15,9 @@ pub struct Model {
 const FORMS: &str = "mirror:KS, phong:KS,N, blinn-phong:KS,N, ward:KS,AX,AY, beckmann:KS,ALPHA, ggx:KS,ALPHA, \
     schlick:KS,ALPHA, conductor:ETA,KAPPA,ALPHA or metallic-roughness:METALLIC,ROUGHNESS";
 
-/// `MATERIAL=MODEL`.
+/// Reads `MATERIAL=MODEL`.
 pub fn model(text: &str) -> Result<Model, String> {
-    let form = || format!("MATERIAL=MODEL is wanted, where MODEL is {FORMS}");
+    let form = || format!("expected MATERIAL=MODEL, where MODEL is {FORMS}");
     let (material, model) = text.rsplit_once('=').ok_or_else(form)?;
     let (name, numbers) = model.split_once(':').ok_or_else(form)?;
     let numbers: Option<Vec<f64>> = numbers.split(',').map(|word| word.trim().parse().ok()).collect();

@@ -13,36 +13,37 @@ use radiosity::{
 
 use super::{lights::LightArgs, models};
 
-/// The scene, and light and colour that its file lacks: arguments of every command.
+/// The scene, with options that add light and colour to it.
 #[derive(Args)]
 pub struct SceneArgs {
     /// The scene: Wavefront .obj with its .mtl beside it, .gltf, .glb, .ply or .stl
     #[arg(value_name = "SCENE")]
     pub path: PathBuf,
-    /// Set the reflectance of a material, for example 0.6@wall or 0.6,0.5,0.4@wall. Without @ it applies to surfaces without a
-    /// reflectance in the file [default: 0.5], and to surfaces that only have colours at vertices or on faces. May be repeated
+    /// Set the reflectance of a material, for example 0.6@wall or 0.6,0.5,0.4@wall. Without @, it applies to surfaces
+    /// without a reflectance in the file [default: 0.5] and to surfaces that have only vertex or face colours. May be
+    /// repeated
     #[arg(long, value_name = "R[,G,B][@MATERIAL]", allow_hyphen_values = true, value_parser = reflectance)]
     reflectance: Vec<Reflectance>,
-    /// Let a material emit this radiance in W/(m2 sr), for example 10@lamp or 9,8,5@lamp. Without @ all materials emit. The
-    /// materials of a .ply are named by their colours, for example 10@#ffcc00. May be repeated
+    /// Let a material emit this radiance in W/(m2 sr), for example 10@lamp or 9,8,5@lamp. Without @, all materials
+    /// emit. The name of a material in a .ply is its colour, for example 10@#ffcc00. May be repeated
     #[arg(long, value_name = "L[,M,N][@MATERIAL]", allow_hyphen_values = true, value_parser = emission)]
     emit: Vec<Emission>,
     /// Let unlit materials of a glTF file emit their colour. Otherwise the colour is their reflectance
     #[arg(long)]
     unlit_emits: bool,
-    /// Leave out all faces of a material, for example of window panes. May be repeated
+    /// Leave out all faces of a material, for example window panes. May be repeated
     #[arg(long, value_name = "MATERIAL")]
     ignore: Vec<String>,
-    /// Give a material a specular part besides its Kd, for example floor=ward:0.2,0.1,0.1: mirror:KS, phong:KS,N, blinn-phong:KS,N,
-    /// ward:KS,AX,AY, beckmann:KS,ALPHA, ggx:KS,ALPHA, schlick:KS,ALPHA, conductor:ETA,KAPPA,ALPHA or
-    /// metallic-roughness:METALLIC,ROUGHNESS. May be repeated
+    /// Give a material a specular part in addition to its Kd, for example floor=ward:0.2,0.1,0.1. The models are
+    /// mirror:KS, phong:KS,N, blinn-phong:KS,N, ward:KS,AX,AY, beckmann:KS,ALPHA, ggx:KS,ALPHA, schlick:KS,ALPHA,
+    /// conductor:ETA,KAPPA,ALPHA and metallic-roughness:METALLIC,ROUGHNESS. May be repeated
     #[arg(long, value_name = "MATERIAL=MODEL", value_parser = models::model)]
     model: Vec<models::Model>,
-    /// What to do with specular parts where surfaces count as Lambertian, which is everywhere except in path and light tracing
+    /// Treatment of specular parts where surfaces count as Lambertian: everywhere except in path and light tracing
     #[arg(long, value_enum, default_value_t = SpecularName::Drop)]
     specular: SpecularName,
-    /// Let only these materials and lights emit, to compute the light of some lamps alone. The results of all lamps sum to the whole.
-    /// The lights of --sun and --sky are named sun and sky
+    /// Let only these materials and lights emit. The results of separate lamps sum to the result of all lamps. The
+    /// lights of --sun and --sky have the names sun and sky
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     emitters: Vec<String>,
     #[command(flatten)]
@@ -72,7 +73,7 @@ struct Emission {
 }
 
 impl SceneArgs {
-    /// What to do with specular parts where surfaces count as Lambertian.
+    /// The treatment of specular parts where surfaces count as Lambertian.
     pub fn specular(&self) -> SpecularPart {
         match self.specular {
             SpecularName::Drop => SpecularPart::Drop,
@@ -80,7 +81,7 @@ impl SceneArgs {
         }
     }
 
-    /// Reads the scene and applies `--emit` and `--model`. Cuts nothing where surfaces touch or cross.
+    /// Reads the scene and applies the options. Does not cut triangles where surfaces touch or cross.
     pub fn load(&self) -> RadiosityResult<Scene> {
         let plain = self.reflectance.iter().rev().find(|r| r.material.is_none()).map(|r| r.share);
         let mut scene = Scene::load_with(
@@ -162,7 +163,7 @@ fn no_material(scene: &Scene, path: &Path, option: &str, name: &str) -> Error {
 /// Leaves out the faces of materials of these names.
 pub fn ignore(scene: &mut Scene, path: &Path, materials: &[String]) -> RadiosityResult<()> {
     for name in materials {
-        // A name given twice has no faces the second time.
+        // If a name is given twice, its material has no faces the second time.
         if !scene.materials.iter().any(|m| m.name == *name) {
             return Err(no_material(scene, path, "--ignore", name));
         }
@@ -174,7 +175,7 @@ pub fn ignore(scene: &mut Scene, path: &Path, materials: &[String]) -> Radiosity
     Ok(())
 }
 
-/// The indices of materials of these names, which an option names.
+/// The indices of materials with these names. `option` is the option that names them, for messages.
 pub fn materials(scene: &Scene, path: &Path, option: &str, names: &[String]) -> RadiosityResult<Vec<u32>> {
     let index = |name: &String| {
         let found = scene.materials.iter().position(|m| m.name == *name);
@@ -198,8 +199,8 @@ pub struct CastArgs {
     /// Mean number of rays per patch, hemisphere and shadow rays together. At least 16 are hemisphere rays
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     rays: Option<u32>,
-    /// Let light vary linearly over each patch. That leaves one to two thirds of the discretisation error. The rays are cast a second
-    /// time for it
+    /// Let light vary linearly over each patch. One to two thirds of the discretisation error remain. The rays are cast
+    /// a second time
     #[arg(long)]
     linear: bool,
 }
@@ -235,7 +236,7 @@ impl CastArgs {
         }
     }
 
-    /// How to cut the scene into patches, and where that choice came from.
+    /// The subdivision into patches, and the origin of this choice in words.
     pub fn subdivision(&self) -> (Subdivision, String) {
         if let Some(edge) = self.patch_size {
             return (Subdivision::Edge(edge), format!("--patch-size {edge}"));
@@ -248,7 +249,8 @@ impl CastArgs {
         (Subdivision::Count(patches), format!("about {patches} for quality {name}"))
     }
 
-    /// A warning if there are more triangles than wanted patches, because each triangle is at least one patch.
+    /// A warning if the scene has more triangles than the requested number of patches. Each triangle is at least one
+    /// patch.
     pub fn too_few(&self, scene: &Scene) -> Option<String> {
         let triangles = scene.triangles.len();
         match self.subdivision().0 {
@@ -264,12 +266,12 @@ impl CastArgs {
         self.rays.unwrap_or(self.quality().rays)
     }
 
-    /// How to cut the scene into patches, if an option says so.
+    /// The subdivision into patches, if an option sets it.
     pub fn given_subdivision(&self) -> Option<Subdivision> {
         self.given_patches().map(|_| self.subdivision().0)
     }
 
-    /// Rays per patch, if an option says so.
+    /// Rays per patch, if an option sets them.
     pub fn given_rays(&self) -> Option<u32> {
         (self.quality.is_some() || self.rays.is_some()).then(|| self.rays())
     }
@@ -279,7 +281,7 @@ impl CastArgs {
         self.given().filter(|&option| option != "--rays")
     }
 
-    /// The first of these options that was given. Some commands solve only with some of their methods.
+    /// The first of these options that was given. Some commands use them with some of their methods only.
     pub fn given(&self) -> Option<&'static str> {
         [
             (self.patch_size.is_some(), "--patch-size"),
@@ -340,7 +342,7 @@ fn reflectance(text: &str) -> Result<Reflectance, String> {
     match colour(share).filter(good) {
         Some(share) => Ok(Reflectance { share, material }),
         None => Err(
-            "expected one number or three (R,G,B) between 0 and 1, then perhaps @ and the name of a material"
+            "expected one number or three (R,G,B) between 0 and 1, optionally followed by @ and the name of a material"
                 .into(),
         ),
     }
@@ -360,7 +362,7 @@ fn emission(text: &str) -> Result<Emission, String> {
     }
 }
 
-/// `x,y,z`.
+/// Reads `x,y,z`.
 pub fn point(text: &str) -> Result<DVec3, String> {
     let numbers: Option<Vec<f64>> =
         text.split(',').map(|word| word.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();

@@ -1,4 +1,4 @@
-//! The files that a command writes. They are checked before the work, and all written together after it.
+//! The files that a command writes. They are checked before the work, and all are written together after it.
 
 use std::{
     collections::BTreeSet,
@@ -13,8 +13,8 @@ use radiosity::{
     output::file::{OutputFile, Pending},
 };
 
-/// Kinds of files that scenes consist of. A text output may not have such a name, because the file might belong to another scene.
-/// The files of this scene are compared with each output once they are known (`pipeline::read`).
+/// Extensions of files of scenes. A text output may not have such a name, because the file might belong to another
+/// scene. The files of this scene are compared with each output after they are read (`pipeline::read`).
 const INPUT_KINDS: [&str; 14] =
     ["obj", "stl", "mtl", "gltf", "glb", "bin", "png", "jpg", "jpeg", "tga", "bmp", "exr", "hdr", "dds"];
 
@@ -32,13 +32,13 @@ pub fn mesh(path: &Path, scene: &Path) -> Result<OutputFile> {
     Ok(output)
 }
 
-/// Whether a name is that of a binary glTF file.
+/// Whether a name belongs to a binary glTF file.
 pub fn is_glb(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"))
 }
 
-/// A file that belongs to a binary glTF file beside it. An existing file is replaced only if the glTF file exists too and an
-/// earlier run of this program wrote it.
+/// A file that belongs to a binary glTF file beside it. An existing file is replaced only if the glTF file exists too
+/// and an earlier run of this program wrote it.
 pub fn beside_glb(glb: &Path, name: &str, scene: &Path) -> Result<OutputFile> {
     let path = glb.with_file_name(name);
     let is_ours = || {
@@ -98,17 +98,17 @@ pub fn remove_made() {
     made.drain(..).rev().for_each(|path| drop(fs::remove_dir(path)));
 }
 
-/// The file in a directory of outputs that lists what this program wrote there and may replace. The files themselves may be
-/// edited and saved by other programs.
+/// The file in a directory of outputs that lists what this program wrote there and may replace. The files themselves
+/// may be edited and saved by other programs.
 const MARKER: &str = ".radiosity";
 const MARKER_TITLE: &str = "# Files here that radiosity wrote and may replace";
 
-/// A directory for the files of a command. It is removed again if it was made here and nothing was written into it.
+/// A directory for the files of a command. It is removed again if this run made it and wrote nothing into it.
 #[derive(Debug)]
 pub struct Directory {
     path: PathBuf,
     command: &'static str,
-    /// Files there of earlier runs.
+    /// Names of files in the directory that earlier runs wrote.
     ours: Vec<String>,
 }
 
@@ -137,12 +137,13 @@ impl Directory {
         Ok(directory)
     }
 
-    /// A file in the directory. An existing file that no earlier run wrote is never replaced: it might belong to a scene.
+    /// A file in the directory. An existing file that no earlier run wrote is never replaced: it might belong to a
+    /// scene.
     pub fn file(&self, name: &str, inputs: &[&Path]) -> Result<OutputFile> {
         let path = self.path.join(name);
         if path.exists() && !self.ours.iter().any(|ours| ours == name) {
             let message = format!("there is a file of this name that no earlier {} wrote", self.command);
-            return Err(usage(&path, &message, "give a directory of its own with -o"));
+            return Err(usage(&path, &message, "give another directory with -o"));
         }
         OutputFile::new(&path, inputs)
     }

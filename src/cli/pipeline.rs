@@ -1,4 +1,4 @@
-//! The stages that commands share: reading a scene, solving it.
+//! Stages that commands share: reading a scene, and solving it.
 
 use std::path::Path;
 
@@ -19,8 +19,8 @@ use super::{
     watch::Watch,
 };
 
-/// Reads a scene that emits light, makes its surfaces Lambertian, and builds its ray tracer. Refuses a scene of which a file is one of
-/// `outputs`.
+/// Reads a scene with light, makes its surfaces Lambertian, and builds its ray tracer. Refuses a scene if one of its
+/// files is in `outputs`.
 pub fn load(
     args: &SceneArgs,
     outputs: &[&OutputFile],
@@ -32,7 +32,7 @@ pub fn load(
     Ok((scene, tracer))
 }
 
-/// As [`load`], but keeps the specular parts of materials.
+/// Does the same as [`load`], but keeps the specular parts of materials.
 pub fn load_as_given(
     args: &SceneArgs,
     outputs: &[&OutputFile],
@@ -55,7 +55,7 @@ pub fn load_as_given(
     Ok((scene, tracer))
 }
 
-/// Names the luminaires that are inside out.
+/// Warns of luminaires that are inside out.
 pub fn warn_of_turned_lamps(scene: &Scene, tracer: &Tracer, watch: &Watch) {
     const MOST: usize = 3;
     let turned = turned_lamps(scene, tracer);
@@ -63,8 +63,8 @@ pub fn warn_of_turned_lamps(scene: &Scene, tracer: &Tracer, watch: &Watch) {
         let [a, b, c] = scene.corners(*triangle);
         let at = (a + b + c) / 3.0;
         watch.warn(&format!(
-            "the lamp of `{}` at {:.4} {:.4} {:.4} keeps {:.0} % of its light to itself, on `{}`, while its back faces the room: is it \
-             inside out?",
+            "the lamp of `{}` at {:.4} {:.4} {:.4} sends {:.0} % of its light to its own luminaire (`{}`), while its back faces the \
+             room: is it inside out?",
             scene.material(*triangle).name,
             at.x,
             at.y,
@@ -100,20 +100,20 @@ pub fn flatten(scene: &mut Scene, args: &SceneArgs, watch: &Watch) {
     }
 }
 
-/// Warns of materials that path and light tracing cannot follow as they are given.
+/// Warns of materials whose reflection path and light tracing cannot follow exactly.
 pub fn warn_of_gloss(scene: &Scene, file: &Path, watch: &Watch) {
     for warning in Surfaces::of(scene).warnings() {
         watch.warn(&format!("{}: {warning}", file.display()));
     }
 }
 
-/// Reads a scene, cuts it where surfaces touch or cross, and prints the warnings. Refuses a scene of which a file is one of
-/// `outputs`.
+/// Reads a scene, cuts it where surfaces touch or cross, and prints the warnings. Refuses a scene if one of its files
+/// is in `outputs`.
 pub fn read(args: &SceneArgs, outputs: &[&OutputFile], watch: &Watch) -> Result<Scene> {
     read_and(args, outputs, watch, |_| ()).map(|(scene, ())| scene)
 }
 
-/// Does the same, and looks at the scene as its file has it before it is cut.
+/// Does the same as [`read`], and calls `look` with the scene before it is cut.
 pub fn read_and<T>(
     args: &SceneArgs,
     outputs: &[&OutputFile],
@@ -128,7 +128,7 @@ pub fn read_and<T>(
     Ok((scene, seen))
 }
 
-/// Settings of the solution for commands that compute something else from it.
+/// Settings of a solution from which a command computes something else.
 pub struct Job<'a> {
     /// The file of the scene, for messages.
     pub file: &'a Path,
@@ -189,7 +189,7 @@ impl Job<'_> {
     }
 }
 
-/// Adds the name of the scene to an error that the scene causes.
+/// Adds the name of the scene to errors that the scene causes.
 pub fn blame(file: &Path, error: Error) -> Error {
     match (&error, error.hint()) {
         (Error::NoEquilibrium, Some(hint)) => Error::input(file, None, error.to_string()).with_hint(hint),

@@ -40,7 +40,7 @@ pub struct ProbeArgs {
     /// Points and their normals, one line `x y z nx ny nz` each
     #[arg(long, value_name = "FILE")]
     points: PathBuf,
-    /// Write the result here instead of to stdout
+    /// Write the result to this file instead of stdout
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Write all figures as JSON
@@ -155,10 +155,11 @@ pub fn run(args: &ProbeArgs) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Rays of the last bounce per sample. One is enough, because there are many samples and each takes another direction.
+/// Rays of the last bounce per sample. One is enough, because each of the many samples has another direction.
 const GATHER: u32 = 1;
 
-/// Names the points that see the backs of faces almost all round: they lie below a surface or inside a solid.
+/// Warns of points that see backs of faces in almost all directions, because they lie below a surface or inside a
+/// solid.
 fn warn_of_buried(probes: &[Probe], places: &[Receiver], tracer: &Tracer, watch: &Watch) {
     const MOSTLY: f64 = 0.9;
     let is_buried = |&k: &usize| places[k].share_of_backs(tracer) >= MOSTLY;

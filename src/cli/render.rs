@@ -56,7 +56,8 @@ pub struct RenderArgs {
     /// With --method radiosity: gather the last bounce with N rays per sample, instead of interpolating between patches
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65536))]
     final_gather: Option<u32>,
-    /// With --method radiosity: show the irradiance in false colours with a scale, and lines at the steps of the scale. Only as .png
+    /// With --method radiosity: show the irradiance in false colours, with a scale and with lines at its steps. Only
+    /// for .png
     #[arg(long)]
     false_colour: bool,
     /// With --false-colour: the irradiance at the top of the scale [default: automatic]
@@ -67,7 +68,7 @@ pub struct RenderArgs {
     no_isolines: bool,
     #[command(flatten)]
     camera: CameraArgs,
-    /// Make the picture brighter by this number of stops. Negative is darker
+    /// Make the picture brighter by this number of stops. A negative number makes it darker
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
     /// Radiance that is shown as white, in W/(m2 sr) [default: automatic]
@@ -160,7 +161,7 @@ impl RenderArgs {
         self.common.limit().check_picture(pixels as f64, self.method == Method::Light)?;
         if self.method == Method::Light && pixels.saturating_mul(self.spp.into()) > MOST_PARTICLES {
             return Err(Error::Usage {
-                message: format!("{} particles for each of {pixels} pixels are too many", self.spp),
+                message: format!("{} particles per pixel for {pixels} pixels are too many", self.spp),
                 hint: Some("give a smaller --spp or fewer pixels".into()),
             });
         }
@@ -193,8 +194,8 @@ pub fn run(args: &RenderArgs) -> Result<Outcome> {
         pipeline::warn_of_gloss(&scene, &args.scene.path, &watch);
         if args.method == Method::Light && Surfaces::of(&scene).has_mirror() {
             watch.warn(
-                "mirrors are dark in the picture: no particle that leaves one meets the camera's pinhole; \
-                 --method path shows what they reflect",
+                "mirrors are dark in the picture, because no particle from a mirror hits the camera's pinhole; \
+                 --method path shows reflections",
             );
         }
         (scene, tracer)

@@ -1,4 +1,4 @@
-//! How long `solve` samples, and on which patches.
+//! The number of rays and the choice of patches in `solve`.
 
 use std::{io, sync::Arc, time::Instant};
 
@@ -28,20 +28,22 @@ use super::{
     watch::Watch,
 };
 
-/// Patches to start with, if no option sets their number.
+/// Number of patches to start with, if no option sets it.
 const FIRST_PATCHES: usize = 500;
-/// Patches that are enough for `--time`: beyond these, more rays gain more. Half as many as the preset, because they are small
-/// where light varies.
+/// Largest number of patches with `--time`. Beyond it, more rays gain more. It is half the number of the preset,
+/// because patches are small where light varies.
 const ENOUGH_PATCHES: usize = 4000;
 /// Share of `--time` that may pass until the patches are chosen.
 const LATE: f64 = 0.2;
-/// Share of `--error` that the discretisation error may take. Errors add up by squares, so sampling may take 0.87 of it.
+/// Share of `--error` for the discretisation error. The squares of errors add up, so the sampling error may be 0.87 of
+/// `--error`.
 const OF_PATCHES: f64 = 0.5;
 /// Largest number of times that the patches are refined.
 const MOST_CUTS: usize = 16;
-/// The discretisation error falls about with this power of the number of patches, if they are small where light varies.
+/// The discretisation error falls approximately with this power of the number of patches, if they are small where light
+/// varies.
 const RATE: f64 = 0.75;
-/// Their number grows at least by this factor each time.
+/// Least factor by which the number of patches grows in a refinement.
 const LEAST_GROWTH: f64 = 1.2;
 
 /// A scene about to be sampled.
@@ -54,15 +56,15 @@ pub struct Sampling<'a> {
     pub watch: &'a Watch,
     /// The store of rays.
     pub checkpoint: Option<Arc<Checkpoint>>,
-    /// Number of all patches relative to those of fronts.
+    /// Number of all patches relative to the number of fronts.
     pub with_backs: f64,
 }
 
 /// The light, with its sampling errors.
 pub enum Answer {
-    /// Found with a matrix, which also gives these errors.
+    /// The solution with a matrix, and the errors that need a matrix.
     Matrix(Box<Solved>, Box<Errors>),
-    /// Found without a matrix.
+    /// The solution without a matrix.
     Sweeps(Box<Patches>, Box<StochasticSolution>),
 }
 
@@ -89,7 +91,7 @@ impl Answer {
         }
     }
 
-    /// The errors that only a matrix gives.
+    /// The errors that need a matrix.
     pub fn errors(&self) -> Option<&Errors> {
         match self {
             Answer::Matrix(_, errors) => Some(errors),
@@ -111,14 +113,14 @@ struct SmallPatches {
 pub struct Sampled {
     pub answer: Answer,
     pub rounds: Vec<Round>,
-    /// Where the choice of the patches came from.
+    /// The origin of the choice of patches, in words.
     pub chosen: String,
     /// Their discretisation error, if they were refined where light varies and if it is known.
     pub floor: Option<f64>,
 }
 
 impl Sampling<'_> {
-    /// Samples and solves as the arguments say.
+    /// Samples and solves according to the arguments.
     pub fn run(&self, start: Instant, times: &mut Seconds) -> Result<Sampled> {
         let args = self.args;
         let wanted = args.error.map(|percent| percent / 100.0);
@@ -150,7 +152,7 @@ impl Sampling<'_> {
             CastOptions::default().with_rays(rays).with_estimator(args.estimator()).with_seed(args.seed);
         let usable = with_matrix && cast.estimator == Estimator::Pooled;
         let first = first.filter(|_| usable);
-        // A continued first round counts as a round.
+        // A first round that is continued counts as a round, not as part of the search for patches.
         let kept = first.as_ref().map_or(0.0, |(_, round)| round.elapsed);
         times.subdivide = searching - kept + subdivide;
         let before = start.elapsed().as_secs_f64() - kept;
@@ -166,8 +168,8 @@ impl Sampling<'_> {
         Ok(Sampled { answer, rounds, chosen, floor })
     }
 
-    /// Casts and solves until the plan is fulfilled, continuing the first round if there is one. Warns if the patches are too large
-    /// for an error of `wanted`.
+    /// Casts and solves until the plan is fulfilled, continuing the first round if there is one. Warns if the patches
+    /// are too large for an error of `wanted`.
     fn by_matrix(
         &self,
         patches: Patches,
@@ -207,14 +209,14 @@ impl Sampling<'_> {
             let leak = errors.energy.relative_leak();
             if leak != 0.0 {
                 self.watch.warn(&format!(
-                    "{:.2} % of the light of lamps arrives nowhere, although no ray finds a way out of the scene: faces may be in \
-                     each other's place",
+                    "{:.2} % of the light of lamps arrives nowhere, although no ray leaves the scene: several faces may be at the \
+                     same place",
                     100.0 * leak
                 ));
             }
             return Ok((Answer::Matrix(Box::new(solved), Box::new(errors)), rounds));
         }
-        // The rays cannot be used again, because sweeps carry other light.
+        // The rays cannot be used again, because sweeps need new rays.
         let Solved { patches, .. } = solved;
         let plan = plan.with_most_rays(None).with_seconds(plan.seconds.map(|seconds| seconds - all));
         let swept = self.sweep(patches, FIRST_RAYS, &plan, times)?;
@@ -222,7 +224,7 @@ impl Sampling<'_> {
         Ok(swept)
     }
 
-    /// Bytes with a matrix, for a number of patches of fronts.
+    /// Bytes with a matrix, by the number of front patches and the rays per patch.
     fn bytes(&self, estimator: Estimator) -> impl Fn(f64, f64) -> f64 {
         let options = self.args.solve_options();
         let (bytes, with_backs) = (forecast::bytes(self.scene, estimator, options.solver), self.with_backs);
@@ -248,7 +250,7 @@ impl Sampling<'_> {
         blame(&self.args.scene.path, error)
     }
 
-    /// Seconds for everything after the last round, measured by doing it once.
+    /// Seconds for the work after the last round, measured by doing it once.
     fn seconds_after(&self, solved: &Solved) -> Result<f64> {
         let start = Instant::now();
         self.errors(solved)?;
@@ -265,7 +267,7 @@ impl Sampling<'_> {
         Ok(start.elapsed().as_secs_f64())
     }
 
-    /// Patches that are small enough for the wanted error or the given time, smaller where light varies.
+    /// Patches that are small enough for `--error` or suitable for `--time`. They are smaller where light varies.
     fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<SmallPatches> {
         let cast = CastOptions::default().with_rays(FIRST_RAYS).with_seed(self.args.seed);
         let progress = self.watch.progress();
@@ -273,7 +275,7 @@ impl Sampling<'_> {
         let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
         let mut floor = None;
         if !limit.allows(bytes(patches.fronts() as f64, FIRST_RAYS)) {
-            // Memory is too small even to find out where light varies.
+            // Memory is too small even for the first solution, which would show where light varies.
             return Ok(SmallPatches { patches, floor: None, first: None });
         }
         let mut first = None;
@@ -307,7 +309,7 @@ impl Sampling<'_> {
             && floor > wanted
         {
             self.watch.warn(&format!(
-                "{:.2} % is out of reach: the smallest patches that fit into memory have a discretisation error of about {:.2} %",
+                "an error of {:.2} % is out of reach: the smallest patches that fit into memory have a discretisation error of about {:.2} %",
                 100.0 * wanted,
                 100.0 * floor
             ));
@@ -315,7 +317,7 @@ impl Sampling<'_> {
         Ok(SmallPatches { patches, floor, first })
     }
 
-    /// Warns if the patches that the options chose are too large for the wanted error.
+    /// Warns if the patches from the options are too large for an error of `wanted`.
     fn warn_of_patches(&self, solved: &Solved, wanted: f64) -> Result<()> {
         let Solved { patches, form_factors, solution, .. } = solved;
         let found = Discretisation::of(form_factors, patches, solution, self.watch.progress())?;
@@ -329,7 +331,7 @@ impl Sampling<'_> {
         Ok(())
     }
 
-    /// Prints what a round reached.
+    /// Prints the result of the last round.
     pub fn tell(&self, plan: &Plan, rounds: &[Round]) {
         let [.., round] = rounds else { return };
         let mut line = format!(

@@ -39,13 +39,13 @@ use super::{
     watch::Watch,
 };
 
-/// Share of the emitted power that rounding may lose in the sums of the energy ledger.
+/// Largest share of the emitted power that may be missing in the energy ledger by rounding.
 const ROUNDING: f64 = 1e-9;
 
-/// Pixels of `--picture`, as `render` has them by default.
+/// Pixels of `--picture`: the defaults of `render`.
 const PICTURE_WIDTH: usize = 640;
 const PICTURE_HEIGHT: usize = 480;
-/// Samples of each. They smooth the edges; the light itself is free of noise.
+/// Samples per pixel. They smooth edges. The light itself has no noise.
 const PICTURE_SAMPLES: u32 = 8;
 
 /// Compute the radiosity of every patch of a scene
@@ -70,29 +70,30 @@ pub struct SolveArgs {
     report: Option<PathBuf>,
     #[command(flatten)]
     pub cast: CastArgs,
-    /// Solver of the linear system. `auto` takes cg for pooled form factors and gauss-seidel for one-way ones. If the matrix does
-    /// not fit into memory, it warns and takes stochastic-jacobi, which casts new rays in each iteration instead
+    /// Solver of the linear system. `auto` is cg for pooled form factors and gauss-seidel for one-way form factors. If
+    /// the matrix does not fit into memory, `auto` warns and uses stochastic-jacobi, which casts new rays in each
+    /// iteration instead
     #[arg(long, value_enum, default_value_t = SolverName::Auto)]
     solver: SolverName,
-    /// Relative residual to reach [default: 1e-10]
+    /// Relative residual at which the solver stops [default: 1e-10]
     #[arg(long, value_name = "T", value_parser = below_one)]
     tolerance: Option<f64>,
-    /// `pooled` form factors use the rays of both patches of a pair; they are reciprocal and closed. `one-way` form factors use the
-    /// rays of one patch; they are a baseline for comparison
+    /// `pooled` form factors use the rays of both patches of a pair; they are reciprocal and closed. `one-way` form
+    /// factors use the rays of one patch; they are a baseline for comparison
     #[arg(long, value_enum, default_value_t = EstimatorName::Pooled)]
     estimator: EstimatorName,
-    /// Make vertex colours and the picture brighter by this number of stops. Negative is darker
+    /// Make vertex colours and the picture brighter by this number of stops. A negative number makes them darker
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
-    /// Sample until the estimated RMS error of irradiance is at most this percentage of its mean. Patches are made small enough
-    /// too, unless an option sets them
+    /// Sample until the estimated RMS error of irradiance is at most this percentage of its mean. The program also
+    /// makes patches small enough, unless an option sets them
     #[arg(long, value_name = "PERCENT", value_parser = percent, conflicts_with = "rays")]
     pub error: Option<f64>,
     /// Sample for this number of seconds, and give the best answer by then
     #[arg(long, value_name = "SECONDS", value_parser = seconds_given, conflicts_with = "rays")]
     pub time: Option<f64>,
-    /// Keep the hits of all rays in this file. After an interruption, the same command continues from it and reaches the same
-    /// result. The file also serves a run with more --rays or a lower --error
+    /// Keep the hits of all rays in this file. After an interruption, the same command continues from it and reaches
+    /// the same result. A run with more --rays or a lower --error can continue from it, too
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Seed of the random numbers. The same seed gives the same bytes
@@ -127,7 +128,7 @@ impl SolveArgs {
         }
     }
 
-    /// How to solve with a matrix.
+    /// Options of the solver with a matrix.
     pub fn solve_options(&self) -> SolveOptions {
         let solver = match self.solver {
             SolverName::Auto | SolverName::StochasticJacobi => Solver::Auto,
@@ -159,7 +160,7 @@ impl SolveArgs {
         .find_map(|(given, name)| given.then_some(name))
     }
 
-    /// Which options would reduce the errors further.
+    /// The options that would reduce the errors further.
     fn advice(&self) -> summary::Advice {
         let sampling = match (self.error, self.time) {
             (_, Some(_)) => "a longer --time",
@@ -257,7 +258,7 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     let written;
     (written, times.output) = watch.stage("writing", || {
         let picture = picture.zip(film).map(|((file, format), film)| {
-            // Radiance is radiosity over π: the same white as in the mesh.
+            // Radiance is radiosity over π, so this is the same white as in the mesh.
             let exposure = Exposure::of_white(exposure.white() / PI);
             file.write(|out| film.encode(out, format, exposure))
         });
@@ -295,7 +296,7 @@ fn compute(
     if args.without_matrix() && !scene.lights.is_empty() {
         return Err(Error::Usage {
             message: format!(
-                "--solver {} knows no sun, sky or other light that is no surface",
+                "--solver {} does not support sun, sky or other lights that are not surfaces",
                 stochastic_jacobi::NAME
             ),
             hint: Some("use another solver".into()),
@@ -303,7 +304,7 @@ fn compute(
     }
     let camera = args.picture.as_ref().map(|_| camera(&scene, &tracer, watch)).transpose()?;
     let checkpoint = args.checkpoint.as_ref().map(|path| open(path, &scene, args, watch)).transpose()?;
-    // With a wanted error or a time the number of patches is the program's to choose.
+    // With --error or --time, the program chooses the number of patches.
     if args.cast.given_patches().is_some() || (args.error.is_none() && args.time.is_none()) {
         args.cast.too_few(&scene).iter().for_each(|warning| watch.warn(warning));
     }
@@ -318,10 +319,10 @@ fn compute(
         with_backs,
     };
     let Sampled { answer, rounds, chosen, floor } = sampling.run(start, times)?;
-    let told = answer.errors();
+    let known = answer.errors();
     let light = (answer.light().irradiance, answer.standard_error());
     let regions = regions::errors(&scene, answer.patches(), light.0, light.1);
-    let discretisation = match told {
+    let discretisation = match known {
         Some(errors) => errors.discretisation.as_ref().map(|d| d.relative),
         None => floor,
     };
@@ -330,16 +331,16 @@ fn compute(
         largest_region: regions.first().map(Into::into),
         target: args.error.map(|percent| percent / 100.0),
         rms_relative: sampling,
-        bias_relative: told.and_then(|errors| errors.bias),
+        bias_relative: known.and_then(|errors| errors.bias),
         discretisation_relative: discretisation,
         total_relative: sampling.zip(discretisation).map(|(sampling, patches)| sampling.hypot(patches)),
-        solver_relative: told.and_then(|errors| errors.solver),
+        solver_relative: known.and_then(|errors| errors.solver),
         ..ErrorReport::default()
     };
     Ok(Computed { scene, tracer, camera, answer, rounds, chosen, error })
 }
 
-/// The camera that frames the scene. One that sees nothing is refused before the work.
+/// The camera that frames the scene. A camera that sees nothing is refused before the work.
 fn camera(scene: &Scene, tracer: &Tracer, watch: &Watch) -> Result<Camera> {
     let camera = Camera::frame(scene, tracer, PICTURE_WIDTH, PICTURE_HEIGHT)?;
     let hint = "leave --picture out, and give `render` an --eye and --look-at";
@@ -417,7 +418,7 @@ fn report_of(args: &SolveArgs, computed: &Computed, exposure: Exposure) -> Solve
     report
 }
 
-/// Opens a checkpoint and prints what it holds.
+/// Opens a checkpoint and prints the number of its rays.
 fn open(path: &Path, scene: &Scene, args: &SolveArgs, watch: &Watch) -> Result<Arc<Checkpoint>> {
     let checkpoint = Checkpoint::open(path, scene, args.seed)?;
     if checkpoint.torn() > 0 {
@@ -428,7 +429,7 @@ fn open(path: &Path, scene: &Scene, args: &SolveArgs, watch: &Watch) -> Result<A
         ));
     }
     if checkpoint.found() > 0 && !args.common.quiet {
-        watch.say(&format!("{}: {} rays are known from earlier runs", path.display(), checkpoint.found()));
+        watch.say(&format!("{}: it holds {} rays of earlier runs", path.display(), checkpoint.found()));
     }
     Ok(Arc::new(checkpoint))
 }
@@ -458,8 +459,8 @@ fn write_mesh(
     file.write(|out| ply::encode(out, scene, answer.patches(), answer.light(), &options))
 }
 
-/// Checks that form factors lie in 0 to 1 and that the energy balances. One-way form factors are exempt from the balance: as a
-/// baseline they show what happens without reciprocity. Without a matrix the imbalance must be within its standard error.
+/// Checks that form factors lie between 0 and 1 and that the energy balances. One-way form factors need not balance,
+/// because they are a baseline without reciprocity. Without a matrix, the imbalance must be within its standard error.
 fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outcome {
     let rounding = computed.answer.errors().map_or(0.0, |errors| errors.energy.rounding());
     let allowed = ROUNDING + args.solve_options().tolerance + 64.0 * rounding;
@@ -474,7 +475,7 @@ fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outco
         _ if strays > 0 => {
             Outcome::CheckFailed(format!("{}: {strays} form factors are outside 0 to 1", report.scene.file))
         }
-        // Also true of NaN.
+        // The condition also holds for NaN.
         EstimatorName::Pooled if imbalance.abs().partial_cmp(&allowed).is_none_or(|o| o.is_gt()) => {
             Outcome::CheckFailed(format!(
                 "{}: the energy does not balance: {imbalance:.3e} of the emitted power is missing, {allowed:.1e} is allowed",
@@ -485,7 +486,8 @@ fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outco
     }
 }
 
-/// Checks whether `--error` was reached: by the sampling error, and by the discretisation error unless an option sets the patches.
+/// Checks whether `--error` was reached: by the sampling error, and by the discretisation error unless an option sets
+/// the patches.
 fn target_verdict(args: &SolveArgs, report: &SolveReport) -> Outcome {
     let ErrorReport { target: Some(target), rms_relative, discretisation_relative, .. } = report.error else {
         return Outcome::Done;
@@ -496,6 +498,6 @@ fn target_verdict(args: &SolveArgs, report: &SolveReport) -> Outcome {
     missed.map_or(Outcome::Done, |(name, error)| {
         let (error, target) = (100.0 * error, 100.0 * target);
         let file = &report.scene.file;
-        Outcome::CheckFailed(format!("{file}: the {name} is {error:.2} %, but {target:.2} % was wanted"))
+        Outcome::CheckFailed(format!("{file}: the {name} is {error:.2} %, above the target of {target:.2} %"))
     })
 }

@@ -11,7 +11,7 @@ use radiosity::{
     patch::Patches,
 };
 
-/// Which options reduce an error, given the options in use.
+/// The options that reduce an error, given the options in use.
 pub struct Advice {
     pub sampling: &'static str,
     pub patches: &'static str,
@@ -111,7 +111,7 @@ pub fn table(
         let error = percent(Some(*rms_relative));
         row("by region", format!("sampling {error} at most, relative to its own mean: {region}"));
     }
-    // If one is unknown, the largest is unknown too.
+    // If one error is unknown, the largest is unknown too.
     if let (Some(sampling), Some(size), Some(left)) = (rms_relative, discretisation_relative, solver_relative)
     {
         let parts = [
@@ -183,7 +183,7 @@ pub fn probes(report: &SamplingReport, written: &str) -> String {
     finish(text, report, written)
 }
 
-/// Materials that a line lists.
+/// Largest number of materials in a line.
 const MOST_MATERIALS: usize = 6;
 
 /// The figures of a lightmap.
@@ -328,7 +328,7 @@ pub fn figure(x: f64, decimals: usize) -> String {
     if x == 0.0 { "0".into() } else { format!("{x:.decimals$e}") }
 }
 
-/// Rounded to a number of decimals. A value that is shown as zero has no sign.
+/// Rounds to a number of decimals. A value that is shown as zero has no sign.
 pub fn rounded(x: f64, decimals: i32) -> f64 {
     let unit = 10f64.powi(decimals);
     (x * unit).round() / unit + 0.0

@@ -16,23 +16,24 @@ use radiosity::{
 
 use super::{forecast::Limit, options, watch::Watch};
 
-/// Which surfaces, and how accurate their view factors are wanted.
+/// The surfaces, and the accuracy of their view factors.
 #[derive(Args)]
 pub struct SurfaceArgs {
     /// The scene, in any format that `inspect` reads
     #[arg(value_name = "SCENE")]
     pub scene: PathBuf,
-    /// Leave out all faces of a material, for example of window panes. May be repeated
+    /// Leave out all faces of a material, for example window panes. May be repeated
     #[arg(long, value_name = "MATERIAL")]
     pub ignore: Vec<String>,
     /// Cast rays until the RMS standard error of the view factors that are not zero is below this
     #[arg(long, value_name = "E", default_value_t = ViewFactorOptions::default().error, value_parser = error)]
     pub error: f64,
-    /// Let all faces of a material block, without being surfaces. May be repeated
+    /// Let all faces of a material block, but do not make them surfaces. May be repeated
     #[arg(long, value_name = "MATERIAL")]
     pub obstruct: Vec<String>,
-    /// What one surface is: face (named by its number in the file from 0), group (`g` in an .obj), object (`o`), material, or
-    /// property:NAME (all faces of a .ply with the same value) [default: face; group in `exchange`]
+    /// The faces that form one surface: face (one face; its name is its number in the file from 0), group (`g` in an
+    /// .obj), object (`o`), material, or property:NAME (all faces of a .ply with the same value) [default: face; group
+    /// in `exchange`]
     #[arg(long, value_parser = by)]
     pub by: Option<By>,
     /// The sides of faces that are surfaces
@@ -49,18 +50,18 @@ pub struct SurfaceArgs {
     pub seed: u64,
 }
 
-/// Which sides of faces are surfaces.
+/// The sides of faces that are surfaces.
 #[derive(Clone, Copy, ValueEnum)]
 pub enum SideName {
     /// The side from which the corners run counter-clockwise
     Front,
     /// The side from which they run clockwise
     Back,
-    /// Each side is a surface of its own: first all fronts, then all backs
+    /// Each side is a separate surface: first all fronts, then all backs
     Both,
 }
 
-/// What one surface is, by the word for it.
+/// Reads the value of `--by`.
 fn by(text: &str) -> std::result::Result<By, String> {
     match text {
         "face" => Ok(By::Face),
@@ -69,12 +70,12 @@ fn by(text: &str) -> std::result::Result<By, String> {
         "material" => Ok(By::Material),
         _ => match text.strip_prefix("property:") {
             Some(name) if !name.is_empty() => Ok(By::Property(name.into())),
-            _ => Err("face, group, object, material or property:NAME is wanted".into()),
+            _ => Err("expected face, group, object, material or property:NAME".into()),
         },
     }
 }
 
-/// The word for it.
+/// The word for a kind of surface.
 pub fn name(by: &By) -> String {
     match by {
         By::Face => "face".into(),
@@ -86,7 +87,7 @@ pub fn name(by: &By) -> String {
 }
 
 impl SideName {
-    /// As the library knows it, and its name.
+    /// The side for the library, and its name.
     pub fn side(self) -> (Side, &'static str) {
         match self {
             SideName::Front => (Side::Front, "front"),
@@ -97,13 +98,13 @@ impl SideName {
 }
 
 fn error(text: &str) -> std::result::Result<f64, String> {
-    options::parse(text, |x| (1e-7..=0.1).contains(&x), "an error between 1e-7 and 0.1 is wanted")
+    options::parse(text, |x| (1e-7..=0.1).contains(&x), "expected an error between 1e-7 and 0.1")
 }
 
 /// Share of hits on backs that causes a warning.
 const MANY_BACKS: f64 = 0.01;
 
-/// Warnings, for people and for the report.
+/// Collects warnings: prints each, and keeps it for the report.
 pub struct Told<'a> {
     pub watch: &'a Watch,
     pub warnings: Vec<String>,
@@ -119,13 +120,13 @@ impl<'a> Told<'a> {
         self.warnings.push(warning);
     }
 
-    /// Warns of faces that may not be what was meant.
+    /// Warns of faces that are probably mistakes.
     fn odd(&mut self, path: &Path, surfaces: &Surfaces) {
         for (faces, what) in [
-            (&surfaces.odd.bent, "has corners out of its plane: its triangles are taken as they are"),
+            (&surfaces.odd.bent, "has corners out of its plane: its triangles are used as they are"),
             (
                 &surfaces.odd.turned,
-                "runs along an edge the same way as its neighbour: one of the two shows its back",
+                "runs along an edge in the same direction as its neighbour: one of the two shows its back",
             ),
         ] {
             let Some(&(first, line)) = faces.first() else { continue };
@@ -147,8 +148,8 @@ impl<'a> Told<'a> {
             return;
         };
         self.warn(format!(
-            "{}: parts of {} surfaces lie in the plane of smaller faces, which hide them; of `{}` an area of {:.6}, \
-             which is not counted",
+            "{}: parts of {} surfaces lie in the plane of smaller faces, which hide them; for `{}`, the hidden area is {:.6}. \
+             Hidden parts do not count",
             place(args, surfaces, most),
             of.len(),
             surfaces.list[most].name,
@@ -164,7 +165,7 @@ impl<'a> Told<'a> {
             return;
         };
         self.warn(format!(
-            "{}: the view factors of {} surfaces summed up to more than 1 before they were closed, those of `{}` to {:.4}: \
+            "{}: before closure, the view factors of {} surfaces sum to more than 1, those of `{}` to {:.4}: \
              do faces cross or overlap?",
             place(args, surfaces, worst),
             rows.len(),
@@ -173,7 +174,7 @@ impl<'a> Told<'a> {
         ));
     }
 
-    /// Warns of surfaces whose rows do not sum to one after closure, because their rays contradict each other.
+    /// Warns of surfaces whose rows do not sum to one after closure. Their rays contradict each other.
     pub fn unclosed(&mut self, args: &SurfaceArgs, surfaces: &Surfaces, found: &ViewFactors) {
         let sums: Vec<f64> =
             (0..found.len()).map(|i| found.row(i).map(|(_, f)| f).sum::<f64>() + found.escaped(i)).collect();
@@ -182,8 +183,8 @@ impl<'a> Told<'a> {
             (0..sums.len()).filter(|&i| found.areas()[i] > 0.0 && off(i) > CLOSED).collect();
         let Some(&worst) = rows.iter().max_by(|&&i, &&j| off(i).total_cmp(&off(j))) else { return };
         self.warn(format!(
-            "{}: the view factors of {} surfaces could not be made to sum to 1, those of `{}` sum to {:.7}: those of \
-             others leave no room for it; a smaller --error tells more",
+            "{}: closure failed for {} surfaces: the view factors of `{}` sum to {:.7}, because they contradict the view \
+             factors of other surfaces; a smaller --error helps",
             place(args, surfaces, worst),
             rows.len(),
             surfaces.list[worst].name,
@@ -195,7 +196,7 @@ impl<'a> Told<'a> {
 /// Rows whose sums differ from one by more than this cause a warning. Rounding errors are a hundred times smaller.
 const CLOSED: f64 = 1e-10;
 
-/// The file, and the line where a surface begins.
+/// The file, and the line at which a surface begins.
 fn place(args: &SurfaceArgs, surfaces: &Surfaces, i: usize) -> String {
     let line = surfaces.list[i].line.map_or(String::new(), |line| format!(":{line}"));
     format!("{}{line}", args.scene.display())
@@ -276,10 +277,11 @@ fn open_faces(surfaces: &Surfaces, seen: &[Sight]) -> String {
     list(open.iter().map(|&i| format!("`{}` ({:.3} %)", surfaces.list[i].name, 100.0 * share(i))))
 }
 
-/// The surface that loses the largest share of its rays, where that is more than cracks between faces let through and than chance
-/// explains. What sampling leaves open of rows is no reason to close such a room.
+/// The surface that loses the largest share of its rays. `None` if cracks between faces and chance explain all losses.
+/// A room with larger losses is open, and its rows must not be closed, however uncertain they are.
 fn most_open(seen: &[Sight]) -> Option<usize> {
-    /// What polygons that adjoin but for rounding leave open, and standard errors of a count.
+    /// The share of rays that escape through cracks, which rounding leaves between adjoining polygons; and the number
+    /// of standard errors of a count that chance explains.
     const CRACKS: f64 = 1e-4;
     const STANDARD_ERRORS: f64 = 3.0;
     let share = |i: usize| seen[i].lost() as f64 / seen[i].rays.max(1) as f64;
@@ -290,16 +292,16 @@ fn most_open(seen: &[Sight]) -> Option<usize> {
     (0..seen.len()).filter(is_open).max_by(|&i, &j| share(i).total_cmp(&share(j)))
 }
 
-/// What is known of the surfaces of a scene.
+/// The view factors of the surfaces of a scene, and the rays that tested whether they enclose a room.
 pub struct Known {
     pub seen: Vec<Sight>,
     pub found: ViewFactors,
     pub enclosed: bool,
-    /// Seconds that looking round and view factors took.
+    /// Seconds for the test rays and for the view factors.
     pub seconds: [f64; 2],
 }
 
-/// Looks round, computes the view factors, and warns of what is odd about them.
+/// Casts test rays, computes the view factors, and warns of problems.
 pub fn find(
     args: &SurfaceArgs,
     limit: Limit,
@@ -339,11 +341,11 @@ fn compute(
     let (lost, scene) = (all.lost(), args.scene.display());
     let met = (all.rays - all.up - all.down).max(1);
     let backs = all.backs as f64 / met as f64;
-    // Obstacles count as backs, and are meant.
+    // Obstacles count as backs, and they are intended.
     if backs > MANY_BACKS && surfaces.obstacles.is_empty() {
         told.warn(format!(
-            "{scene}: {:.1} % of what surfaces see are backs, from which nothing comes; --side back turns all faces, \
-             --side both takes both sides",
+            "{scene}: {:.1} % of the rays hit backs, which are not surfaces; --side back turns all faces round, --side both \
+             uses both sides",
             100.0 * backs
         ));
     }
@@ -361,7 +363,7 @@ fn compute(
     if let Some(i) = most_open(seen) {
         let Sight { rays, .. } = seen[i];
         let message = format!(
-            "no room is enclosed: {} of {rays} rays left the room or met backs from surface `{}`",
+            "no room is enclosed: {} of {rays} rays left the room or hit backs, all from surface `{}`",
             seen[i].lost(),
             surfaces.list[i].name
         );
@@ -369,7 +371,7 @@ fn compute(
     }
     if lost > 0 {
         told.warn(format!(
-            "{scene}: {lost} of {} rays left the room or met backs, most from {}; --enclosed shares out what they carry",
+            "{scene}: {lost} of {} rays left the room or hit backs, most from {}; --enclosed distributes their share",
             all.rays,
             open_faces(surfaces, seen)
         ));
@@ -382,7 +384,7 @@ fn compute(
                 format!("the view factors of surface `{name}` sum to {sum:.6}: no room is enclosed"),
             )
         }
-        // No ray was lost, but a row sum deviates by more than chance explains.
+        // No ray was lost, but chance does not explain the deviation of a row sum.
         Err(Error::NotEnclosed { surface, sum }) => {
             told.warn(format!(
                 "{}: the view factors of `{}` sum to {sum:.6}, so no room is enclosed, though none of {} rays was lost",

@@ -1,4 +1,4 @@
-//! `solve` without a matrix, if none fits into memory or none is wanted.
+//! `solve` without a matrix, if a matrix does not fit into memory or an option chooses this solver.
 
 use std::time::Instant;
 
@@ -22,8 +22,8 @@ use super::{
 };
 
 impl Sampling<'_> {
-    /// Whether to solve with a matrix. Refuses work that fits in neither way, and work that fits only without a matrix if an
-    /// option needs one.
+    /// Whether to solve with a matrix. Refuses work that does not even fit without a matrix, and work that fits only
+    /// without one although an option needs it.
     pub fn holds_matrix(&self, work: &Work) -> Result<bool> {
         let (limit, args) = (self.args.common.limit(), self.args);
         let without = self.bytes_without_matrix();
@@ -34,7 +34,7 @@ impl Sampling<'_> {
                 warning.iter().for_each(|warning| self.watch.warn(warning));
                 return Ok(!is_swept);
             }
-            // Sweeps know no lights that are no surfaces.
+            // Sweeps do not support lights that are not surfaces.
             Err(refusal) if is_swept || !self.scene.lights.is_empty() => return Err(refusal),
             Err(refusal) => refusal,
         };
@@ -54,19 +54,19 @@ impl Sampling<'_> {
         Err(refusal.with_hint(hint))
     }
 
-    /// Bytes without a matrix, for a number of patches of fronts.
+    /// Bytes without a matrix, by the number of front patches.
     fn bytes_without_matrix(&self) -> impl Fn(f64, f64) -> f64 {
         move |fronts, _| without_matrix(self.scene, self.with_backs * fronts)
     }
 
-    /// Whether to start again without a matrix, because memory holds no matrix of enough rays.
+    /// Whether to start again without a matrix, because a matrix with enough rays does not fit into memory.
     pub fn goes_on_without_matrix(&self, plan: &Plan, rounds: &[Round], fronts: f64) -> bool {
         let goes_on = plan.starts_anew(rounds)
             && self.args.needs_matrix().is_none()
             && self.scene.lights.is_empty()
             && self.args.common.limit().allows(self.bytes_without_matrix()(fronts, 0.0));
         if goes_on {
-            self.watch.warn("memory holds no matrix of more rays; starting again without one");
+            self.watch.warn("a matrix with more rays does not fit into memory; starting again without one");
         }
         goes_on
     }

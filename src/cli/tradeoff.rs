@@ -32,9 +32,9 @@ use super::{
 /// Measure the error over time for rays, patch sizes, tolerances, solvers, estimators and path tracing
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity tradeoff room.obj -o tradeoff\n\n\
-    Writes tradeoff.json, tradeoff.csv and tradeoff.svg into the directory. Every point is compared with two reference \
-    solutions of finer patches and more rays. Errors below the error of the references are marked. The command takes \
-    some ten seconds, in proportion to --most-rays. It never replaces a file that no earlier tradeoff wrote.")]
+    Writes tradeoff.json, tradeoff.csv and tradeoff.svg into the directory. Every solution is compared with two reference \
+    solutions with finer patches and more rays. Errors below the error of the references are marked. The command takes \
+    about ten seconds, in proportion to --most-rays. It never replaces a file that no earlier tradeoff wrote.")]
 pub struct TradeoffArgs {
     #[command(flatten)]
     scene: SceneArgs,
@@ -48,7 +48,7 @@ pub struct TradeoffArgs {
     #[arg(long, value_name = "N", default_value_t = TradeoffOptions::default().patches as u32,
         value_parser = clap::value_parser!(u32).range(1..))]
     patches: u32,
-    /// Number of rays of the largest solution, all patches together
+    /// Number of rays of the largest solution, over all patches
     #[arg(long, value_name = "N", default_value_t = TradeoffOptions::default().rays as u64,
         value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
     most_rays: u64,
@@ -66,7 +66,7 @@ const SVG: &str = "tradeoff.svg";
 /// Runs the command.
 pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     args.common.start_threads()?;
-    // Before the directory is made: a signal would otherwise leave it behind.
+    // The watch comes before the directory, because a signal would otherwise leave the directory behind.
     let watch = Watch::new(args.common.quiet);
     let directory = Directory::new(&args.output, "tradeoff")?;
     let file = |name: &str| directory.file(name, &[&args.scene.path]);
@@ -81,7 +81,7 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
         .with_patches(args.patches as usize)
         .with_rays(args.most_rays as f64)
         .with_seed(args.seed);
-    // Refused before the patches are made.
+    // Work that is too large is refused before the patches are made.
     let bytes = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let work = |patches: f64, rays: f64| Work {
         scene: &scene,

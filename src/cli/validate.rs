@@ -1,4 +1,4 @@
-//! `radiosity validate`: checks of the answer by independent methods.
+//! `radiosity validate`: checks of the solution by independent methods.
 
 use std::{fmt::Write, path::PathBuf};
 
@@ -30,7 +30,7 @@ use super::{
     watch::Watch,
 };
 
-/// Check the answer: energy ledger, closure, reciprocity, and radiosity against path tracing and light tracing
+/// Check the solution: energy ledger, closure, reciprocity, and radiosity against path tracing and light tracing
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity validate room.obj --report validation.json\n\n\
     Solves the scene with two patch sizes, traces paths and particles, and compares the irradiance of every patch in \
@@ -51,8 +51,8 @@ pub struct ValidateArgs {
     #[arg(long, value_name = "N", default_value_t = ValidationOptions::default().particles,
         value_parser = clap::value_parser!(u64).range(1024..=1 << 40))]
     particles: u64,
-    /// Also measure the error of the Lambertian assumption. Light is traced with the given materials and with Lambertian ones
-    /// of the same albedo, with the same random numbers
+    /// Also measure the error of the Lambertian assumption. Light is traced with the given materials and with
+    /// Lambertian materials of the same albedo, with the same random numbers
     #[arg(long)]
     lambert: bool,
     /// With --lambert: write a coloured mesh with the change of irradiance of each face and its standard error
@@ -84,7 +84,7 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         .with_particles(args.particles)
         .with_solve(defaults.solve.with_linear(args.cast.linear()))
         .with_seed(args.seed);
-    // It also solves with edges half as long.
+    // Validation also solves with edges half as long.
     let one = forecast::bytes(&scene, Estimator::Pooled, Solver::Auto);
     let bytes = |patches: f64, rays: f64| one(patches, rays) + one(4.0 * patches, rays);
     let work = Work {

@@ -31,24 +31,23 @@ use super::{
 /// Compute the view factors between all surfaces of a scene
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity view-factors room.obj -o view-factors.csv --report r.json\n\n\
-    A surface is a face of the file, or with --by all faces of a group, object or material. Its view factors are means \
+    A surface is a face of the file or, with --by, all faces of a group, object or material. Its view factors are means \
     over its area. It is seen from its front, where its vertices run counter-clockwise. Both sides block.\n\n\
-    What two surfaces exchange with nothing between them is computed to a relative error of 1e-5. Only where something \
-    stands between them, rays sample what it hides. --error bounds the standard error that this leaves.\n\n\
-    The CSV has a line for each surface: its name, its area, the share of what leaves it that escapes, and the view \
-    factors from it to all surfaces. These and what escapes sum to 1, and A_i F_ij = A_j F_ji, to rounding. Where the \
-    surfaces enclose a room, nothing escapes. Rays from every face find out whether they do, unless --enclosed or \
-    --open says so. What meets the back of a face escapes too; the report distinguishes it from what leaves the scene.\
-    \n\n\
-    Faces that lie on each other front to front see each other there and nothing else. Of faces in one plane that face \
-    the same way, the smaller is in front.\n\n\
+    If nothing is between two surfaces, their view factor is computed without rays to a relative error of 1e-5. \
+    Otherwise, rays sample the hidden part. --error bounds the standard error of this sampling.\n\n\
+    The CSV has a line for each surface: its name, its area, the share of its power that escapes, and the view factors \
+    from it to all surfaces. A line sums to 1, and A_i F_ij = A_j F_ji, both to rounding. If the surfaces enclose a room, \
+    nothing escapes. Rays from every face test whether they do, unless --enclosed or --open states it. Power that hits \
+    the back of a face escapes too; the report separates it from power that leaves the scene.\n\n\
+    If faces lie on each other front to front, the touching parts see only each other. If faces in one plane face the \
+    same way, the smaller one is in front.\n\n\
     In Python: scipy.sparse.load_npz(\"f.npz\"), numpy.load(\"f.npy\"), scipy.io.mmread(\"f.mtx\"), \
     pandas.read_csv(\"f.csv\", index_col=0).")]
 pub struct ViewFactorsArgs {
     #[command(flatten)]
     surfaces: SurfaceArgs,
-    /// Write the matrix here: all entries as .csv or .npy, or the entries that are not zero as .npz (SciPy) or .mtx (Matrix
-    /// Market)
+    /// Write the matrix to this file: all entries as .csv or .npy, or the entries that are not zero as .npz (SciPy) or
+    /// .mtx (Matrix Market)
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Write a line `from,to,view_factor,standard_error` for each view factor that is not zero
@@ -57,13 +56,13 @@ pub struct ViewFactorsArgs {
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
-    /// Make the sky a surface: it gets what leaves the scene upward
+    /// Make the sky a surface. It receives the power that leaves the scene upward
     #[arg(long)]
     sky: bool,
-    /// Make the ground a surface: it gets what leaves the scene downward
+    /// Make the ground a surface. It receives the power that leaves the scene downward
     #[arg(long)]
     ground: bool,
-    /// Which axis is up
+    /// The axis that points up
     #[arg(long, value_enum, default_value_t = UpName::Y)]
     up: UpName,
     #[command(flatten)]
@@ -154,7 +153,7 @@ pub fn run(args: &ViewFactorsArgs) -> Result<Outcome> {
         Outcome::Done
     } else {
         Outcome::CheckFailed(format!(
-            "the error is {:.1e}, more than the wanted {:.1e}",
+            "the error is {:.1e}, above the target of {:.1e}",
             report.error.rms, args.surfaces.error
         ))
     })
@@ -177,7 +176,10 @@ fn table(report: &ViewFactorsReport, written: &str) -> String {
     let of = summary::count(report.polygons, "polygon");
     row("surfaces", format!("{n} by {} ({} side), of {of}", options.by, options.side));
     let (is, lost) = (if report.enclosed { "yes" } else { "no" }, [look.escaped, look.backs]);
-    row("enclosed", format!("{is}: of {} rays {} met nothing, {} met backs", look.rays, lost[0], lost[1]));
+    row(
+        "enclosed",
+        format!("{is}: of {} rays, {} hit nothing and {} hit backs", look.rays, lost[0], lost[1]),
+    );
     row("rays", format!("{}, {} view factors that are not zero", report.rays, report.non_zeros));
     let mut at = String::new();
     if let Some([from, to]) = &error.largest_at {

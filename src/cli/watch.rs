@@ -33,11 +33,12 @@ impl Watch {
     pub fn new(quiet: bool) -> Watch {
         let shared = Arc::new(Shared::default());
         let handled = Arc::clone(&shared);
-        // This fails only for a second handler or on an exhausted system. Then Ctrl-C kills the program, which is acceptable.
+        // This fails only if there is a handler already or if the system has no resources. Then Ctrl-C kills the
+        // program, which is acceptable.
         let _ = ctrlc::set_handler(move || {
-            // Not every stage checks whether it should stop. A second Ctrl-C exits at once, except while files are written, which
-            // takes seconds at most: temporary files and empty directories must not stay behind. One Ctrl-C can be two
-            // signals, because timeout(1) signals the program and its group.
+            // Not every stage checks whether it should stop. A second Ctrl-C exits at once, except while files are
+            // written, which takes seconds at most: temporary files and empty directories must not stay behind. One
+            // Ctrl-C can be two signals, because timeout(1) signals the program and its group.
             if handled.progress.is_stopped() && !handled.writing.load(Ordering::Relaxed) {
                 super::outputs::remove_made();
                 std::process::exit(super::STOPPED.into());
@@ -104,7 +105,8 @@ fn draw(bar: &ProgressBar, shared: &Shared) {
         let stage = shared.progress.stage();
         let total = shared.progress.total();
         if (stage, total) != shown {
-            // Rate and time left refer to one stage. A stage grows while it runs, because rays find backs.
+            // Rate and time left refer to one stage. The total of a stage can grow while it runs, because rays find
+            // backs.
             if stage != shown.0 {
                 bar.reset();
             }

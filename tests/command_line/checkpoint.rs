@@ -159,7 +159,7 @@ fn a_stopped_run_states_how_to_continue() {
     let kept = size(&here, "rays");
     let output = here.run(&command.replace("--quiet", ""));
     assert_eq!(output.status.code(), Some(0));
-    assert!(stderr(&output).starts_with("rays: ") && stderr(&output).contains("rays are known"));
+    assert!(stderr(&output).starts_with("rays: ") && stderr(&output).contains("rays of earlier runs"));
     assert!(here.read("out.ply") == truth && size(&here, "rays") > kept);
 }
 
@@ -172,8 +172,8 @@ fn a_full_disk_loses_only_the_rays_that_did_not_fit() {
     assert_eq!(here.run(command).status.code(), Some(0));
     let truth = here.read("out.ply");
     fs::remove_file(here.path("out.ply")).unwrap();
-    // A limit on the size of files, in units of 512 or 1024 bytes depending on the shell. Its signal, which would kill the
-    // program, is ignored.
+    // A limit on the size of files, in units of 512 or 1024 bytes depending on the shell. Its signal, which would kill
+    // the program, is ignored.
     let limited = "trap '' XFSZ; ulimit -f 100; exec \"$@\"";
     let output = Command::new("sh")
         .current_dir(here.directory())

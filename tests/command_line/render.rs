@@ -225,8 +225,8 @@ fn bad_usage_is_reported_and_leaves_no_file() {
         ("-o out.png --up 0,0,1", "parallel"),
         ("-o out.png --eye 278,273,-800 --look-at 278,273,-900", "sees nothing"),
         // Inside the tall block; behind the back wall.
-        ("-o out.png --eye 368,100,351 --look-at 368,100,400", "no light gets there"),
-        ("-o out.png --eye 278,273,2000 --look-at 278,273,0", "no light gets there"),
+        ("-o out.png --eye 368,100,351 --look-at 368,100,400", "no light reaches the visible surfaces"),
+        ("-o out.png --eye 278,273,2000 --look-at 278,273,0", "no light reaches the visible surfaces"),
         ("-o out.png --method light --no-next-event", "pinhole"),
         ("-o out.png --method light --spp 4000000000", "too many"),
         (

@@ -323,8 +323,8 @@ fn reversed_walls_and_overlapping_faces_are_reported() {
     let mut faces = cube(1, |_| "");
     faces[5].1.reverse();
     let (_, said) = run(&obj(faces.clone()), "");
-    assert!(said.contains("% of what surfaces see are backs"), "{said}");
-    assert!(said.contains("face 5 runs along an edge the same way as its neighbour"), "{said}");
+    assert!(said.contains("% of the rays hit backs"), "{said}");
+    assert!(said.contains("face 5 runs along an edge in the same direction as its neighbour"), "{said}");
     faces[5].1.reverse();
     // The same face once more, from another corner.
     let mut again = faces[4].clone();
