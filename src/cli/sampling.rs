@@ -30,7 +30,7 @@ use super::{
 
 /// Number of patches to start with, if no option sets it.
 const FIRST_PATCHES: usize = 500;
-/// Largest number of patches with `--time`. Beyond it, more rays gain more. It is half the number of the preset,
+/// Number of patches that is enough for `--time`. Beyond it, more rays gain more. It is half the number of the preset,
 /// because patches are small where light varies.
 const ENOUGH_PATCHES: usize = 4000;
 /// Share of `--time` that may pass until the patches are chosen.
