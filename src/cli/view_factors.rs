@@ -36,9 +36,10 @@ use super::{
     If nothing is between two surfaces, their view factor is computed without rays to a relative error of 1e-5. \
     Otherwise, rays sample the hidden part. --error bounds the standard error of this sampling.\n\n\
     The CSV has a line for each surface: its name, its area, the share of its power that escapes, and the view factors \
-    from it to all surfaces. A line sums to 1, and A_i F_ij = A_j F_ji, both to rounding. If the surfaces enclose a room, \
-    nothing escapes. Rays from every face test whether they do, unless --enclosed or --open states it. Power that hits \
-    the back of a face escapes too; the report separates it from power that leaves the scene.\n\n\
+    from it to all surfaces. The view factors and the escaped share of a line sum to 1, and A_i F_ij = A_j F_ji, both to \
+    rounding. If the surfaces enclose a room, nothing escapes. Rays from every face test whether they do, unless --enclosed \
+    or --open states it. Power that hits the back of a face escapes too; the report separates it from power that leaves the \
+    scene.\n\n\
     If faces lie on each other front to front, the touching parts see only each other. If faces in one plane face the \
     same way, the smaller one is in front.\n\n\
     In Python: scipy.sparse.load_npz(\"f.npz\"), numpy.load(\"f.npy\"), scipy.io.mmread(\"f.mtx\"), \
