@@ -71,7 +71,9 @@ mod tests {
         }
         // Each cell of the lattice is a parallelogram, except cells along one edge. Their share bounds the error.
         let tolerance = 4.0 / N as f64;
-        assert!(sums.iter().all(|s| (s / count).abs() < tolerance) && (products[2] / count).abs() < tolerance);
+        assert!(
+            sums.iter().all(|s| (s / count).abs() < tolerance) && (products[2] / count).abs() < tolerance
+        );
         assert!((0..2).all(|m| (products[m] / count - SQUARES[m]).abs() < tolerance), "{products:?}");
         for (k, corner) in CORNERS.iter().enumerate() {
             assert_eq!(*corner, basis(std::array::from_fn(|other| f64::from(u8::from(other == k)))));
