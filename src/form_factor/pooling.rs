@@ -1,8 +1,8 @@
 //! Pools the hits of both directions into a symmetric matrix.
 //!
 //! A ray from i that lands on j also measures the direction j → i. With h_ij hits from R_i rays, the inverse-variance
-//! estimate of the symmetric exchange area is S_ij = (h_ij + h_ji) / (R_i / A_i + R_j / A_j). The plain mean of A_i
-//! F_ij and A_j F_ji is worse as soon as areas or numbers of rays differ.
+//! estimate of the symmetric exchange area is S_ij = (h_ij + h_ji) / (R_i / A_i + R_j / A_j). The plain mean of
+//! A_i F_ij and A_j F_ji is worse as soon as areas or numbers of rays differ.
 
 use rayon::prelude::*;
 
