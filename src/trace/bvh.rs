@@ -18,7 +18,7 @@ use super::{
     wide::{Lanes, Stack},
 };
 
-/// Children of a node; triangles of a leaf, and its vertices.
+/// Most children of a node, and most triangles and vertices of a leaf.
 pub(super) const WIDTH: usize = 8;
 
 /// obvhs's presets lower the search distance near the leaves. That degrades on tessellated planar walls, where Morton codes
@@ -131,12 +131,12 @@ pub(super) struct Way<'a> {
     stack: Stack<'a>,
     /// The next node or leaf.
     at: u32,
-    /// Distance beyond which nothing matters.
+    /// Distance beyond which hits do not matter.
     limit: f32,
 }
 
 impl<'a> Way<'a> {
-    /// At the root, with room for the entries that the hierarchy's stack needs.
+    /// Starts at the root. `room` must hold the entries that the hierarchy's stack needs.
     #[inline(always)]
     pub(super) fn begin<Q: Query>(room: &'a mut [MaybeUninit<u64>], ray: &PreparedRay) -> Self {
         let mut way = Way { stack: Stack::new(room), at: 0, limit: 0.0 };
@@ -144,10 +144,10 @@ impl<'a> Way<'a> {
         way
     }
 
-    /// Back at the root, for another ray.
+    /// Returns to the root for another ray.
     #[inline(always)]
     pub(super) fn begin_anew<Q: Query>(&mut self, ray: &PreparedRay) {
-        // A ray hits nothing behind its origin.
+        // A negative limit makes an improper ray hit nothing.
         (self.at, self.limit) = (0, if ray.is_proper() { Q::LIMIT } else { -1.0 });
     }
 }

@@ -1,14 +1,15 @@
-//! What two polygons exchange where something may stand between them.
+//! The exchange of two polygons with something between them.
 //!
-//! G, what they would exchange with nothing between them, is known. Of paths with weights w, whose mean is G, some are free: V = 1.
-//! The mean of V w + β (G - w) is right on the average for any β that was not made of the same paths (regression with a control
-//! variate, cross-fitted). β is the free share of the other replicates' weight: where all paths are free the estimate is G, and
-//! where none is it is zero, both exactly.
+//! The exchange G with nothing between them is known. Paths have weights w, whose mean is G. Some paths are free (V =
+//! 1), the others are blocked (V = 0). The mean of V w + β (G - w) is unbiased for any β that is estimated from other
+//! paths (regression with a control variate, cross-fitted). β is the free share of the weight in the other replicates.
+//! If all paths are free the estimate is exactly G, and if all are blocked it is exactly zero.
 
 use super::paths::Paths;
 use crate::trace::sampling::{mix, sobol_4d};
 
-/// Independent replicates of a pair's paths, whose spread tells the standard error. Each has points of a Sobol sequence of its own.
+/// Independent replicates of a pair's paths. Their spread estimates the standard error. Each uses a different digital
+/// shift of a Sobol sequence.
 pub(super) const REPLICATES: u32 = 16;
 
 /// Replicates that agree do not prove that no path differs. This many times (G / rays)² is added to the variance for that, about
@@ -20,11 +21,11 @@ pub(super) const DOUBT: f64 = 1.12;
 /// is 1.960 of those that are known. Variances are told larger by the square of that, so that 1.96 standard errors are an interval of 95 %.
 const STUDENT: f64 = (2.131 / 1.960) * (2.131 / 1.960);
 
-/// Points of a sequence before a new one begins.
+/// Number of points of a sequence before a new one begins.
 const SEQUENCE: u32 = 1 << 12;
 
-/// Points of one scrambled Sobol sequence, as fractions of 2³². Replicates shift its digits, each in its own way, which keeps what is
-/// even about it (digital shift; Dick and Pillichshammer, *Digital Nets and Sequences*, sec. 4.4).
+/// Points of one scrambled Sobol sequence, as fractions of 2³². Each replicate shifts the digits in its own way, which
+/// preserves the even distribution (digital shift; Dick and Pillichshammer, *Digital Nets and Sequences*, sec. 4.4).
 pub(super) struct Sequence(Vec<[u32; 4]>);
 
 impl Sequence {
@@ -40,7 +41,7 @@ impl Sequence {
             let [a, b] = [0, 1].map(|k| mix(&[seed, u64::from(block), k]));
             let shift = [a as u32, (a >> 32) as u32, b as u32, (b >> 32) as u32];
             let points = &self.0[..(count - block * SEQUENCE).min(SEQUENCE) as usize];
-            // In the middle of the digits' interval.
+            // In the middle of the interval of each number.
             points
                 .iter()
                 .map(move |digits| [0, 1, 2, 3].map(|k| (f64::from(digits[k] ^ shift[k]) + 0.5) * UNIT))
@@ -48,7 +49,7 @@ impl Sequence {
     }
 }
 
-/// Paths of a pair, by replicates: mean weights, and those of free paths alone.
+/// Paths of a pair. For each replicate, the mean of w and the mean of V w over its paths.
 pub(super) struct Sample {
     sums: [(f64, f64); REPLICATES as usize],
     replicates: u32,
@@ -56,7 +57,7 @@ pub(super) struct Sample {
 }
 
 impl Sample {
-    /// About as many rays as told, at least two.
+    /// Casts about `rays` rays, at least two.
     pub(super) fn cast(
         paths: &Paths,
         rays: u32,
@@ -84,12 +85,12 @@ impl Sample {
         self.rays
     }
 
-    /// Whether no path was free. Then the estimate is zero.
+    /// Whether no path was free. The estimate is then zero.
     pub(super) fn is_blocked(&self) -> bool {
         self.sums.iter().all(|sum| sum.1 == 0.0)
     }
 
-    /// What it tells, given what the two would exchange with nothing between them.
+    /// The estimate, given the exchange with nothing between the two polygons.
     pub(super) fn estimate(&self, unoccluded: f64) -> Estimate {
         let sums = &self.sums[..self.replicates as usize];
         let all = sums.iter().fold((0.0, 0.0), |all, sum| (all.0 + sum.0, all.1 + sum.1));
@@ -112,34 +113,35 @@ impl Sample {
     }
 }
 
-/// What paths told of a pair.
+/// The estimate of a pair from its paths.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Estimate {
     /// A_i F_ij. May be a little below zero.
     pub(super) exchange: f64,
     /// Its variance, by the spread of the replicates.
     pub(super) variance: f64,
-    /// The standard error that is added to that of a single pair, since replicates may agree by chance.
+    /// An additional standard error of a single pair, because replicates may agree by chance.
     pub(super) doubt: f64,
     pub(super) rays: u32,
 }
 
 impl Estimate {
-    /// The standard deviation by one ray, as far as few rays tell it.
+    /// The standard deviation of one ray, estimated from few rays.
     pub(super) fn deviation(&self, unoccluded: f64) -> f64 {
         let rays = f64::from(self.rays);
         (self.variance * rays + 0.1 * unoccluded * unoccluded / rays).sqrt()
     }
 }
 
-/// The rays that bring what a pair adds to the sum of variances down as fast as each ray of any other does: where the derivative
-/// of  w² (deviation² / n + doubt² / n²)  is -1 / pace² (Neyman, 1934, but for the doubt). `seen` tells that not all were blocked.
+/// The number of rays at which a pair reduces the sum of variances as much per ray as any other pair: where the
+/// derivative of w² (deviation² / n + doubt² / n²) is -1 / pace² (Neyman, 1934, extended by the doubt). `seen` states
+/// that some paths were free.
 pub(super) fn rays(weight: f64, deviation: f64, unoccluded: f64, seen: bool, pace: f64) -> f64 {
     let doubt = if seen { 2.0 * DOUBT * (pace * weight * unoccluded).powi(2) } else { 0.0 };
     (pace * weight * deviation).max(doubt.cbrt())
 }
 
-/// The variance that so many rays leave.
+/// The variance that remains with this number of rays.
 pub(super) fn variance(deviation: f64, unoccluded: f64, rays: f64) -> f64 {
     deviation * deviation / rays + DOUBT * (unoccluded / rays).powi(2)
 }
