@@ -299,7 +299,8 @@ impl FormFactors {
     }
 
     /// Irradiance of all patches from `radiosity` and from the direct light of lamps and other lights. `radiosity` and
-    /// `emission` hold `channels` (1 or 3) interleaved values a patch. `radiosity` includes the lamps' own.
+    /// `emission` hold `channels` (1 or 3) interleaved values a patch. `radiosity` includes that of lamps. All values
+    /// have one unit, such as W/m².
     ///
     /// # Panics
     /// When the number of values is wrong.
@@ -393,7 +394,8 @@ impl FormFactors {
         }
     }
 
-    /// Area of each patch, at least 10⁻²⁰ of the mean area.
+    /// Area of each patch, at least 10⁻²⁰ of the mean area: in the scene's unit squared, or the unit given to
+    /// [`FormFactors::from_exchange`].
     pub fn areas(&self) -> &[f64] {
         &self.areas
     }

@@ -235,7 +235,7 @@ impl Patches {
         self.channels
     }
 
-    /// The largest edge that the subdivision allowed.
+    /// The largest edge that the subdivision allowed, in the file's unit.
     pub fn edge(&self) -> f64 {
         self.edge
     }
