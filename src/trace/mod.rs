@@ -1,4 +1,4 @@
-//! Rays: solver and path tracer share this module, besides the scene.
+//! Ray tracing. The solver and the path tracer share only this module and the scene.
 //!
 //! All rays run in *unit space*: the scene is recentred and rescaled so that its largest coordinate is 1. So single precision
 //! resolves a scene in millimetres, or 10 km from its origin, as well as any other.
@@ -78,8 +78,8 @@ impl UnitTriangle {
     fn new(corners: [DVec3; 3], normal: Vec3A, keep: [f64; 3]) -> Self {
         let [a, b, c] = corners;
         let doubled = (b - a).cross(c - a).length();
-        // The least barycentric coordinate of each corner: the distance from the edge opposite over the height. Where that leaves
-        // nothing, one point does.
+        // The least barycentric coordinate of each corner: the distance to keep from the opposite edge, over the
+        // height. If nothing is left, the triangle shrinks to a point.
         let weights = [1, 2, 0].map(|k| keep[k] * (corners[(k + 1) % 3] - corners[k]).length());
         let sum: f64 = weights.iter().sum();
         let whole = sum.max(doubled);
@@ -127,8 +127,8 @@ impl Tracer {
         Tracer::with_kernel(scene, Kernel::detect())
     }
 
-    /// As [`Tracer::new`], without instructions that only some processors have (AVX2). Results are the same bytes; casting
-    /// rays takes longer.
+    /// Like [`Tracer::new`], but without AVX2 instructions, which only some processors have. The results are the same
+    /// bytes, but casting rays takes longer.
     pub fn portable(scene: &Scene) -> Tracer {
         Tracer::with_kernel(scene, Kernel::Portable)
     }
@@ -264,7 +264,8 @@ fn distances_to_edges(scene: &Scene) -> Vec<[f64; 3]> {
         (across - along * along.dot(across)).normalize_or_zero()
     };
     for edge in edges.chunk_by(|e, f| (e.0, e.1) == (f.0, f.1)).filter(|edge| edge.len() > 1) {
-        // So many triangles at one edge are a fan, in which the next ones are the closest: the rest would take quadratic time.
+        // Each triangle at an edge is compared with this number of next ones. If there are more, they form a fan, in
+        // which neighbours are closest. All pairs would take quadratic time.
         const NEXT: usize = 8;
         let pairs = |k: usize| edge[k + 1..].iter().take(NEXT).map(move |f| [edge[k].2, f.2]);
         for pair in (0..edge.len()).flat_map(pairs) {

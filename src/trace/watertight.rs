@@ -10,13 +10,13 @@ use glam::Vec3A;
 pub(super) struct PreparedRay {
     pub(super) origin: Vec3A,
     pub(super) direction: Vec3A,
-    /// One over the direction, where zeros were replaced.
+    /// One over the direction, with zeros replaced.
     pub(super) inverse: Vec3A,
     /// The axes along which the direction is negative: the ray enters boxes at their high side.
     pub(super) backward: [bool; 3],
     /// The axes permuted so that z is the direction's largest.
     pub(super) axes: [usize; 3],
-    /// The origin along these axes.
+    /// The origin, permuted like the axes.
     pub(super) turned_origin: [f32; 3],
     /// The shear that takes the direction to +z.
     pub(super) shear: [f32; 2],
