@@ -86,6 +86,8 @@ pub struct ErrorBars {
     pub of_mean: Vec<f64>,
     /// The standard error of the power that escapes, W per channel.
     pub of_escaped: Vec<f64>,
+    /// The standard error of the power that enters from lights that are no surfaces, for each channel.
+    pub of_entered: Vec<f64>,
 }
 
 impl ErrorBars {
@@ -146,6 +148,10 @@ impl ErrorBars {
         }
         let escaped = escaped_deviations(form_factors, reflectance, &carried, &local, direct.as_ref())?;
         let of_escaped = escaped.iter().map(|deviations| unit * variance_of(deviations).sqrt()).collect();
+        let of_entered = direct.as_ref().map_or_else(
+            || vec![0.0; C],
+            |direct| direct.entered_deviations.iter().map(|d| unit * variance_of(d).sqrt()).collect(),
+        );
         let [own, all] = propagate(form_factors, reflectance, solution, &local);
         let strata: Vec<Strata> = all.par_iter().with_min_len(256).map(Strata::of).collect();
         let typical = Strata::sum(&strata, 0..strata.len(), |i| areas[i]);
@@ -165,7 +171,7 @@ impl ErrorBars {
         }
         let of_mean = |deviations| unit * typical.factor() * variance_of(deviations).sqrt();
         let of_mean = mean.iter().map(of_mean).collect();
-        Some(ErrorBars { channels: C, standard_error, of_mean, of_escaped })
+        Some(ErrorBars { channels: C, standard_error, of_mean, of_escaped, of_entered })
     }
 }
 

@@ -30,6 +30,7 @@ use super::{
     Common, Outcome,
     options::{CastArgs, SceneArgs, finite_length, stops},
     outputs::{self, Directory},
+    per_light,
     pipeline::{self, Job, Solved},
     summary, to_stdout,
     watch::Watch,
@@ -54,6 +55,8 @@ const RESOLUTION: u32 = 512;
     Further pages are called lightmap-2.exr and so on.\n\n\
     With -o NAME.glb one glTF file holds the lit scene, with everything else that a glTF scene contained. NAME.exr beside \
     it holds the irradiance.\n\n\
+    With --per-light, lightmap-LIGHT.exr (or NAME-LIGHT.exr) holds the irradiance of one emitting material or light alone. These maps sum to \
+    the whole within their standard errors.\n\n\
     The map shows the side of each face that has more light, or both with --two-sided. The texture coordinates of the \
     scene are used if they lie in 0..1, do not overlap and leave room between charts. Otherwise new coordinates are made, \
     and the report gives the reason. Long faces may be cut for them. A file that no earlier bake wrote is never replaced.")]
@@ -89,6 +92,10 @@ pub struct BakeArgs {
     /// Give both sides of a face texels if light reaches both. The mesh gets a second face for the back
     #[arg(long, conflicts_with = "keep_uv")]
     two_sided: bool,
+    /// Also write the irradiance of each emitting material and each light alone, as .exr files. Each takes as long as the
+    /// whole map
+    #[arg(long)]
+    per_light: bool,
     /// Make the texels of a material FACTOR times shorter than other texels. May be repeated
     #[arg(long, value_name = "MATERIAL=FACTOR", value_parser = density, conflicts_with = "keep_uv")]
     density: Vec<(String, f64)>,
@@ -172,7 +179,7 @@ impl BakeArgs {
         Ok(options)
     }
 
-    fn options(&self) -> BakeOptions {
+    pub fn options(&self) -> BakeOptions {
         BakeOptions::default()
             .with_final_gather(self.final_gather)
             .with_denoise(!self.no_denoise)
@@ -191,7 +198,7 @@ impl BakeArgs {
         Ok(())
     }
 
-    fn job(&self) -> Job<'_> {
+    pub fn job(&self) -> Job<'_> {
         Job { file: &self.scene.path, cast: &self.cast, seed: self.seed, limit: self.common.limit() }
     }
 }
@@ -222,16 +229,19 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     }
     let atlas;
     (atlas, times.atlas) = watch.stage("atlas", || Atlas::with(&scene, &tracer, &layout))?;
-    args.common.limit().check_map(atlas.texels() as f64)?;
+    let names = if args.per_light { per_light::names(&scene) } else { Vec::new() };
+    args.common.limit().check_map((1 + names.len()) as f64 * atlas.texels() as f64)?;
+    let stems = per_light::stems(&names);
     let files = match &directory {
-        Some(directory) => Files::new(args, directory, &atlas, &scene)?,
-        None => Files::of_glb(args, &atlas)?,
+        Some(directory) => Files::new(args, directory, &atlas, &scene, &stems)?,
+        None => Files::of_glb(args, &atlas, &stems)?,
     };
     let all: Vec<&OutputFile> = files.0.iter().map(|file| &file.output).chain(&report_file).collect();
     outputs::check_distinct(&all)?;
     all.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
 
     let solved = solved.map_or_else(|| solve(&mut times), Ok)?;
+    let alone = per_light::bake(args, (&scene, &tracer), &atlas, &names, &watch)?;
     let (map, mut report, exposures) = compute(args, (&scene, &tracer), atlas, solved, &watch, &mut times)?;
     for warning in &report.warnings {
         watch.warn(warning);
@@ -245,7 +255,7 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     }
     let written;
     (written, times.stages.output) =
-        watch.stage("writing", || files.write(args, &map, &scene, &exposures))?;
+        watch.stage("writing", || files.write(args, (&map, &alone), &scene, &exposures))?;
     pending.extend(written);
     times.stages.total = seconds(start.elapsed());
     report.seconds = times;
@@ -320,6 +330,8 @@ struct File {
 #[derive(Clone, Copy)]
 enum Kind {
     Picture(Picture, usize, PictureFormat),
+    /// A page of the map of one light.
+    Alone(usize, usize),
     Mesh,
     Materials,
     OriginalCoordinates,
@@ -350,7 +362,13 @@ fn relative(file: &Path, directory: &Path) -> String {
 struct Files(Vec<File>);
 
 impl Files {
-    fn new(args: &BakeArgs, directory: &Directory, atlas: &Atlas, scene: &Scene) -> Result<Files> {
+    fn new(
+        args: &BakeArgs,
+        directory: &Directory,
+        atlas: &Atlas,
+        scene: &Scene,
+        lights: &[String],
+    ) -> Result<Files> {
         use PictureFormat::{Exr, Hdr, Png};
         let mut wanted = Vec::new();
         for page in 0..atlas.pages {
@@ -377,13 +395,14 @@ impl Files {
         // The report is written last, but it is checked here with the other files.
         directory.file(REPORT, &inputs)?;
         let files = pictures
+            .chain(of_lights("lightmap", atlas.pages, lights))
             .chain(meshes)
             .map(|(name, kind)| Ok(File { output: directory.file(&name, &inputs)?, name, kind }));
         Ok(Files(files.collect::<Result<_>>()?))
     }
 
     /// A glTF file, and the irradiance beside it.
-    fn of_glb(args: &BakeArgs, atlas: &Atlas) -> Result<Files> {
+    fn of_glb(args: &BakeArgs, atlas: &Atlas, lights: &[String]) -> Result<Files> {
         let (glb, scene) = (&args.output, &args.scene.path);
         let file = |output: OutputFile, kind| {
             let name = output.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -394,13 +413,16 @@ impl Files {
             let kind = Kind::Picture(Picture::Irradiance, page, PictureFormat::Exr);
             files.push(file(outputs::beside_glb(glb, &name, scene)?, kind));
         }
+        for (name, kind) in of_lights(&stem_of(glb), atlas.pages, lights) {
+            files.push(file(outputs::beside_glb(glb, &name, scene)?, kind));
+        }
         Ok(Files(files))
     }
 
     fn write(
         self,
         args: &BakeArgs,
-        map: &Lightmap,
+        (map, alone): (&Lightmap, &[Lightmap]),
         scene: &Scene,
         exposures: &Exposures,
     ) -> Result<Vec<Pending>> {
@@ -418,6 +440,10 @@ impl Files {
                     Picture::Mask => Exposure::of_white(1.0),
                 };
                 file.output.write(|out| film.encode(out, format, exposure))
+            }
+            Kind::Alone(light, page) => {
+                let film = alone[light].layer(scene, Picture::Irradiance).page(page);
+                file.output.write(|out| film.encode(out, PictureFormat::Exr, exposures.irradiance))
             }
             Kind::Mesh => file.output.write(|out| map.write_obj(scene, "scene.mtl", out)),
             Kind::Materials => file
@@ -438,8 +464,21 @@ impl Files {
     }
 }
 
+/// Names and kinds of the files of single lights.
+fn of_lights(stem: &str, pages: usize, lights: &[String]) -> Vec<(String, Kind)> {
+    let of_page = |light: usize, page: usize| {
+        let stem = format!("{stem}-{}", lights[light]);
+        (page_name(&stem, page, PictureFormat::Exr), Kind::Alone(light, page))
+    };
+    (0..lights.len()).flat_map(|light| (0..pages).map(move |page| of_page(light, page))).collect()
+}
+
+fn stem_of(glb: &Path) -> String {
+    glb.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
 /// Names of the images of irradiance beside a glTF file, one per page.
 fn exr_names(glb: &Path, pages: usize) -> Vec<String> {
-    let stem = glb.file_stem().unwrap_or_default().to_string_lossy();
+    let stem = stem_of(glb);
     (0..pages).map(|page| page_name(&stem, page, PictureFormat::Exr)).collect()
 }

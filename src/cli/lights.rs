@@ -5,7 +5,7 @@ use std::{
     str::FromStr,
 };
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use glam::DVec3;
 use radiosity::{
     Error, Result as RadiosityResult, Scene,
@@ -56,17 +56,28 @@ pub struct LightArgs {
     /// Add the lights of this file [default: lights.toml beside the scene, if there is one]
     #[arg(long, value_name = "FILE.toml")]
     lights: Option<PathBuf>,
-    /// Read and write lm, cd, lx and cd/m2 instead of W, W/sr, W/m2 and W/(m2 sr)
-    #[arg(long)]
+    /// Units of the numbers that are read and written. Emission of materials is taken as it stands in both
+    #[arg(long, value_enum, default_value_t = UnitsName::Radiometric)]
+    units: UnitsName,
+    /// The same as --units photometric
+    #[arg(long, conflicts_with = "units")]
     photometric: bool,
-    /// Without --photometric: lumens per watt. The candela of photometric files are divided by this number
-    #[arg(long, value_name = "LM/W", default_value_t = LUMINOUS_EFFICACY, value_parser = efficacy,
-        conflicts_with = "photometric")]
-    luminous_efficacy: f64,
+    /// With radiometric units: lumens per watt. The candela and lux of photometric files and of glTF lights are divided
+    /// by this number [default: 683]
+    #[arg(long, value_name = "LM/W", value_parser = efficacy, conflicts_with = "photometric")]
+    luminous_efficacy: Option<f64>,
     /// The axis that points up for sun and sky: y or z. For `render`, it may also be the upward direction of the
     /// picture, x,y,z. Sun and sky then use the nearer axis [default: y]
     #[arg(long, value_name = "y|z", value_parser = UpArg::from_str, allow_hyphen_values = true)]
     up: Option<UpArg>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum UnitsName {
+    /// W, W/sr, W/m2 and W/(m2 sr)
+    Radiometric,
+    /// lm, cd, lx and cd/m2
+    Photometric,
 }
 
 /// Azimuth and altitude in degrees, and the irradiance.
@@ -202,9 +213,9 @@ impl LightArgs {
 
     /// The units of the scene.
     pub fn units(&self) -> Units {
-        match self.photometric {
+        match self.photometric || self.units == UnitsName::Photometric {
             true => Units::Photometric,
-            false => Units::Radiometric { efficacy: self.luminous_efficacy },
+            false => Units::Radiometric { efficacy: self.luminous_efficacy.unwrap_or(LUMINOUS_EFFICACY) },
         }
     }
 
@@ -222,6 +233,13 @@ impl LightArgs {
     /// Adds the lights to a scene that was read from `path`.
     pub fn add(&self, scene: &mut Scene, path: &Path) -> RadiosityResult<()> {
         scene.units = self.units();
+        if scene.units == Units::Photometric && self.luminous_efficacy.is_some() {
+            return Err(Error::Usage {
+                message: "--luminous-efficacy has no effect with --units photometric: nothing is divided"
+                    .into(),
+                hint: Some("leave one of them out".into()),
+            });
+        }
         let beside = path.with_file_name("lights.toml");
         let file = self.lights.clone().or_else(|| beside.is_file().then_some(beside));
         let given_up = self.up.map(|_| self.up());

@@ -13,6 +13,7 @@ mod lights;
 mod models;
 mod options;
 mod outputs;
+mod per_light;
 mod pipeline;
 mod probe;
 mod render;

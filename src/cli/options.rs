@@ -40,7 +40,7 @@ pub struct SceneArgs {
     #[arg(long, value_name = "MATERIAL=MODEL", value_parser = models::model)]
     model: Vec<models::Model>,
     /// Treatment of specular parts where surfaces count as Lambertian: everywhere except in path and light tracing
-    #[arg(long, value_enum, default_value_t = SpecularName::Drop)]
+    #[arg(long, value_enum, default_value_t = SpecularName::Diffuse)]
     specular: SpecularName,
     /// Let only these materials and lights emit. The results of separate lamps sum to the result of all lamps. The
     /// lights of --sun and --sky have the names sun and sky
@@ -52,10 +52,10 @@ pub struct SceneArgs {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum SpecularName {
-    /// Leave them out
-    Drop,
     /// Add the share of diffuse light that they reflect to the diffuse reflectance
     Diffuse,
+    /// Leave them out
+    Drop,
 }
 
 /// A reflectance, and the material that has it.
@@ -138,13 +138,18 @@ impl SceneArgs {
                 hint: Some(format!("the emitters are {}", names[..names.len().min(10)].join(", "))),
             });
         }
-        let kept = |name: &str| self.emitters.iter().any(|kept| kept == name);
-        scene.lights.retain(kept);
-        for material in scene.materials.iter_mut().filter(|m| !kept(&m.name)) {
-            material.emission = [0.0; 3];
-            material.emission_map = None;
-        }
+        keep_emitters(scene, &self.emitters);
         Ok(())
+    }
+}
+
+/// Lets only materials and lights of these names emit.
+pub fn keep_emitters(scene: &mut Scene, names: &[String]) {
+    let kept = |name: &str| names.iter().any(|kept| kept == name);
+    scene.lights.retain(kept);
+    for material in scene.materials.iter_mut().filter(|m| !kept(&m.name)) {
+        material.emission = [0.0; 3];
+        material.emission_map = None;
     }
 }
 

@@ -91,8 +91,8 @@ pub fn flatten(scene: &mut Scene, args: &SceneArgs, watch: &Watch) {
             n => format!("the specular parts of material `{first}` and {n} more"),
         };
         let what = match args.specular() {
-            SpecularPart::Drop => "left out; --specular diffuse counts the light as diffuse",
-            SpecularPart::Diffuse => "counted as diffuse",
+            SpecularPart::Diffuse => "counted as diffuse; --specular drop leaves it out",
+            SpecularPart::Drop => "left out",
         };
         let warning = format!("{}: {whose}: {what}", args.path.display());
         watch.warn(&warning);

@@ -74,9 +74,11 @@ pub fn table(
     let power = units.power;
     for (name, c) in channels {
         let (emitted, absorbed, escaped) = (energy.emitted[c], energy.absorbed[c], energy.escaped[c]);
-        let entered = match energy.entered[c] {
-            0.0 => String::new(),
-            entered => format!(" entered {} {power},", figure(entered, 6)),
+        let error = energy.entered_standard_error.map_or(0.0, |error| error[c]);
+        let entered = match (energy.entered[c], error) {
+            (0.0, _) => String::new(),
+            (entered, 0.0) => format!(" entered {} {power},", figure(entered, 6)),
+            (entered, error) => format!(" entered {} ± {} {power},", figure(entered, 6), figure(error, 2)),
         };
         row(
             &format!("power{name}"),
@@ -261,7 +263,8 @@ pub fn bake(report: &BakeReport, directory: &str) -> String {
     if seams.samples > 0 {
         let largest = |x: [f64; 3]| x.into_iter().fold(0.0, f64::max);
         let (before, after) = (largest(seams.before), largest(seams.after));
-        row("across seams", format!("{} W/m2 before, {} after (RMS)", figure(before, 3), figure(after, 3)));
+        let (before, after, unit) = (figure(before, 3), figure(after, 3), report.scene.units.irradiance);
+        row("across seams", format!("{before} {unit} before, {after} after (RMS)"));
     }
     let s = &seconds.stages;
     row(

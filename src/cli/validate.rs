@@ -198,8 +198,8 @@ fn table(report: &ValidationReport) -> String {
             let [x, y, z] = w.position;
             let _ = writeln!(
                 text,
-                "  z {:+5.1}  {:.4e} against {:.4e} W/m2 at {x:.4} {y:.4} {z:.4} ({})",
-                w.z, w.first, w.second, w.material
+                "  z {:+5.1}  {:.4e} against {:.4e} {} at {x:.4} {y:.4} {z:.4} ({})",
+                w.z, w.first, w.second, report.units.irradiance, w.material
             );
         }
     }

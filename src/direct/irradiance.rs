@@ -33,6 +33,8 @@ pub(crate) struct DirectLight<const C: usize> {
     pub(crate) deviations: Vec<Deviation<C>>,
     /// Power that arrives from lights that are not surfaces.
     pub(crate) entered: [f64; C],
+    /// Deviations of its replicates.
+    pub(crate) entered_deviations: [[f64; REPLICATES]; C],
     /// Power of lamps that arrives at no patch.
     pub(crate) escaped: [f64; C],
     /// Deviations of its replicates.
@@ -152,7 +154,16 @@ impl ShadowRays {
             // Ignores rounding errors.
             escaped[c] = if rest.abs() > n as f64 * f64::EPSILON * power { rest } else { 0.0 };
         }
-        DirectLight { irradiance, deviations, entered: [0.0; C], escaped, escaped_deviations, leaks }
+        let (entered, entered_deviations) = ([0.0; C], [[0.0; REPLICATES]; C]);
+        DirectLight {
+            irradiance,
+            deviations,
+            entered,
+            entered_deviations,
+            escaped,
+            escaped_deviations,
+            leaks,
+        }
     }
 
     /// The irradiance of patch `i` from surfaces or from other lights, and the deviations of its replicates.
@@ -217,6 +228,10 @@ impl<const C: usize> DirectLight<C> {
         }
         for c in 0..C {
             self.entered[c] += ordered_sum(areas.len(), |i| areas[i] * irradiance[i][c]);
+            for k in 0..REPLICATES {
+                self.entered_deviations[c][k] +=
+                    ordered_sum(areas.len(), |i| areas[i] * f64::from(deviations[i][c][k]));
+            }
         }
     }
 }

@@ -287,7 +287,12 @@ impl FormFactors {
         let mut light = samples.direct(emission, unit);
         let area = self.areas.iter().sum::<f64>() / samples.areas.iter().sum::<f64>();
         let powers = light.escaped.iter_mut().chain(&mut light.entered);
-        powers.chain(light.escaped_deviations.as_flattened_mut()).for_each(|x| *x *= area);
+        let deviations = light
+            .escaped_deviations
+            .as_flattened_mut()
+            .iter_mut()
+            .chain(light.entered_deviations.as_flattened_mut());
+        powers.chain(deviations).for_each(|x| *x *= area);
         Some(light)
     }
 

@@ -54,7 +54,7 @@ impl Lightmap {
             .collect();
         let layout =
             Layout { coordinates: &self.atlas.coordinates, corners: &self.atlas.corners, pages: &pages };
-        let mut extras = json!({"irradiance": files, "unit": "W/m2"});
+        let mut extras = json!({"irradiance": files, "unit": scene.units.names().irradiance});
         let show = match encoding {
             Encoding::Emissive => {
                 extras["encoding"] = "emissive".into();

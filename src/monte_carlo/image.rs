@@ -1,9 +1,10 @@
 //! Pictures of radiance, and their encoding.
 
-use std::io::{self, Write};
+use std::io::{self, Seek, Write};
 
+use exr::prelude::{Blocks, Compression, Encoding, LineOrder, SpecificChannels, Vec2, WritableImage};
 use glam::Vec3A;
-use image::{DynamicImage, ImageFormat, Rgb32FImage, RgbImage};
+use image::{ImageFormat, Rgb32FImage, RgbImage};
 use rayon::prelude::*;
 
 use super::{Camera, Lens, PathTracer, Samples, samples::take};
@@ -191,30 +192,43 @@ impl Film {
             ));
         }
         let (width, height) = (self.width as u32, self.height as u32);
-        let linear = || {
-            let pixels = self.pixels.as_flattened().to_vec();
-            DynamicImage::from(
-                Rgb32FImage::from_raw(width, height, pixels).expect("the buffer fits its size"),
-            )
-        };
-        let (picture, format) = match format {
+        let mut bytes = io::Cursor::new(Vec::new());
+        match format {
             PictureFormat::Png => {
                 let pixels = self.to_srgb(exposure).into_flattened();
                 let image = RgbImage::from_raw(width, height, pixels).expect("the buffer fits its size");
-                (image.into(), ImageFormat::Png)
+                image.write_to(&mut bytes, ImageFormat::Png).map_err(io::Error::other)?;
             }
-            PictureFormat::Exr => (linear(), ImageFormat::OpenExr),
-            PictureFormat::Hdr => (linear(), ImageFormat::Hdr),
-        };
-        // The EXR encoder seeks.
-        let mut bytes = io::Cursor::new(Vec::new());
-        picture.write_to(&mut bytes, format).map_err(io::Error::other)?;
+            PictureFormat::Hdr => {
+                let pixels = self.pixels.as_flattened().to_vec();
+                let image = Rgb32FImage::from_raw(width, height, pixels).expect("the buffer fits its size");
+                image.write_to(&mut bytes, ImageFormat::Hdr).map_err(io::Error::other)?;
+            }
+            PictureFormat::Exr => self.encode_exr(&mut bytes)?,
+        }
         out.write_all(bytes.get_ref())
+    }
+
+    /// In scan lines from the top. The encoder of `image` writes tiles in any order, which Godot 3 reads as if they were in rows.
+    fn encode_exr(&self, out: &mut (impl Write + Seek)) -> io::Result<()> {
+        let encoding = Encoding {
+            compression: Compression::ZIP16,
+            blocks: Blocks::ScanLines,
+            line_order: LineOrder::Increasing,
+        };
+        let channels = SpecificChannels::rgb(|at: Vec2<usize>| {
+            let [r, g, b] = self.pixels[at.y() * self.width + at.x()];
+            (r, g, b)
+        });
+        let picture = exr::image::Image::from_encoded_channels((self.width, self.height), encoding, channels);
+        picture.write().non_parallel().to_buffered(out).map_err(io::Error::other)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use image::DynamicImage;
+
     use super::*;
 
     fn ramp() -> Film {

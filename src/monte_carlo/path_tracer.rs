@@ -372,7 +372,8 @@ impl<'a> PathTracer<'a> {
         let length = squared.sqrt();
         let (reflected, bounce) = surface.towards(normal, to, length);
         let chosen = lamp.density * squared * length / f64::from(cos_lamp);
-        if !self.tracer.visible(origin, target) {
+        // A mirror reflects no light of a sampled point: no need to ask whether the point is visible.
+        if reflected == DVec3::ZERO || !self.tracer.visible(origin, target) {
             return DVec3::ZERO;
         }
         DVec3::from(lamp.radiance) * reflected * (chosen / (bounce * bounce + chosen * chosen))
@@ -392,10 +393,13 @@ impl<'a> PathTracer<'a> {
             return DVec3::ZERO;
         };
         let to = look.target - origin;
-        if to.dot(normal) <= 0.0 || !self.tracer.visible(origin, look.target) {
+        if to.dot(normal) <= 0.0 {
             return DVec3::ZERO;
         }
         let (reflected, bounce) = surface.towards(normal, to, f64::from(to.length()));
+        if reflected == DVec3::ZERO || !self.tracer.visible(origin, look.target) {
+            return DVec3::ZERO;
+        }
         look.light * reflected / (1.0 + (bounce / look.density).powi(2))
     }
 

@@ -127,6 +127,8 @@ pub struct EnergyReport {
     pub emitted: [f64; 3],
     /// Power from sky, sun and other lights that are not surfaces, as far as it hits a surface.
     pub entered: [f64; 3],
+    /// Standard error of the power that enters; `null` without a matrix.
+    pub entered_standard_error: Option<[f64; 3]>,
     /// Absorbed power.
     pub absorbed: [f64; 3],
     /// Escaped power.
@@ -266,6 +268,7 @@ impl SolveReport {
                 converged: true,
             },
             energy: EnergyReport {
+                entered_standard_error: Some(rgb(&error_bars.of_entered)),
                 escaped_standard_error: Some(rgb(&error_bars.of_escaped)),
                 ..EnergyReport::of(energy)
             },
@@ -373,6 +376,7 @@ impl EnergyReport {
         EnergyReport {
             emitted: rgb(&energy.emitted),
             entered: rgb(&energy.entered),
+            entered_standard_error: None,
             absorbed: rgb(&energy.absorbed),
             escaped: rgb(&energy.escaped),
             escaped_standard_error: None,
@@ -390,6 +394,7 @@ impl EnergyReport {
         EnergyReport {
             emitted: rgb(&solution.emitted),
             entered: [0.0; 3],
+            entered_standard_error: None,
             absorbed: rgb(&solution.absorbed),
             escaped: rgb(&solution.escaped),
             escaped_standard_error: None,

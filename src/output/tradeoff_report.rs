@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::{
     accuracy::tradeoff::{Point, Series, Tradeoff},
-    scene::Scene,
+    scene::{Scene, light::UnitNames},
 };
 
 /// The first line of the CSV.
@@ -21,6 +21,8 @@ pub struct TradeoffReport {
     pub version: &'static str,
     /// The scene's file, as it was named.
     pub scene: String,
+    /// Units of light. All errors are relative.
+    pub units: UnitNames,
     /// Number of triangles.
     pub triangles: usize,
     /// Number of threads.
@@ -101,6 +103,7 @@ impl TradeoffReport {
         TradeoffReport {
             version: env!("CARGO_PKG_VERSION"),
             scene: file.into(),
+            units: scene.units.names(),
             triangles: scene.triangles.len(),
             threads,
             seed,

@@ -14,7 +14,7 @@ use crate::{
         validation::Validation,
     },
     patch::Patches,
-    scene::Scene,
+    scene::{Scene, light::UnitNames},
 };
 
 /// The report of `radiosity validate`.
@@ -24,6 +24,8 @@ pub struct ValidationReport {
     pub version: &'static str,
     /// The scene's file, as it was named.
     pub scene: String,
+    /// Units of light.
+    pub units: UnitNames,
     /// Whether every check passed.
     pub valid: bool,
     /// The failed checks, one sentence each.
@@ -86,6 +88,7 @@ impl ValidationReport {
         ValidationReport {
             version: env!("CARGO_PKG_VERSION"),
             scene: file.into(),
+            units: scene.units.names(),
             valid: objections.is_empty(),
             objections,
             patches: solved.patches.len(),

@@ -45,7 +45,7 @@ pub(super) fn solve<const C: usize>(
         let residual = system.relative_residual(&radiosity, &irradiance);
         (radiosity, irradiance, residual)
     };
-    let begin = start.map(|start| start.as_chunks().0.to_vec()).or_else(|| expected(system));
+    let begin = start.map(|start| system.unknowns(start.as_chunks().0)).or_else(|| expected(system));
     // The expected radiosity may belong to other light.
     let begin = begin.map(judged).filter(|&(.., residual)| residual < 1.0);
     let (mut radiosity, mut irradiance, mut residual) =

@@ -294,6 +294,18 @@ impl<'a, const C: usize> System<'a, C> {
         System { form_factors, source, reflectance, emission, direct, entered }
     }
 
+    /// U of a radiosity B: without what lamps emit. What black patches send is known.
+    fn unknowns(&self, radiosity: &[[f64; C]]) -> Vec<[f64; C]> {
+        let of_patch = |(i, b): (usize, &[f64; C])| {
+            let emitted = if self.form_factors.is_lamp(i) { self.emission[i] } else { [0.0; C] };
+            std::array::from_fn(|c| match self.reflectance[i][c] > 0.0 {
+                true => (b[c] - emitted[c]).max(0.0),
+                false => self.source[i][c],
+            })
+        };
+        radiosity.iter().enumerate().map(of_patch).collect()
+    }
+
     fn solve(&self, start: Option<&[f64]>, options: &SolveOptions, progress: &Progress) -> Result<Solution> {
         self.check_equilibrium()?;
         let symmetric = self.form_factors.estimator() == Estimator::Pooled;

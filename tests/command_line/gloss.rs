@@ -48,6 +48,8 @@ fn a_mirror_shows_a_second_lamp() {
     for (lines, options, ks) in [
         ("Ks 1 0.5 0\nillum 3\n", "", [1.0, 0.5, 0.0]),
         ("", "--model wall=mirror:0.8", [0.8; 3]),
+        // Schlick's term adds 2·10⁻⁵ at 27 degrees.
+        ("Ks 0.8 0.5 0.2\nillum 5\n", "", [0.8, 0.5, 0.2]),
         ("Ks 1 1 1\nillum 1\n", "", [0.0; 3]),
     ] {
         let [mean, error] = probed(&with_wall(lines), options);
@@ -74,6 +76,13 @@ fn sharp_lobes_of_files_and_options_are_nearly_mirrors() {
         ("", "--model wall=ward:0.8,0.003,0.003", 0.97),
         ("", "--model wall=beckmann:0.8,0.003", 0.97),
         ("", "--model wall=ggx:0.8,0.003", 0.97),
+        ("", "--model wall=schlick:0.8,0.003", 0.97),
+        // κ²/(4 + κ²) at normal incidence.
+        ("", "--model wall=conductor:1,4,0.003", 0.97),
+        // α is the square of the roughness, and the base colour of a metal is its reflectance.
+        ("", "--reflectance 0.8@wall --model wall=metallic-roughness:1,0.05", 0.97),
+        ("Pm 1\nPr 0.05\n", "--reflectance 0.8@wall", 0.97),
+        ("Pm 1\nPr 0.05\naniso 0.5\nKs 1 0 0\nNs 3\n", "--reflectance 0.8@wall", 0.97),
     ] {
         let [mean, error] = probed(&with_wall(lines), options);
         let (share, error) = ((mean[0] - direct) / (0.8 * image), error[0] / (0.8 * image));
@@ -126,7 +135,8 @@ fn solve_reports_how_it_treats_gloss() {
         assert!(said.contains("the specular part of material `wall`") && said.contains(what), "{said}");
         here.json("r.json")["energy"]["absorbed"][0].as_f64().unwrap()
     };
-    let (dropped, diffuse) = (mean("", "left out"), mean("--specular diffuse", "counted as diffuse"));
+    let (diffuse, dropped) = (mean("", "counted as diffuse"), mean("--specular drop", "left out"));
+    assert_eq!(diffuse, mean("--specular diffuse", "--specular drop"));
     // The wall absorbs all of its light, or two fifths of it and reflects some of the rest to the floor.
     assert!(diffuse < 0.99 * dropped, "{diffuse} {dropped}");
 }

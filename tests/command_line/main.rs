@@ -4,11 +4,13 @@
 mod common;
 
 mod bake;
+mod blender;
 #[cfg(unix)]
 mod checkpoint;
 mod gloss;
 mod gltf;
 mod inspect;
+mod lights;
 #[cfg(target_os = "linux")]
 mod matrix_free;
 #[cfg(target_os = "linux")]

@@ -101,7 +101,7 @@ fn the_report_has_the_promised_fields_in_the_promised_order() {
         "form_factors rays non_zeros bytes escaped_fraction back_hits",
         "row_sum_deviation before after reciprocity_deviation before after",
         "solve solver iterations residual error_bound converged",
-        "energy emitted absorbed escaped escaped_standard_error imbalance solver_part reciprocity_part",
+        "energy emitted entered entered_standard_error absorbed escaped escaped_standard_error imbalance solver_part reciprocity_part",
         "error rms_relative confidence bias_relative discretisation_relative total_relative largest_region",
         "seconds load subdivide bvh form_factors solve output total peak_bytes",
     ]

@@ -67,6 +67,7 @@ fn errors_fall_as_rays_grow_and_files_can_be_read() {
     assert!(here.read("r.json") == here.read("deep/out/tradeoff.json"));
     fs::rename(here.path("deep/out"), here.path("out")).unwrap();
     let report = here.json("out/tradeoff.json");
+    assert_eq!(report["units"]["irradiance"], "W/m2");
     let points = report["points"].as_array().unwrap();
     assert_eq!(fs::read_dir(here.path("out")).unwrap().count(), 4);
 

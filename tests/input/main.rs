@@ -7,6 +7,7 @@ mod contacts;
 mod corpus;
 mod cutouts;
 mod degenerate;
+mod gltf_corpus;
 mod gltf_hostile;
 mod gltf_reader;
 mod independence;

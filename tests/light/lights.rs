@@ -6,6 +6,7 @@ use glam::{DVec3, dvec3};
 use radiosity::{
     Progress, Scene,
     accuracy::{
+        bias,
         solved::Solved,
         validation::{Validation, ValidationOptions},
     },
@@ -302,6 +303,53 @@ fn the_ledger_has_an_outside() {
     }
     assert!(ledger.entered[0] > ledger.entered[1] && ledger.entered[1] > ledger.entered[2]);
     assert!(ledger.imbalance().abs() < 1e-9);
+}
+
+/// The power that enters has a standard error: over many seeds it spreads by no more, and by no less than a third, since parts of one
+/// sequence complement each other. Of a sun that nothing blocks it is known exactly.
+#[test]
+fn what_enters_spreads_as_its_standard_error_says() {
+    let scene = with_light(with_sky(court(), overcast(150.0)), sun(150.0, 50.0));
+    let tracer = Tracer::new(&scene);
+    let entered = |seed: u64| {
+        let cast = CastOptions::default().with_rays(64.0).with_seed(seed);
+        let (patches, options) = (Subdivision::Count(120), SolveOptions::default());
+        let solved = Solved::new(&scene, &tracer, &patches, &cast, &options, &Progress::new()).unwrap();
+        let ledger = EnergyLedger::of(&solved.form_factors, &solved.patches, &solved.solution);
+        (ledger.entered[0], solved.error_bars.of_entered[0])
+    };
+    const SEEDS: usize = 40;
+    let found: Vec<(f64, f64)> = (0..SEEDS as u64).map(entered).collect();
+    let many = SEEDS as f64;
+    let mean = found.iter().map(|(e, _)| e).sum::<f64>() / many;
+    let spread = (found.iter().map(|(e, _)| (e - mean).powi(2)).sum::<f64>() / (many - 1.0)).sqrt();
+    let said = (found.iter().map(|(_, error)| error.powi(2)).sum::<f64>() / many).sqrt();
+    // A spread of 40 is known to 11 %.
+    assert!(spread < 1.4 * said && spread > 0.3 * said, "{spread} for {said} of {mean}");
+    assert!(said < 0.01 * mean, "{said} of {mean}");
+
+    let floor = with_light(scene_of_floor(), sun(150.0, 50.0));
+    let solved = solved(&floor, 8, 64.0);
+    let ledger = EnergyLedger::of(&solved.form_factors, &solved.patches, &solved.solution);
+    let wanted = 4.0 * 1000.0 * 50f64.to_radians().sin();
+    assert!((ledger.entered[0] / wanted - 1.0).abs() < 1e-4, "{} for {wanted}", ledger.entered[0]);
+    assert!(solved.error_bars.of_entered[0] < 1e-5 * wanted);
+}
+
+/// A floor of two by two.
+fn scene_of_floor() -> Scene {
+    scene(&[part(level_square(2.0, 0.0, true), 0.5, 0.0)])
+}
+
+/// The bias is found by starting from a solution with all rays. A black lamp emits as much in it as it does by direct light, once.
+#[test]
+fn a_black_lamp_under_a_sky_has_a_bias() {
+    let scene = with_sky(court(), overcast(150.0));
+    let (tracer, options) = (Tracer::new(&scene), SolveOptions::default());
+    let solved = solved(&scene, 120, 64.0);
+    let Solved { form_factors, patches, solution, .. } = &solved;
+    let bias = bias::relative(form_factors, &tracer, patches, solution, &options, &Progress::new()).unwrap();
+    assert!(bias.unwrap().abs() < 0.02, "{bias:?}");
 }
 
 /// Every kind of light passes the validation: radiosity, paths and particles agree within their errors.

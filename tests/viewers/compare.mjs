@@ -1,10 +1,10 @@
-// Fails when three.js in a headless Chromium shows a glTF file otherwise than a picture of ours: mean difference of 2 of 255 or
+// Fails if a viewer in headless Chromium shows a glTF file differently from a picture of ours: with a mean difference of 2 of 255 or
 // more, with lights of the viewer on or off.
 //
-//     node compare.mjs SCENE.glb OURS.png EYE LOOK-AT UP FOV [PICTURE.png]
+//     node compare.mjs VIEWER SCENE.glb OURS.png EYE LOOK-AT UP FOV [PICTURE.png]
 //
-// EYE, LOOK-AT and UP are x,y,z, and FOV is in degrees, as `radiosity render` takes them. PICTURE.png receives what three.js
-// shows. The environment variable CHROMIUM names the browser.
+// VIEWER is three or babylon: the page VIEWER.html. EYE, LOOK-AT and UP are x,y,z, and FOV is in degrees, as `radiosity render` takes
+// them. PICTURE.png receives what the viewer shows. The environment variable CHROMIUM names the browser.
 
 import { spawn } from 'node:child_process';
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
@@ -16,7 +16,7 @@ import { fileURLToPath } from 'node:url';
 const ALLOWED = 2;
 const PATIENCE = 120_000;
 const here = dirname(fileURLToPath(import.meta.url));
-const [glb, png, eye, lookAt, up, fov, picture] = process.argv.slice(2);
+const [viewer, glb, png, eye, lookAt, up, fov, picture] = process.argv.slice(2);
 const ours = readFileSync(png);
 const [width, height] = [ours.readUInt32BE(16), ours.readUInt32BE(20)];
 const point = (text) => text.split(',').map(Number);
@@ -43,7 +43,8 @@ function shown(lights) {
         };
         const server = createServer((request, response) => {
             const send = (type, body) => response.writeHead(200, { 'Content-Type': type }).end(body);
-            if (request.url === '/') return send('text/html', readFileSync(join(here, 'page.html')));
+            if (request.url === '/') return send('text/html', readFileSync(join(here, `${viewer}.html`)));
+            if (request.url === '/pixels.js') return send('text/javascript', readFileSync(join(here, 'pixels.js')));
             if (request.url === '/job') return send('application/json', JSON.stringify(job));
             if (request.url === '/scene.glb') return send('model/gltf-binary', readFileSync(glb));
             if (request.url === '/ours.png') return send('image/png', ours);
@@ -57,7 +58,7 @@ function shown(lights) {
                 return undefined;
             }
             const path = normalize(request.url);
-            if (!path.startsWith('/three/')) return response.writeHead(404).end();
+            if (!/^\/(three|babylonjs|babylonjs-loaders)\//.test(path)) return response.writeHead(404).end();
             return send(types[extname(path)] ?? 'text/plain', readFileSync(join(here, 'node_modules', path)));
         });
         const timer = setTimeout(() => end(reject, new Error('the browser showed nothing in time')), PATIENCE);
@@ -73,10 +74,10 @@ function shown(lights) {
 let failed = false;
 for (const lights of [false, true]) {
     const { difference, picture: data } = await shown(lights);
-    console.log(`${glb}: mean difference ${difference.toFixed(3)} of 255 with the viewer's lights ${lights ? 'on' : 'off'}`);
+    console.log(`${glb} in ${viewer}: mean difference ${difference.toFixed(3)} of 255 with the viewer's lights ${lights ? 'on' : 'off'}`);
     failed ||= !(difference < ALLOWED);
     if (picture && !lights) {
-        writeFileSync(picture, Buffer.from(data.split(',')[1], 'base64'));
+        writeFileSync(picture, Buffer.from(data, 'base64'));
     }
 }
 process.exit(failed ? 1 : 0);

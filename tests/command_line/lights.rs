@@ -1,0 +1,118 @@
+//! Lights that are no surfaces, and units of light, on the command line.
+
+use std::fs;
+
+use crate::common::program::{Here, stderr};
+
+/// A floor of 2 by 2 in a court, y up, with two lamps.
+const COURT: &str = "mtllib scene.mtl\nusemtl floor
+v -1 0 -1\nv -1 0 1\nv 1 0 1\nv 1 0 -1\nf 1 2 3 4\nusemtl wall
+v -1 0 -1\nv 1 0 -1\nv 1 1 -1\nv -1 1 -1\nf 5 6 7 8\nusemtl lamp
+v -0.2 1 -0.2\nv 0.2 1 -0.2\nv 0.2 1 0.2\nv -0.2 1 0.2\nf 9 10 11 12\n";
+const MATERIALS: &str =
+    "newmtl floor\nKd 0.5 0.5 0.5\nnewmtl wall\nKd 0.7 0.7 0.7\nnewmtl lamp\nKd 0 0 0\nKe 20 20 20\n";
+
+fn run(here: &Here, words: &str) -> String {
+    let output = here.run(words);
+    assert!(matches!(output.status.code(), Some(0 | 1)), "{words}: {}", stderr(&output));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Reports, summaries, the header of a mesh and a glTF file name the unit, whichever command wrote them.
+#[test]
+fn photometric_units_are_named_everywhere() {
+    let here = Here::new(COURT, MATERIALS);
+    fs::write(here.path("p.txt"), "0 0 0 0 1 0\n").unwrap();
+    let light = "--sky overcast:10000 --patches 60";
+    for units in ["--units photometric", "--photometric"] {
+        let said = run(&here, &format!("solve scene.obj {light} {units} -o a.ply --report r.json"));
+        assert!(said.contains(" lm,") && said.contains("lm/m2") && !said.contains("W/m2"), "{said}");
+        let report = here.json("r.json");
+        assert_eq!(report["scene"]["units"]["irradiance"], "lx");
+        assert!(report["scene"]["units"]["lumens_per_watt"].is_null());
+        let mesh = String::from_utf8_lossy(&here.read("a.ply")).into_owned();
+        let header = mesh.split("end_header").next().unwrap();
+        assert!(header.contains("lx") && !header.contains("W/m2"), "{header}");
+    }
+    let units = "--units photometric";
+    let effort = "--paths 64 --particles 4096 --rays 64 --report v.json";
+    let said = run(&here, &format!("validate scene.obj {light} {units} {effort}"));
+    assert!(said.contains(" lx at ") && !said.contains("W/m2"), "{said}");
+    assert_eq!(here.json("v.json")["units"]["power"], "lm");
+    let said =
+        run(&here, &format!("bake scene.obj {light} {units} -o lit.glb --resolution 64 --report b.json"));
+    assert!(!said.contains("W/m2"), "{said}");
+    assert_eq!(here.json("b.json")["scene"]["units"]["radiance"], "cd/m2");
+    let (lit, _) = crate::common::gltf::taken_apart(&here.read("lit.glb"));
+    assert_eq!(lit["extras"]["radiosity"]["unit"], "lx");
+    run(&here, &format!("probe scene.obj --sky overcast:10000 {units} --points p.txt --report q.json"));
+    assert_eq!(here.json("q.json")["units"]["irradiance"], "lx");
+
+    // Watts by default, and what cannot be both.
+    run(&here, &format!("solve scene.obj {light} --units radiometric --report r.json"));
+    assert_eq!(here.json("r.json")["scene"]["units"]["lumens_per_watt"], 683.0);
+    let said = here.fails("solve scene.obj --units photometric --luminous-efficacy 179", 2);
+    assert!(said.contains("--luminous-efficacy has no effect"), "{said}");
+    here.fails("solve scene.obj --units radiometric --photometric", 2);
+}
+
+/// The light of each lamp and light alone sums to that of all.
+#[test]
+fn lights_of_a_light_file_are_chosen_by_name() {
+    let here = Here::new(COURT, MATERIALS);
+    let lights = "[[point]]\nname = \"bulb\"\nposition = [0.3, 0.6, 0.2]\nintensity = 5\n\
+        [[directional]]\nname = \"moon\"\ndirection = [0.1, -1, 0.2]\nirradiance = 3\n[sky]\nkind = \"uniform\"\nradiance = 2\n";
+    fs::write(here.path("lights.toml"), lights).unwrap();
+    fs::write(here.path("p.txt"), "0.1 0 0.3 0 1 0\n-0.6 0 -0.5 0 1 0\n").unwrap();
+    let probed = |which: &str| -> Vec<[f64; 2]> {
+        let said = run(&here, &format!("probe scene.obj --points p.txt --spp 16384 {which}"));
+        let of_line = |line: &str| {
+            let numbers: Vec<f64> = line.split_whitespace().map(|word| word.parse().unwrap()).collect();
+            [numbers[6], numbers[9]]
+        };
+        said.lines().map(of_line).collect()
+    };
+    let whole = probed("");
+    let parts = ["lamp", "bulb", "moon", "sky"].map(|name| probed(&format!("--emitters {name}")));
+    for (k, [all, error]) in whole.iter().enumerate() {
+        let sum: f64 = parts.iter().map(|part| part[k][0]).sum();
+        let square: f64 = parts.iter().map(|part| part[k][1].powi(2)).sum();
+        let error = error.hypot(square.sqrt());
+        assert!(
+            (sum - all).abs() < 4.0 * error + 1e-6 * all && error < 0.02 * all,
+            "{sum} for {all} ± {error}"
+        );
+        assert!(parts.iter().all(|part| part[k][0] > 0.0));
+    }
+    let said = here.fails("probe scene.obj --points p.txt --emitters mood", 2);
+    assert!(said.contains("mood") && said.contains("bulb"), "{said}");
+
+    // One map for each.
+    run(&here, "bake scene.obj -o maps --per-light --resolution 32 --quality draft --final-gather 0");
+    let names: Vec<String> = fs::read_dir(here.path("maps"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    let sum = |name: &str| -> f64 {
+        let map = image::open(here.path("maps").join(name)).unwrap().into_rgb32f();
+        map.pixels().map(|pixel| f64::from(pixel.0[0])).sum()
+    };
+    let parts = ["lamp", "bulb", "moon", "sky"].map(|name| {
+        let file = format!("lightmap-{name}.exr");
+        assert!(names.contains(&file), "{name}: {names:?}");
+        sum(&file)
+    });
+    let (together, whole) = (parts.iter().sum::<f64>(), sum("lightmap.exr"));
+    assert!(
+        (together / whole - 1.0).abs() < 0.02 && parts.iter().all(|&part| part > 0.0),
+        "{parts:?} {whole}"
+    );
+}
+
+/// Solving without a matrix refuses what it cannot compute.
+#[test]
+fn stochastic_jacobi_says_that_it_knows_no_sky() {
+    let here = Here::new(COURT, MATERIALS);
+    let said = here.fails("solve scene.obj --sky uniform:3 --solver stochastic-jacobi", 2);
+    assert!(said.contains("--solver stochastic-jacobi knows no sun, sky"), "{said}");
+}
