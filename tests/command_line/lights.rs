@@ -111,8 +111,8 @@ fn lights_of_a_light_file_are_chosen_by_name() {
 
 /// Solving without a matrix refuses what it cannot compute.
 #[test]
-fn stochastic_jacobi_says_that_it_knows_no_sky() {
+fn stochastic_jacobi_refuses_a_sky() {
     let here = Here::new(COURT, MATERIALS);
     let said = here.fails("solve scene.obj --sky uniform:3 --solver stochastic-jacobi", 2);
-    assert!(said.contains("--solver stochastic-jacobi knows no sun, sky"), "{said}");
+    assert!(said.contains("--solver stochastic-jacobi does not support sun, sky"), "{said}");
 }
