@@ -94,7 +94,13 @@
 #[macro_use]
 mod setters;
 
+// The commands name the library as any other program does.
+#[cfg(feature = "cli")]
+extern crate self as radiosity;
+
 pub mod accuracy;
+#[cfg(feature = "cli")]
+pub mod cli;
 pub mod daylight;
 mod direct;
 pub mod energy;

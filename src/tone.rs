@@ -51,7 +51,10 @@ impl Exposure {
 }
 
 /// Converts one or three channels to red, green and blue.
-pub(crate) fn rgb(values: &[f64]) -> [f64; 3] {
+///
+/// # Panics
+/// When there are two channels or none.
+pub fn rgb(values: &[f64]) -> [f64; 3] {
     if let &[grey] = values { [grey; 3] } else { [values[0], values[1], values[2]] }
 }
 

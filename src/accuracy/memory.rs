@@ -35,6 +35,34 @@ const SWEPT_CHANNEL: f64 = 160.0;
 /// For the form factor of a patch to a piece of a lamp.
 const KNOWN_PIECE: f64 = 8.0;
 
+/// Bytes of memory and swap space of this machine as Linux reports them, or the limit of the control group if that is smaller;
+/// `None` elsewhere.
+pub fn of_machine() -> Option<f64> {
+    let info = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let kibibytes = |name: &str| -> Option<f64> {
+        let line = info.lines().find_map(|line| line.strip_prefix(name))?;
+        line.trim().strip_suffix("kB")?.trim().parse().ok()
+    };
+    let all = 1024.0 * (kibibytes("MemTotal:")? + kibibytes("SwapTotal:").unwrap_or(0.0));
+    let group = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();
+    let group = group.and_then(|text| text.trim().parse::<f64>().ok());
+    Some(all.min(group.unwrap_or(f64::INFINITY)))
+}
+
+/// The largest number of rays a patch for which a computation takes no more than `limit` bytes. `bytes` gives what it takes for
+/// a number of rays.
+pub fn most_rays(limit: f64, bytes: impl Fn(f64) -> f64) -> f64 {
+    if limit == f64::INFINITY {
+        return f64::INFINITY;
+    }
+    let (mut few, mut many) = (0.0, limit);
+    for _ in 0..100 {
+        let middle = 0.5 * (few + many);
+        if bytes(middle) <= limit { few = middle } else { many = middle }
+    }
+    few
+}
+
 /// Peak number of bytes of a solution without a matrix. `patches` is the number of patches, backs included.
 pub fn without_matrix(scene: &Scene, patches: f64) -> f64 {
     let of_patch =

@@ -7,6 +7,7 @@ pub mod discretisation;
 pub mod error_bars;
 pub mod lambert;
 pub mod memory;
+pub mod patch_search;
 pub mod refinement;
 pub mod regions;
 pub mod solved;

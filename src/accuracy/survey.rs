@@ -94,6 +94,24 @@ pub struct TurnedLamp {
     pub kept: f64,
 }
 
+impl TurnedLamp {
+    /// A sentence that says where it is and what may be wrong.
+    pub fn warning(&self, scene: &Scene) -> String {
+        let [a, b, c] = scene.corners(self.triangle);
+        let at = (a + b + c) / 3.0;
+        format!(
+            "the lamp of `{}` at {:.4} {:.4} {:.4} sends {:.0} % of its light to its own luminaire (`{}`), while its back faces the \
+             room: is it inside out?",
+            scene.material(self.triangle).name,
+            at.x,
+            at.y,
+            at.z,
+            100.0 * self.kept,
+            scene.materials[self.lit as usize].name
+        )
+    }
+}
+
 /// Random walks from each side of a luminaire. They give shares to a few per cent, enough to distinguish a half from a
 /// quarter.
 const WALKS: u32 = 256;

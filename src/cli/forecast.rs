@@ -62,7 +62,7 @@ pub fn of_linear_light(scene: &Scene, wanted: bool) -> impl Fn(f64) -> f64 {
 impl Limit {
     /// The given limit, or else the memory of this machine. There is no limit if both are unknown.
     pub fn new(given: Option<f64>) -> Limit {
-        let bytes = given.or_else(machine).unwrap_or(f64::INFINITY);
+        let bytes = given.or_else(memory::of_machine).unwrap_or(f64::INFINITY);
         Limit { bytes, given: given.is_some() }
     }
 
@@ -131,15 +131,7 @@ impl Limit {
 
     /// The largest number of rays per patch that fits for a number of patches.
     pub fn most_rays(self, patches: f64, bytes: impl Fn(f64, f64) -> f64) -> f64 {
-        if self.bytes == f64::INFINITY {
-            return f64::INFINITY;
-        }
-        let (mut few, mut many) = (0.0, self.bytes);
-        for _ in 0..100 {
-            let middle = 0.5 * (few + many);
-            if self.allows(bytes(patches, middle)) { few = middle } else { many = middle }
-        }
-        few
+        memory::most_rays(self.bytes, |rays| bytes(patches, rays))
     }
 
     /// Refuses a picture that needs too much memory.
@@ -220,19 +212,6 @@ pub fn size(text: &str) -> std::result::Result<f64, String> {
     };
     let bytes = factor.and_then(|factor| Some(factor * number.trim().parse::<f64>().ok()?));
     bytes.filter(|b| b.is_finite() && *b >= 1.0).ok_or("expected a size like 500MB or 4GiB".into())
-}
-
-/// Memory and swap space of this machine as Linux reports them, or the limit of the control group if that is smaller.
-fn machine() -> Option<f64> {
-    let info = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let kibibytes = |name: &str| -> Option<f64> {
-        let line = info.lines().find_map(|line| line.strip_prefix(name))?;
-        line.trim().strip_suffix("kB")?.trim().parse().ok()
-    };
-    let all = 1024.0 * (kibibytes("MemTotal:")? + kibibytes("SwapTotal:").unwrap_or(0.0));
-    let group = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();
-    let group = group.and_then(|text| text.trim().parse::<f64>().ok());
-    Some(all.min(group.unwrap_or(f64::INFINITY)))
 }
 
 #[cfg(test)]

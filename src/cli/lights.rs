@@ -212,10 +212,15 @@ impl LightArgs {
     }
 
     /// The units of the scene.
-    pub fn units(&self) -> Units {
+    pub fn units(&self) -> RadiosityResult<Units> {
         match self.photometric || self.units == UnitsName::Photometric {
-            true => Units::Photometric,
-            false => Units::Radiometric { efficacy: self.luminous_efficacy.unwrap_or(LUMINOUS_EFFICACY) },
+            true if self.luminous_efficacy.is_some() => Err(Error::Usage {
+                message: "--luminous-efficacy has no effect with --units photometric: nothing is divided"
+                    .into(),
+                hint: Some("leave one of them out".into()),
+            }),
+            true => Ok(Units::Photometric),
+            false => Ok(Units::Radiometric { efficacy: self.luminous_efficacy.unwrap_or(LUMINOUS_EFFICACY) }),
         }
     }
 
@@ -230,18 +235,10 @@ impl LightArgs {
             .map_err(|message| Error::Usage { message: format!("--at: {message}"), hint: None })
     }
 
-    /// Adds the lights to a scene that was read from `path`.
-    pub fn add(&self, scene: &mut Scene, path: &Path) -> RadiosityResult<()> {
-        scene.units = self.units();
-        if scene.units == Units::Photometric && self.luminous_efficacy.is_some() {
-            return Err(Error::Usage {
-                message: "--luminous-efficacy has no effect with --units photometric: nothing is divided"
-                    .into(),
-                hint: Some("leave one of them out".into()),
-            });
-        }
-        let beside = path.with_file_name("lights.toml");
-        let file = self.lights.clone().or_else(|| beside.is_file().then_some(beside));
+    /// Adds the lights to a scene. Where a file of the scene is given and no light file, the one beside it is taken if it exists.
+    pub fn add(&self, scene: &mut Scene, of_scene: Option<&Path>) -> RadiosityResult<()> {
+        let beside = || of_scene.map(|path| path.with_file_name("lights.toml")).filter(|path| path.is_file());
+        let file = self.lights.clone().or_else(beside);
         let given_up = self.up.map(|_| self.up());
         let of_file = file.map(|file| file::add(scene, &file, given_up)).transpose()?.flatten();
         let sun = self.given_sun()?;
@@ -253,7 +250,7 @@ impl LightArgs {
             scene.files.push(file.clone());
             scene.warnings.extend(photometry.warnings.iter().cloned());
             let mounting = Mounting { position: *position, aim: None, rotation: 0.0, dimming: 1.0 };
-            let light = luminaire(photometry, self.up(), &mounting, self.units().efficacy());
+            let light = luminaire(photometry, self.up(), &mounting, scene.units.efficacy());
             let name = file.file_stem().map_or(String::new(), |name| name.to_string_lossy().into_owned());
             scene.lights.list.push(Light::new(&name, LightKind::Point(light)));
         }
@@ -308,7 +305,7 @@ impl LightArgs {
                 }
                 let (towards, eccentricity) = sun("perez")?;
                 add_sun(scene, towards, of[0]);
-                Sky::all_weather(up, *of, towards, eccentricity * self.units().extraterrestrial())
+                Sky::all_weather(up, *of, towards, eccentricity * scene.units.extraterrestrial())
             }
             SkyArg::Image(file, strength) => {
                 let image = SkyImage::load(file)?;

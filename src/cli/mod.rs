@@ -1,4 +1,4 @@
-//! The commands, and their exit status.
+//! The commands of the program `radiosity`, and their exit status. Only with the feature `cli`.
 //!
 //! Results go to files, and a short summary to stdout. Progress, warnings and errors go to stderr. Exit status: 0 done;
 //! 1 computed, but a check failed; 2 bad usage or input; 130 stopped by a signal.
@@ -18,6 +18,7 @@ mod pipeline;
 mod probe;
 mod render;
 mod sampling;
+mod scene;
 mod solve;
 mod summary;
 mod surfaces;
@@ -29,11 +30,11 @@ mod watch;
 
 use std::{
     any::TypeId,
+    ffi::OsString,
     fmt::Display,
     io::{self, Write},
     num::NonZeroUsize,
     path::{Path, PathBuf},
-    process::ExitCode,
 };
 
 use clap::{
@@ -41,6 +42,8 @@ use clap::{
     error::{ContextKind, ContextValue, ErrorKind},
 };
 use radiosity::{Error, Result, Setting};
+
+pub use scene::{add_lights, read_scene};
 
 /// Compute the light between diffuse surfaces, with error bars
 #[derive(Parser)]
@@ -120,13 +123,15 @@ enum Outcome {
     CheckFailed(String),
 }
 
+const DONE: u8 = 0;
 const CHECK_FAILED: u8 = 1;
 const BAD_INPUT: u8 = 2;
 const STOPPED: u8 = 130;
 
-/// Runs the command that the arguments name.
-pub fn run() -> ExitCode {
-    let command = match command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches)) {
+/// Runs the command that the arguments name, and returns the exit status. The first argument is the name of the program.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let matches = command().try_get_matches_from(arguments);
+    let command = match matches.and_then(|matches| Cli::from_arg_matches(&matches)) {
         Ok(cli) => cli.command,
         Err(error) => return usage_error(&error),
     };
@@ -143,31 +148,31 @@ pub fn run() -> ExitCode {
         Command::Exchange(args) => exchange::run(&args),
     };
     match result {
-        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::Done) => DONE,
         Ok(Outcome::CheckFailed(check)) => {
             say_error(&check);
-            ExitCode::from(CHECK_FAILED)
+            CHECK_FAILED
         }
         Err(Error::Stopped) => {
             to_stderr("stopped");
-            ExitCode::from(STOPPED)
+            STOPPED
         }
         Err(error) => {
             say_error(&error);
             if let Some(hint) = error.hint() {
-                let options: Vec<&str> = error.settings().iter().filter_map(|&s| option(s)).collect();
+                let options: Vec<&str> = error.settings().iter().map(|&s| option(s)).collect();
                 let named =
                     if options.is_empty() { String::new() } else { format!(" ({})", options.join(", ")) };
                 to_stderr(format_args!("hint: {hint}{named}"));
             }
-            ExitCode::from(if matches!(error, Error::NotConverged { .. }) { CHECK_FAILED } else { BAD_INPUT })
+            if matches!(error, Error::NotConverged { .. }) { CHECK_FAILED } else { BAD_INPUT }
         }
     }
 }
 
 /// The option for a setting that an error of the library names.
-fn option(setting: Setting) -> Option<&'static str> {
-    Some(match setting {
+fn option(setting: Setting) -> &'static str {
+    match setting {
         Setting::Checkpoint => "--checkpoint",
         Setting::TexelLength => "--texel",
         Setting::Resolution => "--resolution",
@@ -180,8 +185,7 @@ fn option(setting: Setting) -> Option<&'static str> {
         Setting::Eye => "--eye",
         Setting::LookAt => "--look-at",
         Setting::Up => "--up",
-        _ => return None,
-    })
+    }
 }
 
 /// The commands for clap. A word like `-1` counts as the value of an option, so that the option's own message explains
@@ -196,10 +200,10 @@ fn command() -> clap::Command {
 }
 
 /// Prints an error of clap in the form of all other errors. Help and version are not errors.
-fn usage_error(error: &clap::Error) -> ExitCode {
+fn usage_error(error: &clap::Error) -> u8 {
     if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let _ = error.print();
-        return if error.use_stderr() { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS };
+        return if error.use_stderr() { BAD_INPUT } else { DONE };
     }
     if let Some(ContextValue::String(given)) = error.get(ContextKind::InvalidSubcommand)
         && Path::new(given).extension().is_some()
@@ -207,8 +211,16 @@ fn usage_error(error: &clap::Error) -> ExitCode {
         // The word is most likely a scene, and the command before it is missing.
         to_stderr(format_args!("error: `{given}` is not a command"));
         to_stderr(format_args!("hint: put a command before it, as in `radiosity solve {given} -o out.ply`"));
-        return ExitCode::from(BAD_INPUT);
+        return BAD_INPUT;
     }
+    let (what, hints) = explain(error);
+    to_stderr(format_args!("error: {what}"));
+    to_stderr(format_args!("hint: {}", hints.as_deref().unwrap_or("try --help")));
+    BAD_INPUT
+}
+
+/// What is wrong by an error of clap, and what to do.
+fn explain(error: &clap::Error) -> (String, Option<String>) {
     let text = error.render().to_string();
     let (mut what, mut hints) = (String::new(), Vec::new());
     for (k, paragraph) in text.split("\n\n").enumerate() {
@@ -219,12 +231,8 @@ fn usage_error(error: &clap::Error) -> ExitCode {
             hints.extend(lines.filter_map(|line| line.strip_prefix("tip: ")));
         }
     }
-    to_stderr(what);
-    to_stderr(format_args!(
-        "hint: {}",
-        if hints.is_empty() { "try --help".into() } else { hints.join("; ") }
-    ));
-    ExitCode::from(BAD_INPUT)
+    let what = what.strip_prefix("error: ").unwrap_or(&what).to_owned();
+    (what, Some(hints.join("; ")).filter(|hints| !hints.is_empty()))
 }
 
 fn say_error(what: &dyn Display) {

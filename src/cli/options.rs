@@ -83,6 +83,7 @@ impl SceneArgs {
 
     /// Reads the scene and applies the options. Does not cut triangles where surfaces touch or cross.
     pub fn load(&self) -> RadiosityResult<Scene> {
+        let units = self.lights.units()?;
         let plain = self.reflectance.iter().rev().find(|r| r.material.is_none()).map(|r| r.share);
         let mut scene = Scene::load_with(
             &self.path,
@@ -91,7 +92,7 @@ impl SceneArgs {
                 .with_unlit_emits(self.unlit_emits)
                 .with_faces(true)
                 .with_keep_overlaps(true)
-                .with_units(self.lights.units()),
+                .with_units(units),
         )?;
         ignore(&mut scene, &self.path, &self.ignore)?;
         for Reflectance { share, material } in &self.reflectance {
@@ -111,7 +112,8 @@ impl SceneArgs {
                 return Err(self.no_material(&scene, "--model", &model.material));
             }
         }
-        self.lights.add(&mut scene, &self.path)?;
+        scene.units = units;
+        self.lights.add(&mut scene, Some(&self.path))?;
         self.keep_emitters(&mut scene)?;
         scene.cut_overlaps();
         Ok(scene)

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use radiosity::{
     Error, Result, Scene,
-    accuracy::survey::{TurnedLamp, turned_lamps},
+    accuracy::survey::turned_lamps,
     form_factor::{CastOptions, Estimator, FormFactors},
     monte_carlo::reflection::{SpecularPart, Surfaces, make_lambertian},
     output::{file::OutputFile, report::Seconds},
@@ -59,20 +59,7 @@ pub fn load_as_given(
 pub fn warn_of_turned_lamps(scene: &Scene, tracer: &Tracer, watch: &Watch) {
     const MOST: usize = 3;
     let turned = turned_lamps(scene, tracer);
-    for TurnedLamp { triangle, lit, kept } in turned.iter().take(MOST) {
-        let [a, b, c] = scene.corners(*triangle);
-        let at = (a + b + c) / 3.0;
-        watch.warn(&format!(
-            "the lamp of `{}` at {:.4} {:.4} {:.4} sends {:.0} % of its light to its own luminaire (`{}`), while its back faces the \
-             room: is it inside out?",
-            scene.material(*triangle).name,
-            at.x,
-            at.y,
-            at.z,
-            100.0 * kept,
-            scene.materials[*lit as usize].name
-        ));
-    }
+    turned.iter().take(MOST).for_each(|lamp| watch.warn(&lamp.warning(scene)));
     match turned.len().saturating_sub(MOST) {
         0 => {}
         1 => watch.warn("1 more lamp does the same"),

@@ -161,9 +161,8 @@ const GATHER: u32 = 1;
 /// Warns of points that see backs of faces in almost all directions, because they lie below a surface or inside a
 /// solid.
 fn warn_of_buried(probes: &[Probe], places: &[Receiver], tracer: &Tracer, watch: &Watch) {
-    const MOSTLY: f64 = 0.9;
-    let is_buried = |&k: &usize| places[k].share_of_backs(tracer) >= MOSTLY;
-    let buried: Vec<usize> = (0..places.len()).into_par_iter().filter(is_buried).collect();
+    let buried: Vec<usize> =
+        (0..places.len()).into_par_iter().filter(|&k| places[k].is_buried(tracer)).collect();
     let Some(&first) = buried.first() else { return };
     let p = probes[first].point;
     let (points, lie, see) =

@@ -5,8 +5,8 @@ use std::{io, sync::Arc, time::Instant};
 use radiosity::{
     Error, Result, Scene,
     accuracy::{
-        adaptive,
         discretisation::Discretisation,
+        patch_search::{PatchSearch, SmallPatches},
         refinement::{FIRST_RAYS, Plan, Round, begin, refine},
         solved::Solved,
     },
@@ -16,7 +16,7 @@ use radiosity::{
         ply::{self, PlyOptions},
         report::Seconds,
     },
-    patch::{Patches, Subdivision},
+    patch::Patches,
     solve::{Light, stochastic_jacobi::StochasticSolution},
     trace::Tracer,
 };
@@ -28,23 +28,8 @@ use super::{
     watch::Watch,
 };
 
-/// Number of patches to start with, if no option sets it.
-const FIRST_PATCHES: usize = 500;
-/// Number of patches that is enough for `--time`. Beyond it, more rays gain more. It is half the number of the preset,
-/// because patches are small where light varies.
-const ENOUGH_PATCHES: usize = 4000;
 /// Share of `--time` that may pass until the patches are chosen.
 const LATE: f64 = 0.2;
-/// Share of `--error` for the discretisation error. The squares of errors add up, so the sampling error may be 0.87 of
-/// `--error`.
-const OF_PATCHES: f64 = 0.5;
-/// Largest number of times that the patches are refined.
-const MOST_CUTS: usize = 16;
-/// The discretisation error falls approximately with this power of the number of patches, if they are small where light
-/// varies.
-const RATE: f64 = 0.75;
-/// Least factor by which the number of patches grows in a refinement.
-const LEAST_GROWTH: f64 = 1.2;
 
 /// A scene about to be sampled.
 pub struct Sampling<'a> {
@@ -100,15 +85,6 @@ impl Answer {
     }
 }
 
-/// Patches that were refined where light varies.
-struct SmallPatches {
-    patches: Patches,
-    /// Their discretisation error, if it is known.
-    floor: Option<f64>,
-    /// The first round with them.
-    first: Option<(Solved, Round)>,
-}
-
 /// The result of the sampling.
 pub struct Sampled {
     pub answer: Answer,
@@ -132,15 +108,11 @@ impl Sampling<'_> {
         let mut searching = 0.0;
         if in_rounds && args.cast.given_subdivision().is_none() {
             let small;
-            (SmallPatches { patches: small, floor, first }, searching) =
-                self.watch.stage("patches", || self.small_enough(wanted, start))?;
-            let adaptive = small.is_restricted();
+            (small, searching) = self.watch.stage("patches", || self.small_enough(wanted, start))?;
+            let adaptive = small.patches.is_restricted();
             chosen = if adaptive { "smaller where light varies" } else { "as small as needed" }.into();
-            adapted = Some(small);
-        }
-        if let (Some(wanted), true) = (wanted, adapted.is_some()) {
-            let left = floor.filter(|&f| f < wanted).map(|f| (wanted * wanted - f * f).sqrt());
-            target = Some(left.unwrap_or(wanted));
+            target = wanted.map(|wanted| small.sampling_error(wanted));
+            (adapted, floor, first) = (Some(small.patches), small.floor, small.first);
         }
         let forecast = || Patches::forecast(self.scene, &subdivision);
         let count = adapted.as_ref().map_or_else(forecast, |patches: &Patches| patches.fronts() as f64);
@@ -269,43 +241,15 @@ impl Sampling<'_> {
 
     /// Patches that are small enough for `--error` or suitable for `--time`. They are smaller where light varies.
     fn small_enough(&self, wanted: Option<f64>, start: Instant) -> Result<SmallPatches> {
-        let cast = CastOptions::default().with_rays(FIRST_RAYS).with_seed(self.args.seed);
-        let progress = self.watch.progress();
         let (limit, bytes) = (self.args.common.limit(), self.bytes(Estimator::Pooled));
-        let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
-        let mut floor = None;
-        if !limit.allows(bytes(patches.fronts() as f64, FIRST_RAYS)) {
-            // Memory is too small even for the first solution, which would show where light varies.
-            return Ok(SmallPatches { patches, floor: None, first: None });
-        }
-        let mut first = None;
-        for _ in 0..MOST_CUTS {
-            let (solved, _) = first.insert(self.begin(patches.clone(), &cast)?);
-            let Solved { patches: solved, form_factors, solution, .. } = &*solved;
-            floor = Discretisation::of(form_factors, solved, solution, progress)?.map(|d| d.relative);
-            let growth = match (wanted, floor) {
-                (Some(wanted), Some(floor)) => (floor / (OF_PATCHES * wanted)).powf(1.0 / RATE),
-                (None, _) => ENOUGH_PATCHES as f64 / patches.fronts() as f64,
-                (Some(_), None) => f64::INFINITY,
-            };
-            let late = self.args.time.is_some_and(|time| start.elapsed().as_secs_f64() > LATE * time);
-            if late || growth <= 1.0 {
-                break;
-            }
-            let finer = match floor {
-                Some(_) => adaptive::finer(self.scene, solved, solution, growth.max(LEAST_GROWTH)),
-                // One patch per triangle does not show where light varies.
-                None => Patches::subdivide(self.scene, &Subdivision::Count(4 * patches.fronts())),
-            };
-            let grown = finer.fronts() > patches.fronts();
-            let work = self.work(finer.fronts() as f64, FIRST_RAYS, &bytes);
-            if !grown || limit.check(&work).is_err() {
-                break;
-            }
-            patches = finer;
-            first = None;
-        }
-        if let (Some(wanted), Some(floor)) = (wanted, floor)
+        let search = PatchSearch::new(self.scene, self.tracer, self.args.seed)
+            .with_error(wanted)
+            .with_solve(self.args.solve_options())
+            .with_checkpoint(self.checkpoint.clone());
+        let allows = |patches: f64| limit.check(&self.work(patches, FIRST_RAYS, &bytes)).is_ok();
+        let late = || self.args.time.is_some_and(|time| start.elapsed().as_secs_f64() > LATE * time);
+        let found = search.run(allows, late, self.watch.progress()).map_err(|error| self.blame(error))?;
+        if let (Some(wanted), Some(floor)) = (wanted, found.floor)
             && floor > wanted
         {
             self.watch.warn(&format!(
@@ -314,7 +258,7 @@ impl Sampling<'_> {
                 100.0 * floor
             ));
         }
-        Ok(SmallPatches { patches, floor, first })
+        Ok(found)
     }
 
     /// Warns if the patches from the options are too large for an error of `wanted`.

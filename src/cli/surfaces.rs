@@ -11,7 +11,7 @@ use radiosity::{
         DEFAULT_REFLECTANCE, LoadOptions, Part,
         surfaces::{By, Side, Surface, Surfaces},
     },
-    view_factor::{Sight, ViewFactorOptions, ViewFactors, look, view_factors_among},
+    view_factor::{Sight, ViewFactorOptions, ViewFactors, look, most_open, view_factors_among},
 };
 
 use super::{forecast::Limit, options, watch::Watch};
@@ -275,21 +275,6 @@ fn open_faces(surfaces: &Surfaces, seen: &[Sight]) -> String {
     let mut open: Vec<usize> = (0..seen.len()).filter(|&i| seen[i].lost() > 0).collect();
     open.sort_by(|&i, &j| share(j).total_cmp(&share(i)));
     list(open.iter().map(|&i| format!("`{}` ({:.3} %)", surfaces.list[i].name, 100.0 * share(i))))
-}
-
-/// The surface that loses the largest share of its rays. `None` if cracks between faces and chance explain all losses.
-/// A room with larger losses is open, and its rows must not be closed, however uncertain they are.
-fn most_open(seen: &[Sight]) -> Option<usize> {
-    /// The share of rays that escape through cracks, which rounding leaves between adjoining polygons; and the number
-    /// of standard errors of a count that chance explains.
-    const CRACKS: f64 = 1e-4;
-    const STANDARD_ERRORS: f64 = 3.0;
-    let share = |i: usize| seen[i].lost() as f64 / seen[i].rays.max(1) as f64;
-    let is_open = |&i: &usize| {
-        let lost = seen[i].lost() as f64;
-        lost - STANDARD_ERRORS * lost.sqrt() > CRACKS * seen[i].rays as f64
-    };
-    (0..seen.len()).filter(is_open).max_by(|&i, &j| share(i).total_cmp(&share(j)))
 }
 
 /// The view factors of the surfaces of a scene, and the rays that tested whether they enclose a room.

@@ -13,6 +13,7 @@ mod brightness;
 mod calibration;
 mod checkpoint;
 pub mod closure;
+mod compressed;
 pub(crate) mod moments;
 mod pooling;
 mod product;
@@ -53,6 +54,7 @@ pub(crate) use crate::{
     parallel::{SHORT, magnitude, ordered_sum, together},
 };
 pub use checkpoint::Checkpoint;
+pub use compressed::CompressedRows;
 
 /// Sparse matrix by rows, 8 bytes a non-zero: single-precision values (sums run in double precision) and 32-bit
 /// columns. It passes form factors in and out, and serves solvers that need whole rows.

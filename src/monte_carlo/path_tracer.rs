@@ -91,17 +91,18 @@ impl Receiver {
         }
     }
 
-    /// The share of directions, with cosine weight, in which the point sees the back of a face. It is large below a
-    /// surface or inside a solid.
-    pub fn share_of_backs(&self, tracer: &Tracer) -> f64 {
+    /// Whether the point sees the backs of faces in almost all directions, with cosine weight: it lies below a surface or inside a
+    /// solid.
+    pub fn is_buried(&self, tracer: &Tracer) -> bool {
         const RAYS: u32 = 64;
+        const MOSTLY: f64 = 0.9;
         let origin = Tracer::leave(self.position, self.normal);
         let sees_back = |&k: &u32| {
             let [x, y, ..] = sobol_4d(k, 0);
             let direction = around(self.normal, square_to_cosine_hemisphere(x, y));
             tracer.closest(origin, direction).is_some_and(|hit| !hit.front)
         };
-        (0..RAYS).filter(sees_back).count() as f64 / f64::from(RAYS)
+        (0..RAYS).filter(sees_back).count() as f64 >= MOSTLY * f64::from(RAYS)
     }
 
     /// The point of a hit, on the side that was hit.

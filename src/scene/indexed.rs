@@ -82,6 +82,14 @@ impl Scene {
 }
 
 fn check_material(material: &Material) -> Result<()> {
+    check_values(material)?;
+    let mapped = material.reflectance_map.is_some() || material.emission_map.is_some();
+    let name = material.name.clone();
+    if mapped { Err(Error::Mesh(MeshError::Texture { material: name })) } else { Ok(()) }
+}
+
+/// Whether the reflectance and the emission of a material are in range.
+pub(super) fn check_values(material: &Material) -> Result<()> {
     let outside = |values: [f64; 3], is_right: fn(f64) -> bool| values.into_iter().find(|&x| !is_right(x));
     let name = || material.name.clone();
     if let Some(value) = outside(material.reflectance, |r| (0.0..=1.0).contains(&r)) {
@@ -90,8 +98,7 @@ fn check_material(material: &Material) -> Result<()> {
     if let Some(value) = outside(material.emission, is_radiance) {
         return Err(Error::Mesh(MeshError::Emission { material: name(), value, most: MOST_RADIANCE }));
     }
-    let mapped = material.reflectance_map.is_some() || material.emission_map.is_some();
-    if mapped { Err(Error::Mesh(MeshError::Texture { material: name() })) } else { Ok(()) }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ pub mod light;
 mod near;
 pub mod obj;
 pub mod overlaps;
+mod paint;
 pub(crate) mod ply;
 pub mod quadtree;
 mod specular;

@@ -49,6 +49,21 @@ impl Sight {
     }
 }
 
+/// The surface that loses the largest share of its rays. `None` if cracks between faces and chance explain all losses.
+/// A room with larger losses is open, and its rows must not be closed, however uncertain they are.
+pub fn most_open(seen: &[Sight]) -> Option<usize> {
+    /// The share of rays that escape through cracks, which rounding leaves between adjoining polygons; and the number
+    /// of standard errors of a count that chance explains.
+    const CRACKS: f64 = 1e-4;
+    const STANDARD_ERRORS: f64 = 3.0;
+    let share = |i: usize| seen[i].lost() as f64 / seen[i].rays.max(1) as f64;
+    let is_open = |&i: &usize| {
+        let lost = seen[i].lost() as f64;
+        lost - STANDARD_ERRORS * lost.sqrt() > CRACKS * seen[i].rays as f64
+    };
+    (0..seen.len()).filter(is_open).max_by(|&i, &j| share(i).total_cmp(&share(j)))
+}
+
 /// Casts `rays` from a piece and counts what they meet.
 fn sight(piece: &Polygon, blockers: &Blockers, up: DVec3, rays: u64, seed: u64) -> Sight {
     let name = blockers.name(piece.source);

@@ -30,7 +30,7 @@ use self::{
 };
 use crate::{Error, Progress, Result, form_factor::BeforeAfter};
 
-pub use lost::{Lost, Share, Sight};
+pub use lost::{Lost, Share, Sight, most_open};
 
 /// Options for view factors.
 #[derive(Debug, Clone, Copy, PartialEq)]

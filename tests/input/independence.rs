@@ -152,6 +152,9 @@ fn firsts(group: &str) -> Vec<String> {
 fn offences(source: &str, module: &str, allowed: &[&str], in_tests: &[&str]) -> Vec<String> {
     let code = bare(source);
     assert!(!code.contains("crate::*"), "a glob hides what is used");
+    // The name of the crate is for the command line, which uses the library as other programs do.
+    let is_path = |at: usize| !code[..at].ends_with(|c| is_word(c) || c == '.');
+    assert!(!code.match_indices("radiosity::").any(|(at, _)| is_path(at)), "crate:: is wanted");
     let tests = code.find("#[cfg(test)]\nmod tests {").unwrap_or(code.len());
     let modules: BTreeSet<&str> = LAYERS.iter().map(|layer| layer.0).chain(["cli"]).collect();
     let offends = |name: &String, more: &[&str]| {
