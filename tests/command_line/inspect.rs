@@ -250,7 +250,10 @@ fn lamps_that_shine_into_their_own_housing_are_named() {
         "newmtl housing\nKd .5 .5 .5\nnewmtl right\nKd 0 0 0\nKe 5 5 5\nnewmtl turned\nKd 0 0 0\nKe 5 5 5\n";
     let here = Here::new(&obj, mtl);
     let said = stderr(&here.run("inspect scene.obj"));
-    assert!(said.contains("the lamp of `turned` at 3.") && said.contains("on `housing`"), "{said}");
+    assert!(
+        said.contains("the lamp of `turned` at 3.") && said.contains("its own luminaire (`housing`)"),
+        "{said}"
+    );
     assert!(!said.contains("`right`"), "{said}");
 }
 
