@@ -294,7 +294,7 @@ impl<'a, const C: usize> System<'a, C> {
         System { form_factors, source, reflectance, emission, direct, entered }
     }
 
-    /// U of a radiosity B: without what lamps emit. What black patches send is known.
+    /// U of a radiosity B: B without the emission of lamps. For black patches U is the known source.
     fn unknowns(&self, radiosity: &[[f64; C]]) -> Vec<[f64; C]> {
         let of_patch = |(i, b): (usize, &[f64; C])| {
             let emitted = if self.form_factors.is_lamp(i) { self.emission[i] } else { [0.0; C] };
