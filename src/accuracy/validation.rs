@@ -223,6 +223,12 @@ pub struct Validation {
     pub energy: EnergyLedger,
     /// Area-weighted root mean square of the allowances for the discretisation error, relative to the mean irradiance.
     pub discretisation_relative: f64,
+    /// Irradiance of the front patches by radiosity.
+    pub radiosity: Estimates,
+    /// The same by path tracing.
+    pub path_traced: Estimates,
+    /// The same by light tracing.
+    pub light_traced: Estimates,
     /// Radiosity against path tracing.
     pub path: Comparison,
     /// Radiosity against light tracing.
@@ -259,6 +265,9 @@ impl Validation {
             light: Comparison::of(&radiosity, &light, areas),
             referees: Comparison::of(&path, &light, areas),
             solved: coarse,
+            radiosity,
+            path_traced: path,
+            light_traced: light,
         })
     }
 

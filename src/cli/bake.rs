@@ -20,6 +20,7 @@ use radiosity::{
         exposure,
         file::{OutputFile, Pending},
         gltf,
+        page::PageOptions,
         report::{EnergyReport, SceneReport, peak_bytes, seconds},
     },
     tone::Exposure,
@@ -30,6 +31,7 @@ use super::{
     Common, Outcome,
     options::{CastArgs, SceneArgs, finite_length, stops},
     outputs::{self, Directory},
+    page,
     per_light,
     pipeline::{self, Job, Solved},
     summary, to_stdout,
@@ -70,6 +72,9 @@ pub struct BakeArgs {
     /// (`moz`); or only texture coordinates (`uv`)
     #[arg(long, value_enum, value_name = "HOW", default_value_t = GltfLightmap::Emissive)]
     gltf_lightmap: GltfLightmap,
+    /// Write a page that shows the lit scene in a browser. It is one file and needs no server
+    #[arg(long, value_name = "OUT.html")]
+    page: Option<PathBuf>,
     /// Write the report to this file too
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
@@ -210,11 +215,12 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     // The report in the output directory is written anyway.
     let elsewhere = args.report.as_ref().filter(|path| **path != args.output.join(REPORT));
     let report_file = elsewhere.map(|path| outputs::report(path, &args.scene.path)).transpose()?;
+    let page_file = args.page.as_ref().map(|path| page::file(path, &args.scene.path)).transpose()?;
     args.common.start_threads()?;
     let watch = Watch::new(args.common.quiet);
     let mut times = BakeSeconds::default();
-    let (scene, tracer) =
-        pipeline::load(&args.scene, &report_file.iter().collect::<Vec<_>>(), &watch, &mut times.stages)?;
+    let apart: Vec<&OutputFile> = report_file.iter().chain(&page_file).collect();
+    let (scene, tracer) = pipeline::load(&args.scene, &apart, &watch, &mut times.stages)?;
     args.job().check(&scene, &watch)?;
     let directory = match outputs::is_glb(&args.output) {
         true => None,
@@ -236,7 +242,7 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
         Some(directory) => Files::new(args, directory, &atlas, &scene, &stems)?,
         None => Files::of_glb(args, &atlas, &stems)?,
     };
-    let all: Vec<&OutputFile> = files.0.iter().map(|file| &file.output).chain(&report_file).collect();
+    let all: Vec<&OutputFile> = files.0.iter().map(|file| &file.output).chain(apart).collect();
     outputs::check_distinct(&all)?;
     all.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
 
@@ -257,6 +263,9 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     (written, times.stages.output) =
         watch.stage("writing", || files.write(args, (&map, &alone), &scene, &exposures))?;
     pending.extend(written);
+    if let Some(file) = page_file {
+        pending.push(write_page(args, file, &map, (&scene, &tracer), exposures.radiosity, &watch)?);
+    }
     times.stages.total = seconds(start.elapsed());
     report.seconds = times;
     report.peak_bytes = peak_bytes();
@@ -273,6 +282,26 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
         to_stdout(&summary::bake(&report, &args.output.display().to_string()))?;
     }
     Ok(Outcome::Done)
+}
+
+fn write_page(
+    args: &BakeArgs,
+    file: OutputFile,
+    map: &Lightmap,
+    (scene, tracer): (&Scene, &Tracer),
+    exposure: Exposure,
+    watch: &Watch,
+) -> Result<Pending> {
+    let title = page::title(&args.scene.path);
+    let notes = vec![format!(
+        "radiosity {}: a lightmap of {} by {} texels. A click reads the texel.",
+        env!("CARGO_PKG_VERSION"),
+        map.atlas().width,
+        map.atlas().height
+    )];
+    let options = PageOptions::default().with_title(&title).with_exposure(Some(exposure)).with_notes(notes);
+    let camera = page::camera(scene, tracer)?;
+    page::write(file, watch, |out| map.write_page(scene, &camera, &options, out))
 }
 
 /// Reads a material's name and a positive factor. Names may contain `=`.

@@ -15,6 +15,7 @@ use radiosity::{
     output::{
         daylight::{DaylightReport, DaylightTable},
         file::Pending,
+        page::reports,
         report::{Seconds, peak_bytes, seconds},
     },
     patch::Patches,
@@ -27,7 +28,7 @@ use super::{
     Common, Outcome,
     forecast::{self, Work},
     options::{CastArgs, SceneArgs},
-    outputs, pipeline, summary, to_stdout,
+    outputs, page, pipeline, summary, to_stdout,
     watch::Watch,
 };
 
@@ -59,6 +60,9 @@ pub struct DaylightArgs {
     #[arg(long, value_name = "N", default_value_t = DaylightOptions::default().rays_of_points,
         value_parser = clap::value_parser!(u32).range(16..=1 << 24))]
     rays_of_points: u32,
+    /// Write a page with charts of the daylight factor and of the year, whose points can be read with the cursor
+    #[arg(long, value_name = "OUT.html")]
+    plots: Option<PathBuf>,
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
@@ -86,7 +90,8 @@ pub fn run(args: &DaylightArgs) -> Result<Outcome> {
     let file = outputs::text(&args.output, &inputs, "daylight coefficients")?;
     let report_file =
         args.report.as_ref().map(|path| outputs::text(path, &inputs, "a report")).transpose()?;
-    let files: Vec<_> = std::iter::once(&file).chain(&report_file).collect();
+    let plots = args.plots.as_ref().map(|path| page::file(path, &args.scene.path)).transpose()?;
+    let files: Vec<_> = std::iter::once(&file).chain(&report_file).chain(&plots).collect();
     outputs::check_distinct(&files)?;
     let points = args.points.as_ref().map(|path| read_probes(path)).transpose()?;
     let weather = args.epw.as_ref().map(|path| Weather::load(path)).transpose()?;
@@ -140,6 +145,11 @@ pub fn run(args: &DaylightArgs) -> Result<Outcome> {
         year: year.as_ref(),
     };
     let mut pending = vec![file.write(|out| table.write(out))?];
+    if let Some(plots) = plots {
+        let name = args.scene.path.display().to_string();
+        let charts = reports::daylight(&name, &places, &factors, year.as_ref());
+        pending.push(plots.write(|out| charts.write(out))?);
+    }
     times.total = seconds(start.elapsed());
     let mean = |values: &mut dyn Iterator<Item = f64>| {
         let (sum, many) = values.fold((0.0, 0.0), |(sum, many), x| (sum + x, many + 1.0));
@@ -164,7 +174,10 @@ pub fn run(args: &DaylightArgs) -> Result<Outcome> {
     Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&summary_of(&report, &outputs::names(&[&Some(args.output.clone()), &args.report])))?;
+        to_stdout(&summary_of(
+            &report,
+            &outputs::names(&[&Some(args.output.clone()), &args.report, &args.plots]),
+        ))?;
     }
     Ok(Outcome::Done)
 }

@@ -13,6 +13,7 @@ mod lights;
 mod models;
 mod options;
 mod outputs;
+mod page;
 mod per_light;
 mod pipeline;
 mod probe;
@@ -25,6 +26,7 @@ mod surfaces;
 mod sweeps;
 mod tradeoff;
 mod validate;
+mod view;
 mod view_factors;
 mod watch;
 
@@ -63,6 +65,9 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Solve(solve::SolveArgs),
+    #[command(after_help = "Example:\n  radiosity view room.obj --quality high\n\n\
+        The environment variable BROWSER names the program that opens the page.")]
+    View(view::ViewArgs),
     Validate(validate::ValidateArgs),
     Render(render::RenderArgs),
     Bake(bake::BakeArgs),
@@ -137,6 +142,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     };
     let result = match command {
         Command::Solve(args) => solve::run(&args),
+        Command::View(args) => view::run(args),
         Command::Validate(args) => validate::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Bake(args) => bake::run(&args),

@@ -33,7 +33,9 @@ use radiosity::{
 use super::{
     Common, Outcome, forecast,
     options::{CastArgs, SceneArgs, below_one, percent, seconds_given, stops},
-    outputs, pipeline,
+    outputs,
+    page::{self, PageArgs},
+    pipeline,
     sampling::{Answer, Sampled, Sampling},
     summary, to_stderr, to_stdout,
     watch::Watch,
@@ -62,6 +64,8 @@ pub struct SolveArgs {
     /// Write a picture of the solution that frames the scene; `render` has a camera and a final gather
     #[arg(long, value_name = "OUT.png|.exr|.hdr")]
     pub picture: Option<PathBuf>,
+    #[command(flatten)]
+    pub page: PageArgs,
     /// Write both sides of each patch to the mesh. Without this option, the side with more light is written
     #[arg(long, requires = "output")]
     backs: bool,
@@ -236,14 +240,16 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     args.check()?;
     let mesh = args.output.as_ref().map(|path| outputs::mesh(path, &args.scene.path)).transpose()?;
     let picture = args.picture.as_ref().map(|path| outputs::picture(path, &args.scene.path)).transpose()?;
+    let page = args.page.page.as_ref().map(|path| page::file(path, &args.scene.path)).transpose()?;
     let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
     let checkpoint =
         args.checkpoint.as_ref().map(|path| outputs::checkpoint(path, &args.scene.path)).transpose()?;
     let picture_file = picture.as_ref().map(|(file, _)| file);
-    let files: Vec<_> = [mesh.as_ref(), picture_file, report_file.as_ref(), checkpoint.as_ref()]
-        .into_iter()
-        .flatten()
-        .collect();
+    let files: Vec<_> =
+        [mesh.as_ref(), picture_file, page.as_ref(), report_file.as_ref(), checkpoint.as_ref()]
+            .into_iter()
+            .flatten()
+            .collect();
     outputs::check_distinct(&files)?;
     args.common.start_threads()?;
 
@@ -263,7 +269,8 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
             file.write(|out| film.encode(out, format, exposure))
         });
         let mesh = mesh.map(|file| write_mesh(args, file, &computed, exposure));
-        picture.into_iter().chain(mesh).collect::<Result<Vec<_>>>()
+        let page = page.map(|file| args.page.write(file, &page_of(args, &computed, exposure), &watch));
+        picture.into_iter().chain(mesh).chain(page).collect::<Result<Vec<_>>>()
     })?;
     pending.extend(written);
     times.output += drawing;
@@ -279,7 +286,7 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
     Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
-        let names = outputs::names(&[&args.output, &args.picture, &args.report]);
+        let names = outputs::names(&[&args.output, &args.picture, &args.page.page, &args.report]);
         to_stdout(&summary::table(&report, patches, &computed.chosen, args.advice(), args.exposure, &names))?;
     }
     Ok(verdict(args, &report, &computed))
@@ -371,6 +378,11 @@ pub struct Errors {
 }
 
 impl Errors {
+    /// By how much irradiance would change were patches twice as large, if it is known.
+    pub fn change(&self) -> Option<&[f64]> {
+        self.discretisation.as_ref().map(|found| &found.change[..])
+    }
+
     pub fn of(
         options: &SolveOptions,
         tracer: &Tracer,
@@ -450,13 +462,17 @@ fn write_mesh(
             gltf::vertex_colours::encode(out, scene, answer.patches(), answer.light(), exposure)
         });
     }
-    let discretisation = answer.errors().and_then(|errors| errors.discretisation.as_ref());
     let options = PlyOptions::default()
         .with_standard_errors(Some(answer.standard_error()))
-        .with_discretisation(discretisation.map(|d| &d.change[..]))
+        .with_discretisation(answer.errors().and_then(Errors::change))
         .with_backs(args.backs)
         .with_exposure(Some(exposure));
     file.write(|out| ply::encode(out, scene, answer.patches(), answer.light(), &options))
+}
+
+fn page_of<'a>(args: &'a SolveArgs, computed: &'a Computed, exposure: Exposure) -> page::Solution<'a> {
+    let Computed { scene, tracer, answer, .. } = computed;
+    page::Solution { file: &args.scene.path, scene, tracer, answer, exposure, options: args.solve_options() }
 }
 
 /// Checks that form factors lie between 0 and 1 and that the energy balances. One-way form factors need not balance,

@@ -12,6 +12,7 @@ use radiosity::{
     form_factor::Estimator,
     output::{
         file::{OutputFile, Pending},
+        page::reports,
         report::Seconds,
         tradeoff_plot,
         tradeoff_report::TradeoffReport,
@@ -32,9 +33,9 @@ use super::{
 /// Measure the error over time for rays, patch sizes, tolerances, solvers, estimators and path tracing
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity tradeoff room.obj -o tradeoff\n\n\
-    Writes tradeoff.json, tradeoff.csv and tradeoff.svg into the directory. Every solution is compared with two reference \
-    solutions with finer patches and more rays. Errors below the error of the references are marked. The command takes \
-    about ten seconds, in proportion to --most-rays. It never replaces a file that no earlier tradeoff wrote.")]
+    Writes tradeoff.json, tradeoff.csv, tradeoff.svg and tradeoff.html into the directory. The .html is a page whose \
+    points can be read with the cursor. Every solution is compared with two reference solutions with finer patches and more rays. \
+    Errors below the error of the references are marked. The command takes about ten seconds, in proportion to --most-rays. It never replaces a file that no earlier tradeoff wrote.")]
 pub struct TradeoffArgs {
     #[command(flatten)]
     scene: SceneArgs,
@@ -62,6 +63,7 @@ pub struct TradeoffArgs {
 const JSON: &str = "tradeoff.json";
 const CSV: &str = "tradeoff.csv";
 const SVG: &str = "tradeoff.svg";
+const HTML: &str = "tradeoff.html";
 
 /// Runs the command.
 pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
@@ -70,11 +72,11 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     let watch = Watch::new(args.common.quiet);
     let directory = Directory::new(&args.output, "tradeoff")?;
     let file = |name: &str| directory.file(name, &[&args.scene.path]);
-    let (csv, json, svg) = (file(CSV)?, file(JSON)?, file(SVG)?);
+    let (csv, json, svg, html) = (file(CSV)?, file(JSON)?, file(SVG)?, file(HTML)?);
     // The report in the output directory is written anyway.
     let elsewhere = args.report.as_ref().filter(|path| **path != args.output.join(JSON));
     let report_file = elsewhere.map(|path| outputs::report(path, &args.scene.path)).transpose()?;
-    let all: Vec<&OutputFile> = [&csv, &json, &svg].into_iter().chain(&report_file).collect();
+    let all: Vec<&OutputFile> = [&csv, &json, &svg, &html].into_iter().chain(&report_file).collect();
     outputs::check_distinct(&all)?;
     let (scene, tracer) = pipeline::load(&args.scene, &all, &watch, &mut Seconds::default())?;
     let options = TradeoffOptions::default()
@@ -108,12 +110,13 @@ pub fn run(args: &TradeoffArgs) -> Result<Outcome> {
     let report = TradeoffReport::new(&file, &scene, options.seed, threads, &tradeoff);
     let plot = tradeoff_plot::svg(&file, &tradeoff);
     watch.begin_writing();
-    let marker = directory.marker([CSV, JSON, SVG].into_iter())?;
+    let marker = directory.marker([CSV, JSON, SVG, HTML].into_iter())?;
     let mut pending = vec![marker, csv.write(|out| report.write_csv(out))?];
-    for file in std::iter::once(json).chain(report_file) {
-        pending.push(file.write(|out| report.write_json(out))?);
+    for json in std::iter::once(json).chain(report_file) {
+        pending.push(json.write(|out| report.write_json(out))?);
     }
     pending.push(svg.write(|out| out.write_all(plot.as_bytes()))?);
+    pending.push(html.write(|out| reports::tradeoff(&file, &tradeoff).write(out))?);
     watch.progress().check()?;
     Pending::commit_all(pending)?;
     drop(watch);
@@ -169,6 +172,6 @@ fn table(tradeoff: &Tradeoff, directory: &Path, report: Option<&Path>) -> String
         let _ = writeln!(text, "left out: {sentence}");
     }
     let also = report.map_or(String::new(), |path| format!("; {}", path.display()));
-    let _ = writeln!(text, "\nwritten to {}: {JSON}, {CSV}, {SVG}{also}", directory.display());
+    let _ = writeln!(text, "\nwritten to {}: {JSON}, {CSV}, {SVG}, {HTML}{also}", directory.display());
     text
 }

@@ -7,18 +7,20 @@ use radiosity::{
     Result, Scene,
     accuracy::{
         lambert::{LambertCost, LambertOptions},
+        solved::Solved,
         validation::{Validation, ValidationOptions},
     },
     form_factor::Estimator,
     output::{
-        file::Pending,
+        file::{OutputFile, Pending},
         lambert_report::LambertReport,
+        page::{Method, PageOptions, encode, reports},
         ply::{self, PlyOptions},
         report::Seconds,
         validation_report::{ComparisonReport, ValidationReport},
     },
     patch::Patches,
-    solve::Solver,
+    solve::{Light, Solver},
     trace::Tracer,
 };
 
@@ -26,7 +28,7 @@ use super::{
     Common, Outcome,
     forecast::{self, Work},
     options::{CastArgs, SceneArgs},
-    outputs, pipeline, summary, to_stdout,
+    outputs, page, pipeline, summary, to_stdout,
     watch::Watch,
 };
 
@@ -41,6 +43,12 @@ pub struct ValidateArgs {
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
+    /// Write a page that shows the light of each method in a browser, and their differences. It is one file and needs no server
+    #[arg(long, value_name = "OUT.html")]
+    page: Option<PathBuf>,
+    /// Write a page with charts of the comparisons, whose points can be read with the cursor
+    #[arg(long, value_name = "OUT.html")]
+    plots: Option<PathBuf>,
     #[command(flatten)]
     cast: CastArgs,
     /// Paths per patch
@@ -69,7 +77,9 @@ pub struct ValidateArgs {
 pub fn run(args: &ValidateArgs) -> Result<Outcome> {
     let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
     let mesh = args.output.as_ref().map(|path| outputs::mesh(path, &args.scene.path)).transpose()?;
-    let files: Vec<_> = report_file.iter().chain(&mesh).collect();
+    let page = args.page.as_ref().map(|path| page::file(path, &args.scene.path)).transpose()?;
+    let plots = args.plots.as_ref().map(|path| page::file(path, &args.scene.path)).transpose()?;
+    let files: Vec<_> = report_file.iter().chain(&mesh).chain(&page).chain(&plots).collect();
     outputs::check_distinct(&files)?;
     args.common.start_threads()?;
     let watch = Watch::new(args.common.quiet);
@@ -115,6 +125,12 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
         let solution = &validation.solved.solution;
         pending.push(file.write(|out| ply::encode(out, &scene, patches, solution, &options))?);
     }
+    pending
+        .extend(page.map(|file| write_page(args, file, (&scene, &tracer), &validation, &watch)).transpose()?);
+    if let Some(file) = plots {
+        let charts = reports::validation(&report, &validation, &scene);
+        pending.push(file.write(|out| charts.write(out))?);
+    }
     Pending::commit_all(pending)?;
     drop(watch);
     if !args.common.quiet {
@@ -129,6 +145,43 @@ pub fn run(args: &ValidateArgs) -> Result<Outcome> {
             report.objections[0]
         )),
     })
+}
+
+/// Writes the light of all three methods.
+fn write_page(
+    args: &ValidateArgs,
+    file: OutputFile,
+    (scene, tracer): (&Scene, &Tracer),
+    validation: &Validation,
+    watch: &Watch,
+) -> Result<Pending> {
+    let Solved { patches, solution, error_bars, .. } = &validation.solved;
+    // Path and light tracing look at fronts only, and so does the allowance for patches.
+    let whole = |values: &[f64]| {
+        let mut values = values.to_vec();
+        values.resize(patches.channels() * patches.len(), f64::NAN);
+        values
+    };
+    let traced = [("path tracing", &validation.path_traced), ("light tracing", &validation.light_traced)]
+        .map(|(name, found)| (name, whole(&found.irradiance), whole(&found.standard_error)));
+    let mut methods =
+        vec![Method::new("radiosity", solution).with_standard_error(Some(&error_bars.standard_error))];
+    methods.extend(traced.iter().map(|(name, irradiance, error)| {
+        let light = Light { radiosity: &[], irradiance, slopes: &[] };
+        Method::new(name, light).with_standard_error(Some(error))
+    }));
+    let allowance = whole(&validation.radiosity.allowance);
+    let title = page::title(&args.scene.path);
+    let notes = vec![format!(
+        "radiosity {}: the irradiance of {} patches by three methods, of fronts only by path and light tracing. Grey has no value. The \
+         discretisation error is twice the change when edges are half as long.",
+        env!("CARGO_PKG_VERSION"),
+        patches.len()
+    )];
+    let options =
+        PageOptions::default().with_title(&title).with_discretisation(Some(&allowance)).with_notes(notes);
+    let camera = page::camera(scene, tracer)?;
+    page::write(file, watch, |out| encode(out, scene, patches, &camera, &methods, &options))
 }
 
 fn lambert(

@@ -18,6 +18,7 @@ pub mod gltf;
 mod grid;
 mod mesh;
 mod overlap;
+mod page;
 mod raster;
 pub mod report;
 mod seams;

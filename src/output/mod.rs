@@ -15,6 +15,7 @@ pub mod lambert_report;
 mod lit_sides;
 mod meeting;
 mod numpy;
+pub mod page;
 pub mod picture;
 mod pieces;
 #[cfg(feature = "cli")]

@@ -8,6 +8,7 @@
 //! solver that does not converge returns an error.
 
 mod batches;
+pub mod by_lamp;
 pub mod conjugate_gradient;
 pub mod direct;
 mod few_rays;

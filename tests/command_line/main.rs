@@ -17,6 +17,7 @@ mod matrix_free;
 mod memory;
 #[cfg(unix)]
 mod outputs;
+mod page;
 mod ply;
 mod probe;
 mod radiance;

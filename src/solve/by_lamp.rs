@@ -1,0 +1,189 @@
+//! The light of each lamp alone.
+//!
+//! Light is linear in what is emitted. So the same form factors give the light of each emitting material, and the parts sum to the
+//! whole.
+
+use super::{Radiometry, Solution, SolveOptions, solve};
+use crate::{Progress, Result, form_factor::FormFactors, patch::Patches, scene::Scene};
+
+/// The part of the light that some lamps give.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct LampLight {
+    /// The name of the material, or what the part holds.
+    pub name: String,
+    /// The materials that emit it; none where it comes from lights that are no surfaces.
+    pub materials: Vec<u32>,
+    /// Irradiance, W/m²; interleaved channels.
+    pub irradiance: Vec<f64>,
+}
+
+/// Splits a solution with constant light into at most `most` parts: one for each emitting material, brightest first, then the other
+/// materials together; and one for all lights that are no surfaces. Empty where there is one part only.
+///
+/// Each part costs a solution of the linear system, and no rays. The last part is what the others leave of `whole`.
+///
+/// # Errors
+/// As [`solve()`].
+///
+/// # Panics
+/// When the sizes disagree.
+pub fn by_lamp(
+    scene: &Scene,
+    (form_factors, patches): (&FormFactors, &Patches),
+    whole: &Solution,
+    most: usize,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<Vec<LampLight>> {
+    let outside = !scene.lights.is_empty();
+    let groups = groups(scene, patches, most.saturating_sub(usize::from(outside)));
+    if groups.len() + usize::from(outside) < 2 {
+        return Ok(Vec::new());
+    }
+    let of_materials = |materials: &[u32]| -> Result<Vec<f64>> {
+        let emission = emission_of(scene, patches, materials);
+        let radiometry = Radiometry { emission: &emission, ..patches.into() };
+        solve(form_factors, radiometry, options, progress).map(|solution| solution.irradiance)
+    };
+    // Lights that are no surfaces shine in every solution.
+    let from_outside = if outside { Some(of_materials(&[])?) } else { None };
+    let mut rest = whole.irradiance.clone();
+    let take = |from: &mut [f64], part: &[f64]| from.iter_mut().zip(part).for_each(|(x, part)| *x -= part);
+    let mut parts: Vec<LampLight> = Vec::new();
+    if let Some(irradiance) = &from_outside {
+        take(&mut rest, irradiance);
+    }
+    let last = groups.len().saturating_sub(1);
+    for (k, (name, materials)) in groups.into_iter().enumerate() {
+        let irradiance = if k == last {
+            std::mem::take(&mut rest)
+        } else {
+            let mut irradiance = of_materials(&materials)?;
+            from_outside.iter().for_each(|outside| take(&mut irradiance, outside));
+            take(&mut rest, &irradiance);
+            irradiance
+        };
+        parts.push(LampLight { name, materials, irradiance });
+    }
+    if let Some(irradiance) = from_outside {
+        let names: Vec<&str> = scene.lights.names().collect();
+        let name = if names.len() > 4 { format!("{} lights", names.len()) } else { names.join(", ") };
+        parts.push(LampLight { name, materials: Vec::new(), irradiance });
+    }
+    // Differences of solutions may be below zero within the tolerance of the solver.
+    parts.iter_mut().flat_map(|part| &mut part.irradiance).for_each(|e| *e = e.max(0.0));
+    Ok(parts)
+}
+
+/// The emitting materials, each with its name, by falling power; what exceeds `most` is one group.
+fn groups(scene: &Scene, patches: &Patches, most: usize) -> Vec<(String, Vec<u32>)> {
+    let channels = patches.channels();
+    let mut power = vec![0.0; scene.materials.len()];
+    for i in 0..patches.len() {
+        let emitted: f64 = patches.emission()[i * channels..][..channels].iter().sum();
+        power[scene.triangles[patches.triangle(i)].material as usize] += emitted * patches.area(i);
+    }
+    let mut emitting: Vec<u32> = (0..power.len() as u32).filter(|&m| power[m as usize] > 0.0).collect();
+    emitting.sort_by(|&a, &b| power[b as usize].total_cmp(&power[a as usize]));
+    let alone = if emitting.len() > most { most.saturating_sub(1) } else { emitting.len() };
+    let others = emitting.split_off(alone);
+    let name = |&m: &u32| (scene.materials[m as usize].name.clone(), vec![m]);
+    let mut groups: Vec<(String, Vec<u32>)> = emitting.iter().map(name).collect();
+    if !others.is_empty() {
+        let name = if groups.is_empty() {
+            "all materials".into()
+        } else {
+            format!("{} other materials", others.len())
+        };
+        groups.push((name, others));
+    }
+    groups
+}
+
+/// What the patches of some materials emit.
+fn emission_of(scene: &Scene, patches: &Patches, materials: &[u32]) -> Vec<f64> {
+    let channels = patches.channels();
+    let mut emission = patches.emission().to_vec();
+    for (i, values) in emission.chunks_exact_mut(channels).enumerate() {
+        if !materials.contains(&scene.triangles[patches.triangle(i)].material) {
+            values.fill(0.0);
+        }
+    }
+    emission
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        form_factor::CastOptions,
+        patch::Subdivision,
+        scene::{
+            Material,
+            light::{Sky, SkyModel, Up},
+        },
+        trace::Tracer,
+    };
+    use glam::{DVec3, dvec3};
+
+    /// A floor under two lamps, open to the sky.
+    fn scene(sky: bool) -> Scene {
+        let triangle = |at: DVec3, u: DVec3, v: DVec3| [at, at + u, at + v];
+        let materials = vec![
+            Material::new("floor", [0.6, 0.5, 0.4], [0.0; 3]),
+            Material::new("red", [0.2; 3], [4.0, 0.0, 0.0]),
+            Material::new("green", [0.2; 3], [0.0, 9.0, 0.0]),
+        ];
+        let mut scene = Scene::new(
+            &[
+                (triangle(DVec3::ZERO, dvec3(0., 0., 4.), dvec3(4., 0., 0.)), 0),
+                (triangle(dvec3(0., 1., 0.), DVec3::X, DVec3::Z), 1),
+                (triangle(dvec3(2., 1., 0.), DVec3::X, DVec3::Z), 2),
+            ],
+            materials,
+        );
+        scene.lights.sky = sky.then(|| Sky::with_irradiance(SkyModel::Overcast, Up::Y, [1.0, 1.0, 2.0]));
+        scene
+    }
+
+    fn parts(scene: &Scene, most: usize) -> (Solution, Vec<LampLight>) {
+        let (tracer, progress) = (Tracer::new(scene), Progress::new());
+        let mut patches = Patches::subdivide(scene, &Subdivision::Count(100));
+        let cast = CastOptions::default().with_rays(64.0);
+        let form_factors = FormFactors::cast(scene, &tracer, &mut patches, &cast, &progress).unwrap();
+        let options = SolveOptions::default();
+        let whole = solve(&form_factors, &patches, &options, &progress).unwrap();
+        let parts = by_lamp(scene, (&form_factors, &patches), &whole, most, &options, &progress).unwrap();
+        (whole, parts)
+    }
+
+    /// The sum is the whole within the tolerance, and the red lamp gives no green: colours do not mix by reflection.
+    #[test]
+    fn parts_sum_to_the_whole_and_keep_their_colours() {
+        for sky in [false, true] {
+            let (whole, parts) = parts(&scene(sky), 8);
+            let names: Vec<&str> = parts.iter().map(|part| &part.name[..]).collect();
+            assert_eq!(names, if sky { vec!["green", "red", "sky"] } else { vec!["green", "red"] });
+            let largest = whole.irradiance.iter().copied().fold(0.0, f64::max);
+            for q in 0..whole.irradiance.len() {
+                let sum: f64 = parts.iter().map(|part| part.irradiance[q]).sum();
+                assert!((sum - whole.irradiance[q]).abs() < 1e-8 * largest, "{q}");
+                let (green, red) = (&parts[0].irradiance, &parts[1].irradiance);
+                let stray = if q % 3 == 0 { green[q] } else { red[q] };
+                assert!(stray < 1e-8 * largest, "{q}: {stray}");
+            }
+            assert_eq!((&parts[0].materials[..], &parts[1].materials[..]), (&[2][..], &[1][..]));
+        }
+    }
+
+    #[test]
+    fn few_parts_hold_many_lamps() {
+        assert!(parts(&scene(false), 1).1.is_empty());
+        let (whole, parts) = parts(&scene(true), 2);
+        assert_eq!((&parts[0].name[..], &parts[0].materials[..]), ("all materials", &[2, 1][..]));
+        assert_eq!(parts.len(), 2);
+        let sum: f64 = parts.iter().flat_map(|part| &part.irradiance).sum();
+        assert!((sum / whole.irradiance.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+    }
+}
