@@ -300,7 +300,7 @@ fn write_page(
         map.atlas().height
     )];
     let options = PageOptions::default().with_title(&title).with_exposure(Some(exposure)).with_notes(notes);
-    let camera = page::camera(scene, tracer)?;
+    let camera = page::camera(&args.scene, scene, tracer)?;
     page::write(file, watch, |out| map.write_page(scene, &camera, &options, out))
 }
 

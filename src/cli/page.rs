@@ -24,7 +24,7 @@ use radiosity::{
     trace::Tracer,
 };
 
-use super::{outputs, sampling::Answer, watch::Watch};
+use super::{options::SceneArgs, outputs, sampling::Answer, watch::Watch};
 
 /// The picture that the first view is framed for.
 const WIDTH: usize = 640;
@@ -55,9 +55,12 @@ pub fn file(path: &Path, scene: &Path) -> Result<OutputFile> {
     outputs::text(path, &[scene], "a page")
 }
 
-/// The first view.
-pub fn camera(scene: &Scene, tracer: &Tracer) -> Result<Camera> {
-    Camera::frame(scene, tracer, WIDTH, HEIGHT)
+/// The first view, with the direction upwards that the options give.
+pub fn camera(args: &SceneArgs, scene: &Scene, tracer: &Tracer) -> Result<Camera> {
+    let framed = Camera::frame(scene, tracer, WIDTH, HEIGHT)?;
+    let (eye, look_at) = (framed.eye(), framed.look_at());
+    let up = args.lights.upwards(look_at - eye).unwrap_or(framed.up());
+    Camera::new(eye, look_at, up, framed.fov(), WIDTH, HEIGHT)
 }
 
 /// The title of the page of a scene: the name of its file.
@@ -103,7 +106,7 @@ impl Write for Counted<'_> {
 
 /// A solution to write.
 pub struct Solution<'a> {
-    pub file: &'a Path,
+    pub args: &'a SceneArgs,
     pub scene: &'a Scene,
     pub tracer: &'a Tracer,
     pub answer: &'a Answer,
@@ -120,7 +123,7 @@ impl PageArgs {
         let mut notes = notes(patches, light, &lamps);
         notes.extend(left_out);
         let discretisation = answer.errors().and_then(|errors| errors.change());
-        let title = title(solution.file);
+        let title = title(&solution.args.path);
         let options = PageOptions::default()
             .with_title(&title)
             .with_discretisation(discretisation)
@@ -129,7 +132,7 @@ impl PageArgs {
         let method = Method::new("radiosity", light)
             .with_standard_error(Some(answer.standard_error()))
             .with_lamps(&lamps);
-        let camera = camera(scene, tracer)?;
+        let camera = camera(solution.args, scene, tracer)?;
         write(file, watch, |out| page::encode(out, scene, patches, &camera, &[method], &options))
     }
 

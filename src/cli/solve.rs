@@ -472,7 +472,7 @@ fn write_mesh(
 
 fn page_of<'a>(args: &'a SolveArgs, computed: &'a Computed, exposure: Exposure) -> page::Solution<'a> {
     let Computed { scene, tracer, answer, .. } = computed;
-    page::Solution { file: &args.scene.path, scene, tracer, answer, exposure, options: args.solve_options() }
+    page::Solution { args: &args.scene, scene, tracer, answer, exposure, options: args.solve_options() }
 }
 
 /// Checks that form factors lie between 0 and 1 and that the energy balances. One-way form factors need not balance,

@@ -34,8 +34,9 @@ use super::{
 #[derive(Args)]
 #[command(after_help = "Example:\n  radiosity tradeoff room.obj -o tradeoff\n\n\
     Writes tradeoff.json, tradeoff.csv, tradeoff.svg and tradeoff.html into the directory. The .html is a page whose \
-    points can be read with the cursor. Every solution is compared with two reference solutions with finer patches and more rays. \
-    Errors below the error of the references are marked. The command takes about ten seconds, in proportion to --most-rays. It never replaces a file that no earlier tradeoff wrote.")]
+    points can be read with the cursor. Every solution is compared with two reference solutions with finer patches and \
+    more rays. Errors below the error of the references are marked. The command takes about ten seconds, in proportion \
+    to --most-rays. It never replaces a file that no earlier tradeoff wrote.")]
 pub struct TradeoffArgs {
     #[command(flatten)]
     scene: SceneArgs,

@@ -180,7 +180,7 @@ fn write_page(
     )];
     let options =
         PageOptions::default().with_title(&title).with_discretisation(Some(&allowance)).with_notes(notes);
-    let camera = page::camera(scene, tracer)?;
+    let camera = page::camera(&args.scene, scene, tracer)?;
     page::write(file, watch, |out| encode(out, scene, patches, &camera, &methods, &options))
 }
 

@@ -21,7 +21,9 @@ const middle = ({ width, height, data }) => [...data.subarray(4 * (Math.floor(he
 async function sameView(page, scene, solve, more = []) {
     const options = await page.evaluate(() => radiosity.options());
     const view = options.replace(/--width \d+ --height \d+/, '--width 320 --height 240').split(' ');
-    run('render', scene, '-o', 'ours.png', '--method', 'radiosity', '--spp', '16', ...solve, ...view, ...more);
+    // The page gives the direction upwards.
+    const others = solve.filter((word, k) => word !== '--up' && solve[k - 1] !== '--up');
+    run('render', scene, '-o', 'ours.png', '--method', 'radiosity', '--spp', '16', ...others, ...view, ...more);
     return pixels(page, `data:image/png;base64,${readFileSync('ours.png').toString('base64')}`);
 }
 

@@ -74,7 +74,8 @@ mod tests {
         {
             let most = rgb.into_iter().fold(0.0, f64::max);
             for (x, back) in rgb.into_iter().zip(back(shared_exponent(rgb))) {
-                assert!((x - back).abs() <= most / 512.0, "{rgb:?} {back}");
+                // The largest has at least 255.5 steps, and half a step is what rounding leaves.
+                assert!((x - back).abs() <= most / 511.0, "{rgb:?} {back}");
             }
         }
         assert_eq!(back(shared_exponent([1.0, 0.5, 0.0])), [1.0, 0.5, 0.0]);
