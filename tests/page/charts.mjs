@@ -65,13 +65,15 @@ async function validation(browser) {
 }
 
 async function daylight(browser) {
-    run('daylight', 'door-ajar.obj', '-o', 'daylight.npz', '--plots', 'daylight.html', '--report', 'daylight.json', '--quality', 'draft');
+    // The sky shines into the box through its open side.
+    run('daylight', 'cornell-box.obj', '-o', 'daylight.npz', '--plots', 'daylight.html', '--report', 'daylight.json', '--quality', 'draft');
     const report = JSON.parse(readFileSync('daylight.json'));
     for (const scheme of ['light', 'dark']) {
         const page = await open(browser, 'daylight.html', { width: 360, height: 700, scheme });
         const [points] = await page.evaluate(() => radiosity.charts[0].data.series.map((s) => s.points));
         assert.equal(points.at(-1).y, 100);
         const note = await page.$$eval('main > p', (all) => all.map((p) => p.textContent).join(' '));
+        assert.ok(report.mean_daylight_factor > 0.001);
         near(Number(note.match(/mean daylight factor is ([\d.]+) %/)[1]), 100 * report.mean_daylight_factor, 0.005, 'the mean');
         const width = await page.evaluate(() => document.documentElement.scrollWidth);
         assert.ok(width <= 360, `the page is ${width} pixels wide in a window of 360`);

@@ -1,7 +1,7 @@
 // A page of charts. The points are read with the cursor, with a finger, or with the arrow keys.
 
 import { about as readAbout } from './data.js';
-import { number, step } from './scale.js';
+import { number, step, unit as written } from './scale.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
 const [LEFT, RIGHT, TOP, BOTTOM] = [70, 16, 12, 48];
@@ -242,6 +242,9 @@ class Chart {
 }
 
 const about = readAbout();
+for (const { x, y } of about.charts) {
+    [x.unit, y.unit] = [written(x.unit), written(y.unit)];
+}
 const main = document.getElementById('main');
 main.append(make('h1', {}, about.title));
 if (about.verdict) {
