@@ -49,7 +49,14 @@ impl EnergyLedger {
         radiometry: impl Into<Radiometry<'a>>,
         solution: &Solution,
     ) -> EnergyLedger {
-        let radiometry = radiometry.into();
+        Self::of_radiometry(form_factors, radiometry.into(), solution)
+    }
+
+    fn of_radiometry(
+        form_factors: &FormFactors,
+        radiometry: Radiometry<'_>,
+        solution: &Solution,
+    ) -> EnergyLedger {
         let channels = radiometry.channels;
         assert_eq!(solution.radiosity.len(), form_factors.len() * channels, "sizes disagree");
         let (areas, escaped) = (form_factors.areas(), form_factors.escaped());

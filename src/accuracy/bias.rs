@@ -44,7 +44,7 @@ pub fn relative(
     let many = if patches.len() < ENOUGH { 2 } else { 1 };
     for half in 0..many {
         let Some(form_factors) = form_factors.half(half, tracer, patches) else { return Ok(None) };
-        halves += mean(&solve_from(Some(start), &form_factors, patches, options, progress)?);
+        halves += mean(&solve_from(Some(start), &form_factors, patches.into(), options, progress)?);
     }
     Ok((whole > 0.0).then(|| halves / (many as f64 * whole) - 1.0))
 }

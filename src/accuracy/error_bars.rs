@@ -100,7 +100,14 @@ impl ErrorBars {
         radiometry: impl Into<Radiometry<'a>>,
         solution: &Solution,
     ) -> Option<ErrorBars> {
-        let radiometry = radiometry.into();
+        Self::of_radiometry(form_factors, radiometry.into(), solution)
+    }
+
+    fn of_radiometry(
+        form_factors: &FormFactors,
+        radiometry: Radiometry<'_>,
+        solution: &Solution,
+    ) -> Option<ErrorBars> {
         assert_eq!(radiometry.reflectance.len(), solution.radiosity.len(), "sizes disagree");
         together(|| match solution.channels {
             1 => Self::spread::<1>(form_factors, radiometry, solution),

@@ -88,11 +88,7 @@ impl Conditions {
                 .map_err(|error| fail(format!("`{name}`: {}", error.message())))?;
             match names.iter().position(|known| *known == name) {
                 Some(k) => conditions[k] = Some(condition(&name, &entry).map_err(fail)?),
-                None if name == SKY => {
-                    let temperature =
-                        entry.temperature.ok_or_else(|| fail("the sky needs a temperature".into()))?;
-                    sky = Some(positive("sky", temperature).map_err(fail)?);
-                }
+                None if name == SKY => sky = Some(sky_temperature(&entry).map_err(fail)?),
                 None => {
                     let hint = format!(
                         "surfaces are {}",
@@ -126,11 +122,20 @@ fn line_of(text: &str, at: usize) -> usize {
     1 + text[..at.min(text.len())].matches('\n').count()
 }
 
-fn positive(name: &str, temperature: f64) -> std::result::Result<f64, String> {
+fn possible(name: &str, temperature: f64) -> std::result::Result<f64, String> {
     if temperature >= 0.0 && temperature.is_finite() {
         Ok(temperature)
     } else {
         Err(format!("`{name}`: a temperature of {temperature} K is impossible"))
+    }
+}
+
+fn sky_temperature(entry: &Entry) -> std::result::Result<f64, String> {
+    match *entry {
+        Entry { temperature: Some(temperature), flux: None, emissivity: None, adiabatic: None } => {
+            possible(SKY, temperature)
+        }
+        _ => Err("the sky has a temperature and nothing else: it is black".into()),
     }
 }
 
@@ -141,12 +146,17 @@ fn condition(name: &str, entry: &Entry) -> std::result::Result<Condition, String
         None => None,
     };
     let needed = emissivity.ok_or_else(|| format!("`{name}` needs an emissivity"));
-    match (entry.temperature, entry.flux, entry.adiabatic.unwrap_or(false)) {
-        (Some(temperature), None, false) => {
-            Ok(Condition::Temperature { temperature: positive(name, temperature)?, emissivity: needed? })
+    match (entry.temperature, entry.flux, entry.adiabatic) {
+        (None, None, Some(false)) => {
+            Err(format!("`{name}` is not adiabatic: it needs a temperature or a flux"))
         }
-        (None, Some(flux), false) if flux.is_finite() => Ok(Condition::Flux { flux, emissivity: needed? }),
-        (None, Some(flux), false) => Err(format!("`{name}`: a flux of {flux} is not finite")),
+        (Some(temperature), None, None | Some(false)) => {
+            Ok(Condition::Temperature { temperature: possible(name, temperature)?, emissivity: needed? })
+        }
+        (None, Some(flux), None | Some(false)) if flux.is_finite() => {
+            Ok(Condition::Flux { flux, emissivity: needed? })
+        }
+        (None, Some(flux), None | Some(false)) => Err(format!("`{name}`: a flux of {flux} is not finite")),
         (None, None, _) => Ok(Condition::Floating { emissivity: emissivity.unwrap_or(1.0) }),
         _ => Err(format!("`{name}` may have a temperature or a flux or be adiabatic, but only one of them")),
     }

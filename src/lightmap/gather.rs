@@ -84,6 +84,7 @@ pub fn gather(
             let (tile, number) = tile(atlas, coverage.texels()[i]);
             let tile_seed = mix(&[seed, tile]);
             if surface.0.is_empty() {
+                progress.advance(u64::from(each * REPLICATES));
                 return Ok(Texel::default());
             }
             gathered.clear();

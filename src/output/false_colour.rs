@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use image::{ImageFormat, Rgb, RgbImage};
 
-use crate::monte_carlo::Film;
+use crate::{monte_carlo::Film, tone::luminance};
 
 /// Colours from zero to the top of the scale: even steps of the colour map viridis (Smith and Van der Walt, 2015),
 /// whose lightness grows evenly.
@@ -78,12 +78,6 @@ impl Default for FalseColour {
     }
 }
 
-/// Luminance of linear Rec. 709 colours.
-fn luminance(pixel: &[f32; 3]) -> f64 {
-    let [r, g, b] = pixel.map(f64::from);
-    0.2126 * r + 0.7152 * g + 0.0722 * b
-}
-
 /// The step of a scale from 0 to `most`: 1, 2 or 5 times a power of ten.
 fn step(most: f64) -> f64 {
     let rough = most / STEPS;
@@ -134,7 +128,7 @@ fn write_text(image: &mut RgbImage, (left, top): (u32, u32), text: &str) {
 
 /// Draws a picture of irradiance in false colours, with the scale to its right. Pixels without light stay black.
 pub fn draw(film: &Film, options: &FalseColour, unit: &str) -> RgbImage {
-    let values: Vec<f64> = film.pixels().iter().map(luminance).collect();
+    let values: Vec<f64> = film.pixels().iter().map(|pixel| luminance(pixel.map(f64::from))).collect();
     let mut lit: Vec<f64> = values.iter().copied().filter(|&e| e > 0.0).collect();
     lit.sort_by(f64::total_cmp);
     let covered = lit.get(((lit.len() as f64 * COVERED) as usize).min(lit.len().saturating_sub(1)));

@@ -6,6 +6,10 @@
 use std::io::{self, Write};
 
 use rayon::prelude::*;
+use zip::{
+    CompressionMethod, DateTime, ZipWriter,
+    write::{SimpleFileOptions, StreamWriter},
+};
 
 /// Number of rows that are prepared at a time.
 const ROWS: usize = 256;
@@ -45,7 +49,7 @@ pub(super) fn write_dense(
 /// Writes the non-zero entries of a square matrix in compressed rows, for `scipy.sparse.load_npz`.
 ///
 /// # Errors
-/// Errors of writing to `out`, and an error if the file would be larger than 4 GiB.
+/// Errors of writing to `out`.
 pub(super) fn write_sparse<R: Iterator<Item = (usize, f64)>>(
     n: usize,
     row: impl Fn(usize) -> R,
@@ -66,7 +70,7 @@ pub(super) fn write_sparse<R: Iterator<Item = (usize, f64)>>(
         bytes.extend(data);
         bytes
     };
-    let mut zip = Zip { out, files: Vec::new(), at: 0 };
+    let mut zip = Archive::new(out);
     zip.add("indices.npy", &array("<i4", format!("({count},)"), &columns))?;
     drop(columns);
     // SciPy wants starts and indices to have the same width, so starts have 32 bits if possible.
@@ -99,12 +103,12 @@ pub(super) enum Values<'a> {
 /// Writes named arrays as an `.npz` file for `numpy.load`.
 ///
 /// # Errors
-/// Errors of `out`, and an error if the file would be larger than 4 GiB.
+/// Errors of writing to `out`.
 ///
 /// # Panics
 /// If the values of an array do not match its shape.
 pub(super) fn write_arrays(arrays: &[Array<'_>], out: &mut dyn Write) -> io::Result<()> {
-    let mut zip = Zip { out, files: Vec::new(), at: 0 };
+    let mut zip = Archive::new(out);
     for Array { name, shape, values } in arrays {
         let (kind, length, data): (_, _, Vec<u8>) = match values {
             Values::F32(v) => ("<f4", v.len(), v.iter().flat_map(|x| x.to_le_bytes()).collect()),
@@ -120,49 +124,26 @@ pub(super) fn write_arrays(arrays: &[Array<'_>], out: &mut dyn Write) -> io::Res
     zip.finish()
 }
 
-/// A zip archive without compression (PKWARE, *APPNOTE.TXT* 6.3, sections 4.3.7, 4.3.12 and 4.3.16).
-struct Zip<'a> {
-    out: &'a mut dyn Write,
-    /// The entries of the central directory.
-    files: Vec<Vec<u8>>,
-    at: u64,
-}
+/// A zip archive without compression, as `numpy.savez` writes it.
+struct Archive<'a>(ZipWriter<StreamWriter<&'a mut dyn Write>>);
 
-impl Zip<'_> {
+impl<'a> Archive<'a> {
+    fn new(out: &'a mut dyn Write) -> Self {
+        Archive(ZipWriter::new_stream(out))
+    }
+
     fn add(&mut self, name: &str, data: &[u8]) -> io::Result<()> {
-        let [Ok(size), Ok(at)] = [data.len() as u64, self.at].map(u32::try_from) else {
-            return Err(io::Error::other("a .npz of more than 4 GiB; write .mtx instead"));
-        };
-        // Version 2.0, no flags, stored, at midnight on 1 January 1980.
-        let mut about: Vec<u8> = [20u16, 0, 0, 0, 0x21].iter().flat_map(|x| x.to_le_bytes()).collect();
-        about.extend([crc32fast::hash(data), size, size].iter().flat_map(|x| x.to_le_bytes()));
-        about.extend([name.len() as u16, 0].iter().flat_map(|x| x.to_le_bytes()));
-        let mut local = b"PK\x03\x04".to_vec();
-        local.extend(&about);
-        local.extend(name.as_bytes());
-        self.out.write_all(&local)?;
-        self.out.write_all(data)?;
-        self.at += (local.len() + data.len()) as u64;
-        let mut central = b"PK\x01\x02\x14\x00".to_vec();
-        central.extend(&about);
-        // No comment, disk 0, no attributes.
-        central.extend([0; 10]);
-        central.extend(at.to_le_bytes());
-        central.extend(name.as_bytes());
-        self.files.push(central);
-        Ok(())
+        // Every file has the same date, so that equal arrays give equal bytes.
+        let options = SimpleFileOptions::default()
+            .compression_method(CompressionMethod::Stored)
+            .last_modified_time(DateTime::default())
+            .large_file(u32::try_from(data.len()).is_err());
+        self.0.start_file(name, options)?;
+        self.0.write_all(data)
     }
 
     fn finish(self) -> io::Result<()> {
-        let size: usize = self.files.iter().map(Vec::len).sum();
-        let Ok(at) = u32::try_from(self.at) else {
-            return Err(io::Error::other("a .npz of more than 4 GiB; write .mtx instead"));
-        };
-        self.files.iter().try_for_each(|file| self.out.write_all(file))?;
-        let mut end = b"PK\x05\x06\x00\x00\x00\x00".to_vec();
-        end.extend([self.files.len() as u16; 2].iter().flat_map(|x| x.to_le_bytes()));
-        end.extend([size as u32, at].iter().flat_map(|x| x.to_le_bytes()));
-        end.extend([0, 0]);
-        self.out.write_all(&end)
+        self.0.finish()?;
+        Ok(())
     }
 }

@@ -105,7 +105,7 @@ pub fn write<'a>(
     options: &PlyOptions<'_>,
 ) -> Result<()> {
     let light = light.into();
-    OutputFile::new(path, &[])?.write(|out| encode(out, scene, patches, light, options))?.commit()
+    OutputFile::new(path, &[])?.write(|out| encode_light(out, scene, patches, light, options))?.commit()
 }
 
 /// Writes the solution to `out`, which should be buffered.
@@ -116,14 +116,23 @@ pub fn write<'a>(
 /// # Panics
 /// If the sizes disagree.
 pub fn encode<'a>(
-    mut out: &mut dyn Write,
+    out: &mut dyn Write,
     scene: &Scene,
     patches: &Patches,
     light: impl Into<Light<'a>>,
     options: &PlyOptions<'_>,
 ) -> io::Result<()> {
+    encode_light(out, scene, patches, light.into(), options)
+}
+
+fn encode_light(
+    mut out: &mut dyn Write,
+    scene: &Scene,
+    patches: &Patches,
+    light: Light<'_>,
+    options: &PlyOptions<'_>,
+) -> io::Result<()> {
     let values = patches.channels() * patches.len();
-    let light = light.into();
     assert_eq!((light.radiosity.len(), light.irradiance.len()), (values, values), "sizes disagree");
     let errors = [options.standard_errors, options.discretisation];
     assert!(errors.iter().flatten().all(|e| e.len() == values), "sizes disagree");

@@ -216,19 +216,18 @@ pub fn solve<'a>(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<Solution> {
-    solve_from(None, form_factors, radiometry, options, progress)
+    solve_from(None, form_factors, radiometry.into(), options, progress)
 }
 
 /// Like [`solve`], from a radiosity near the solution. Conjugate gradients then take fewer iterations. The other
 /// solvers ignore it.
-pub(crate) fn solve_from<'a>(
+pub(crate) fn solve_from(
     start: Option<&[f64]>,
     form_factors: &FormFactors,
-    radiometry: impl Into<Radiometry<'a>>,
+    radiometry: Radiometry<'_>,
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<Solution> {
-    let radiometry = radiometry.into();
     let n = form_factors.len() * radiometry.channels;
     assert_eq!((radiometry.emission.len(), radiometry.reflectance.len()), (n, n), "sizes disagree");
     progress.begin("solving", 0);

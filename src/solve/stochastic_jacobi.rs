@@ -164,10 +164,19 @@ pub fn solve_while<'a>(
     sweeper: &Sweeper<'_>,
     radiometry: impl Into<Radiometry<'a>>,
     options: &StochasticOptions,
-    more: impl FnMut(&Reached) -> bool,
+    mut more: impl FnMut(&Reached) -> bool,
     progress: &Progress,
 ) -> Result<StochasticSolution> {
-    let radiometry = radiometry.into();
+    iterate(sweeper, radiometry.into(), options, &mut more, progress)
+}
+
+fn iterate(
+    sweeper: &Sweeper<'_>,
+    radiometry: Radiometry<'_>,
+    options: &StochasticOptions,
+    more: &mut dyn FnMut(&Reached) -> bool,
+    progress: &Progress,
+) -> Result<StochasticSolution> {
     let n = sweeper.areas().len() * radiometry.channels;
     assert_eq!((radiometry.emission.len(), radiometry.reflectance.len()), (n, n), "sizes disagree");
     match radiometry.channels {

@@ -202,6 +202,7 @@ pub fn view_factors(
 /// # Panics
 /// As [`view_factors`].
 pub fn look(surfaces: &[impl AsRef<[Vec<DVec3>]>], obstacles: &[Vec<DVec3>], up: DVec3) -> Vec<Sight> {
+    let surfaces = &slices(surfaces);
     let (polygons, hindrances, _) = in_unit_space(surfaces, obstacles);
     let blockers = Blockers::new(&polygons, &hindrances);
     let Parts { pieces, .. } = separate(polygons, &blockers);
@@ -238,6 +239,19 @@ pub fn view_factors_of_surfaces(
 /// As [`view_factors_of_surfaces`].
 pub fn view_factors_among(
     surfaces: &[impl AsRef<[Vec<DVec3>]>],
+    obstacles: &[Vec<DVec3>],
+    options: &ViewFactorOptions,
+    progress: &Progress,
+) -> Result<ViewFactors> {
+    among(&slices(surfaces), obstacles, options, progress)
+}
+
+fn slices(surfaces: &[impl AsRef<[Vec<DVec3>]>]) -> Vec<&[Vec<DVec3>]> {
+    surfaces.iter().map(AsRef::as_ref).collect()
+}
+
+fn among(
+    surfaces: &[&[Vec<DVec3>]],
     obstacles: &[Vec<DVec3>],
     options: &ViewFactorOptions,
     progress: &Progress,

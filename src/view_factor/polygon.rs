@@ -194,10 +194,10 @@ impl Area {
 /// The polygons of surfaces and of obstacles, recentred and rescaled so that their largest coordinate is 1, and the
 /// scale that was divided by.
 pub(super) fn in_unit_space(
-    surfaces: &[impl AsRef<[Vec<DVec3>]>],
+    surfaces: &[&[Vec<DVec3>]],
     obstacles: &[Vec<DVec3>],
 ) -> (Vec<Polygon>, Vec<Polygon>, f64) {
-    let own = || (0..).zip(surfaces).flat_map(|(k, s)| s.as_ref().iter().map(move |polygon| (k, polygon)));
+    let own = || (0..).zip(surfaces).flat_map(|(k, s)| s.iter().map(move |polygon| (k, polygon)));
     let all = || own().map(|(_, polygon)| polygon).chain(obstacles);
     let (centre, scale) = centre_and_extent(all().flatten().copied());
     let polygon = |(source, (surface, corners)): (u32, (u32, &Vec<DVec3>))| {

@@ -346,7 +346,15 @@ fn exposure_and_errors_count_what_can_be_seen() {
     assert!(seen.iter().all(|areas| (areas.iter().sum::<f64>() - 60.0).abs() < 1e-9));
     let ratio = exposed(&with) / exposed(&without);
     assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
-    // The reported error is that of the room, not of the light between the blocks.
-    let reported = relative_rms(&with.error_bars.standard_error, &with.solution.irradiance, &seen[0]);
-    assert!((1e-3..0.05).contains(&reported), "{reported}");
+    // The reported error is that of the room, not of the light between the blocks. Both runs have 256 rays for each patch,
+    // and an estimate of a variance from 16 replicates, averaged over hundreds of patches, varies by a few per cent.
+    let reported = [&with, &without].map(|s| {
+        relative_rms(
+            &s.error_bars.standard_error,
+            &s.solution.irradiance,
+            &s.patches.seen_areas(&s.solution.irradiance),
+        )
+    });
+    let ratio = reported[0] / reported[1];
+    assert!((0.8..1.25).contains(&ratio), "{reported:?}");
 }
