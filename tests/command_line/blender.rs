@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use radiosity::Scene;
+use radiosity::{Scene, scene::LoadOptions};
 use serde_json::Value;
 
 use crate::common::{
@@ -50,7 +50,8 @@ fn blender_imports_a_lit_file_and_shows_its_light() {
     assert!(done.status.success(), "{said}{}", String::from_utf8_lossy(&done.stderr));
     let found: Value = serde_json::from_str(said.lines().last().unwrap()).unwrap();
 
-    let scene = Scene::load(here.path("lit.glb")).unwrap();
+    let as_the_file_has_it = LoadOptions::default().with_keep_overlaps(true);
+    let scene = Scene::load_with(here.path("lit.glb"), &as_the_file_has_it).unwrap();
     assert_eq!(found["triangles"], scene.triangles.len());
     let area: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
     assert!((found["area"].as_f64().unwrap() / area - 1.0).abs() < 1e-6, "{found}");
