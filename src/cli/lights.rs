@@ -14,7 +14,7 @@ use radiosity::{
         light::{
             Distant, LUMINOUS_EFFICACY, Light, LightKind, Moment, Mounting, Photometry, Place, SUN_DIAMETER,
             Sky, SkyImage, SkyModel, Units, Up,
-            file::{self, SunAt, sun_at},
+            file::{self, SunAt, SunInFile, sun_at},
             luminaire,
         },
     },
@@ -258,15 +258,28 @@ impl LightArgs {
             let needless = matches!(self.sun, Some(SunArg { irradiance: None, .. })) || self.place.is_some();
             return match needless && scene.lights.sky.is_none() {
                 true => Err(Error::Usage {
-                    message: "--sun has no irradiance, and there is no sky that needs a sun".into(),
+                    message: "the position of the sun has no effect: it has no irradiance, and no sky needs it"
+                        .into(),
                     hint: Some(
-                        "add it in W/m2, as in --sun 220,40,800, or a sky, as in --sky perez:700,120".into(),
+                        "add its irradiance in W/m2, as in --sun 220,40,800, or a sky, as in --sky perez:700,120"
+                            .into(),
                     ),
                 }),
                 false => Ok(()),
             };
         };
-        let sky = self.make_sky(sky, scene, sun.or(of_file))?;
+        let double = matches!(self.sun, Some(SunArg { irradiance: Some(_), .. }))
+            .then_some("--sun")
+            .or(of_file.is_some_and(|sun| sun.shines).then_some("the [[sun]] of the light file"));
+        if let (SkyArg::Perez(_), Some(other)) = (sky, double) {
+            return Err(Error::Usage {
+                message: format!(
+                    "--sky perez has the direct irradiance of the sun, so {other} must not have an irradiance"
+                ),
+                hint: Some("give azimuth and altitude alone".into()),
+            });
+        }
+        let sky = self.make_sky(sky, scene, sun.or(of_file.map(|sun: SunInFile| sun.at)))?;
         scene.lights.sky = Some(sky);
         Ok(())
     }
@@ -295,14 +308,6 @@ impl LightArgs {
                 Sky::with_irradiance(SkyModel::Intermediate(sun("intermediate")?.0), up, [*e; 3])
             }
             SkyArg::Perez(of) => {
-                if let Some(SunArg { irradiance: Some(_), .. }) = self.sun {
-                    return Err(Error::Usage {
-                        message:
-                            "--sky perez has the direct irradiance of the sun, so --sun must not have an irradiance"
-                                .into(),
-                        hint: Some("give --sun AZIMUTH,ALTITUDE alone".into()),
-                    });
-                }
                 let (towards, eccentricity) = sun("perez")?;
                 add_sun(scene, towards, of[0]);
                 Sky::all_weather(up, *of, towards, eccentricity * scene.units.extraterrestrial())

@@ -145,11 +145,10 @@ impl Remote {
             }
             Remote::Cell(cell) => cell.words(),
             Remote::Point { at, distribution, area, unit } => {
-                let size = area.map_or(0.0, |area| area.first.length() + area.second.length());
-                let some =
-                    [DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z, DVec3::splat(-1.0)];
-                let towards = some.map(|d| distribution.towards(d.normalize()));
-                at.to_array().into_iter().chain([*unit, size]).chain(towards).map(f64::to_bits).collect()
+                let axes = area.map(|area| [area.first, area.second, DVec3::splat(f64::from(area.round))]);
+                let vectors = axes.iter().flatten().chain([at]).flat_map(|v| v.to_array());
+                let numbers = vectors.chain([*unit]).chain(distribution.numbers());
+                numbers.map(f64::to_bits).collect()
             }
         }
     }

@@ -116,11 +116,10 @@ fn corrected<const C: usize>(
     balance(&mut shifted, &through, form_factors.areas());
     let unscaled = |values: &mut [f64]| values.iter_mut().for_each(|x| *x *= unit);
     unscaled(shifted.irradiance.as_flattened_mut());
-    unscaled(carried.as_flattened_mut());
     let system = System::<C>::with_more(form_factors, radiometry, &shifted.irradiance);
     // The user's choice of solver is for the light itself. Corrections may be negative, which not all solvers support.
     let again = SolveOptions { solver: Solver::Auto, ..*options };
-    let found = system.solve(Some(carried.as_flattened()), &again, progress)?;
+    let found = system.solve(Some(&constant.radiosity), &again, progress)?;
     for (slopes, more) in slopes.iter_mut().zip(&shifted.slopes) {
         *slopes = std::array::from_fn(|c| [0, 1].map(|m| unit * (slopes[c][m] + more[c][m])));
     }

@@ -116,3 +116,17 @@ fn stochastic_jacobi_refuses_a_sky() {
     let said = here.fails("solve scene.obj --sky uniform:3 --solver stochastic-jacobi", 2);
     assert!(said.contains("--solver stochastic-jacobi does not support sun, sky"), "{said}");
 }
+
+/// The sun of an all-weather sky shines by itself, so another sun that shines is an error, wherever it is given.
+#[test]
+fn a_sun_is_not_counted_twice() {
+    let here = Here::new(COURT, MATERIALS);
+    let work = "solve scene.obj --sky perez:700,120";
+    fs::write(here.path("sun.toml"), "[[sun]]\nazimuth = 10\naltitude = 40\nirradiance = 5\n").unwrap();
+    for sun in ["--sun 10,40,5", "--lights sun.toml"] {
+        let errors = here.fails(&format!("{work} {sun}"), 2);
+        assert!(errors.contains("must not have an irradiance"), "{errors}");
+    }
+    let errors = here.fails("solve scene.obj --sun 10,40", 2);
+    assert!(errors.contains("the position of the sun has no effect"), "{errors}");
+}

@@ -156,12 +156,21 @@ pub fn sun_at(up: Up, place: Place, at: &Moment) -> std::result::Result<SunAt, S
     Ok((up.direction(azimuth, altitude), at.eccentricity()))
 }
 
+/// The first sun of a light file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SunInFile {
+    /// Its position.
+    pub at: SunAt,
+    /// Whether the file gives a sun an irradiance. Otherwise suns are only positions for the sky.
+    pub shines: bool,
+}
+
 /// Reads a light file in the units of the scene, and adds its lights to the scene. `up` takes precedence over the
-/// file's own setting. Returns the position of its first sun, if it has one.
+/// file's own setting. Returns its first sun, if it has one.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read. [`Error::Input`], with the line, when its contents cannot be used.
-pub fn add(scene: &mut Scene, path: &Path, up: Option<Up>) -> Result<Option<SunAt>> {
+pub fn add(scene: &mut Scene, path: &Path, up: Option<Up>) -> Result<Option<SunInFile>> {
     let text = std::fs::read_to_string(path).map_err(|source| Error::io(path, source))?;
     let wrong = |span: Option<Range<usize>>, message: String| {
         let line = span.map(|span| text[..span.start.min(text.len())].matches('\n').count() + 1);
@@ -176,14 +185,14 @@ pub fn add(scene: &mut Scene, path: &Path, up: Option<Up>) -> Result<Option<SunA
     });
     let folder = path.parent().unwrap_or(Path::new(""));
     let units = scene.units;
-    let mut reader = Reader { scene, up, units, folder, sun: None };
+    let mut reader = Reader { scene, up, units, folder, sun: None, shines: false };
     reader.all(table.sun, Reader::sun, &wrong)?;
     reader.all(table.directional, Reader::directional, &wrong)?;
     reader.all(table.point, Reader::point, &wrong)?;
     reader.all(table.spot, Reader::spot, &wrong)?;
     reader.all(table.luminaire, Reader::luminaire, &wrong)?;
     reader.all(table.sky, Reader::sky, &wrong)?;
-    Ok(reader.sun)
+    Ok(reader.sun.map(|at| SunInFile { at, shines: reader.shines }))
 }
 
 /// An error in a table, or in a file that the table names.
@@ -227,6 +236,8 @@ struct Reader<'a> {
     units: Units,
     folder: &'a Path,
     sun: Option<SunAt>,
+    /// Whether a sun of the file has an irradiance.
+    shines: bool,
 }
 
 /// R G B of a colour. Negative numbers are errors.
@@ -305,6 +316,7 @@ impl Reader<'_> {
             let diameter = within(table.diameter.unwrap_or(SUN_DIAMETER), 0.0..=90.0, "the diameter")?;
             let sun = Distant::new(at.0, irradiance, diameter.to_radians());
             self.push(table.name, "sun", LightKind::Distant(sun));
+            self.shines = true;
         }
         Ok(())
     }
@@ -384,17 +396,13 @@ impl Reader<'_> {
         };
         let colour = table.colour.map_or(Ok([1.0; 3]), |c| strength(Colour::Rgb(c), "the colour"))?;
         self.scene.lights.sky = Some(sky.coloured(colour));
-        if table.kind == SkyKind::Perez && !self.scene.lights.list.iter().any(|l| is_sun(&l.kind)) {
+        if table.kind == SkyKind::Perez && !self.shines {
             let direct = number(table.direct, "`direct`")?;
             let sun = Distant::new(sun_of(self.sun), [direct; 3], SUN_DIAMETER.to_radians());
             self.push(None, "sun", LightKind::Distant(sun));
         }
         Ok(())
     }
-}
-
-fn is_sun(kind: &LightKind) -> bool {
-    matches!(kind, LightKind::Distant(distant) if distant.radius > 0.0)
 }
 
 fn sun_of(sun: Option<SunAt>) -> DVec3 {
@@ -451,8 +459,11 @@ mod tests {
         let LightKind::Distant(sun) = &scene.lights.list[0].kind else { panic!() };
         assert_eq!((scene.lights.list.len(), sun.irradiance), (1, [700.0; 3]));
         assert!(sun.direction.y > 0.8 && sun.direction.x > 0.0, "{}", sun.direction);
-        let given = read(&format!("[[sun]]\nazimuth = 10\naltitude = 20\nirradiance = 5\n{sky}")).unwrap();
-        assert_eq!(given.lights.list.len(), 1);
+        // Also where the sun is a point.
+        for diameter in ["", "diameter = 0\n"] {
+            let sun = format!("[[sun]]\nazimuth = 10\naltitude = 20\nirradiance = 5\n{diameter}");
+            assert_eq!(read(&format!("{sun}{sky}")).unwrap().lights.list.len(), 1, "{diameter}");
+        }
     }
 
     #[test]

@@ -38,6 +38,12 @@ pub struct Photometry {
 }
 
 impl Photometry {
+    /// The kind of goniometer, the angles and the intensities.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
+        let lists = [&self.horizontal, &self.vertical, &*self.candela];
+        std::iter::once(f64::from(self.goniometer as u8)).chain(lists.into_iter().flatten().copied())
+    }
+
     /// Reads an IES file (LM-63 of 1986 to 2019), or a EULUMDAT file if its name ends in `.ldt`.
     ///
     /// # Errors

@@ -65,6 +65,17 @@ pub struct PointLight {
 const LEAST_RAMP: f64 = 1e-3;
 
 impl Distribution {
+    /// All numbers of the distribution: two distributions of the same kind are equal if these are.
+    pub(crate) fn numbers(&self) -> Vec<f64> {
+        match self {
+            Distribution::Isotropic => Vec::new(),
+            Distribution::Spot { axis, inner, outer } => {
+                axis.to_array().into_iter().chain([*inner, *outer]).collect()
+            }
+            Distribution::Web(web) => web.numbers(),
+        }
+    }
+
     /// Makes a cone about an axis, with its inner and outer half angles in radians.
     ///
     /// # Panics

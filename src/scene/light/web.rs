@@ -28,6 +28,12 @@ impl Web {
         self.scale * self.photometry.intensity(local)
     }
 
+    /// All numbers of the distribution.
+    pub(super) fn numbers(&self) -> Vec<f64> {
+        let axes = [self.c0, self.c90, self.up].into_iter().flat_map(|axis| axis.to_array());
+        self.photometry.numbers().chain(axes).collect()
+    }
+
     /// The integral of [`Web::towards`] over all directions, sr.
     pub(super) fn total(&self) -> f64 {
         self.scale * self.photometry.flux()
