@@ -12,10 +12,14 @@ use crate::trace::sampling::{mix, sobol_4d};
 /// shift of a Sobol sequence.
 pub(super) const REPLICATES: u32 = 16;
 
-/// Replicates that agree do not prove that no path differs. This many times (G / rays)² is added to the variance for that, about
-/// what A. Agresti and B. A. Coull add to a binomial interval ("Approximate is Better than Exact", American Statistician 52(2),
-/// 1998): n = 16 rays that are all blocked have a standard error of 0.066 G.
+/// This many times (G / rays)² is added to the variance for paths that no replicate has found, about what A. Agresti and B. A. Coull add
+/// to a binomial interval ("Approximate is Better than Exact", American Statistician 52(2), 1998).
 pub(super) const DOUBT: f64 = 1.12;
+
+/// The same where all paths agree, so that nothing is known of their spread. If n paths of n are free, the free share is above
+/// 1 - 3.69 / n with 97.5 % confidence, since exp(-3.69) = 0.025 (C. J. Clopper and E. S. Pearson, Biometrika 26(4), 1934). That shall
+/// be within 1.96 standard errors. Of long panels that touch the ground, 80 % of intervals held the right value with [`DOUBT`] alone.
+const AGREED: f64 = (3.69 / 1.960) * (3.69 / 1.960);
 
 /// Sixteen replicates tell their variance by 15 degrees of freedom: 95 % of means lie within t = 2.131 of their standard errors, where it
 /// is 1.960 of those that are known. Variances are told larger by the square of that, so that 1.96 standard errors are an interval of 95 %.
@@ -99,6 +103,8 @@ impl Sample {
             let share = if others.0 > 0.0 { (others.1 / others.0).clamp(0.0, 1.0) } else { 0.0 };
             free + share * (unoccluded - weight)
         };
+        let all_agree = sums.iter().all(|&(weight, free)| free == weight) || self.is_blocked();
+        let doubt: f64 = if all_agree { AGREED } else { DOUBT };
         let count = f64::from(self.replicates);
         let mean = sums.iter().map(estimate).sum::<f64>() / count;
         let squares: f64 = sums.iter().map(|sum| (estimate(sum) - mean).powi(2)).sum();
@@ -107,7 +113,7 @@ impl Sample {
             // Fewer than sixteen are cast where single pairs do not matter: of sums over many the variance itself is right.
             variance: squares / (count * (count - 1.0))
                 * if self.replicates == REPLICATES { STUDENT } else { 1.0 },
-            doubt: DOUBT.sqrt() * unoccluded / f64::from(self.rays),
+            doubt: doubt.sqrt() * unoccluded / f64::from(self.rays),
             rays: self.rays,
         }
     }
