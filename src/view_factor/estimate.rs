@@ -16,9 +16,11 @@ pub(super) const REPLICATES: u32 = 16;
 /// to a binomial interval ("Approximate is Better than Exact", American Statistician 52(2), 1998).
 pub(super) const DOUBT: f64 = 1.12;
 
-/// The same where all paths agree, so that nothing is known of their spread. If n paths of n are free, the free share is above
-/// 1 - 3.69 / n with 97.5 % confidence, since exp(-3.69) = 0.025 (C. J. Clopper and E. S. Pearson, Biometrika 26(4), 1934). That shall
-/// be within 1.96 standard errors. Of long panels that touch the ground, 80 % of intervals held the right value with [`DOUBT`] alone.
+/// The same in units of (largest weight / rays)² where all paths agree, so that nothing is known of their spread. If n paths of n are
+/// free, no more than a share of 3.69 / n is blocked with 97.5 % confidence, since exp(-3.69) = 0.025 (C. J. Clopper and E. S. Pearson,
+/// Biometrika 26(4), 1934), and these may be the heaviest. That shall be within 1.96 standard errors. Of a panel that touches the ground
+/// a wall hides 16 % of the weight, but 9 % of the paths: with [`DOUBT`] alone 77 % of intervals held the right value at 16 paths, and
+/// 92 % at 32.
 const AGREED: f64 = (3.69 / 1.960) * (3.69 / 1.960);
 
 /// Sixteen replicates tell their variance by 15 degrees of freedom: 95 % of means lie within t = 2.131 of their standard errors, where it
@@ -56,6 +58,8 @@ impl Sequence {
 /// Paths of a pair. For each replicate, the mean of w and the mean of V w over its paths.
 pub(super) struct Sample {
     sums: [(f64, f64); REPLICATES as usize],
+    /// The largest weight of a path.
+    largest: f64,
     replicates: u32,
     rays: u32,
 }
@@ -71,18 +75,19 @@ impl Sample {
     ) -> Sample {
         let replicates = rays.clamp(2, REPLICATES);
         let each = rays.div_ceil(replicates).max(1);
-        let mut sums = [(0.0, 0.0); REPLICATES as usize];
+        let (mut sums, mut largest) = ([(0.0, 0.0); REPLICATES as usize], 0f64);
         for (k, sum) in (0u64..).zip(&mut sums[..replicates as usize]) {
             for point in sequence.points([seed[0], seed[1], seed[2], k], each) {
                 let (from, to, weight) = paths.path(point);
                 sum.0 += weight;
+                largest = largest.max(weight);
                 if weight > 0.0 && is_free(from, to) {
                     sum.1 += weight;
                 }
             }
             *sum = (sum.0 / f64::from(each), sum.1 / f64::from(each));
         }
-        Sample { sums, replicates, rays: each * replicates }
+        Sample { sums, largest, replicates, rays: each * replicates }
     }
 
     pub(super) fn rays(&self) -> u32 {
@@ -104,16 +109,17 @@ impl Sample {
             free + share * (unoccluded - weight)
         };
         let all_agree = sums.iter().all(|&(weight, free)| free == weight) || self.is_blocked();
-        let doubt: f64 = if all_agree { AGREED } else { DOUBT };
+        // Fewer than sixteen are cast where single pairs do not matter: of sums over many the variance itself is right.
+        let matters = self.replicates == REPLICATES;
+        let doubt =
+            if all_agree && matters { AGREED.sqrt() * self.largest } else { DOUBT.sqrt() * unoccluded };
         let count = f64::from(self.replicates);
         let mean = sums.iter().map(estimate).sum::<f64>() / count;
         let squares: f64 = sums.iter().map(|sum| (estimate(sum) - mean).powi(2)).sum();
         Estimate {
             exchange: mean,
-            // Fewer than sixteen are cast where single pairs do not matter: of sums over many the variance itself is right.
-            variance: squares / (count * (count - 1.0))
-                * if self.replicates == REPLICATES { STUDENT } else { 1.0 },
-            doubt: doubt.sqrt() * unoccluded / f64::from(self.rays),
+            variance: squares / (count * (count - 1.0)) * if matters { STUDENT } else { 1.0 },
+            doubt: doubt / f64::from(self.rays),
             rays: self.rays,
         }
     }
