@@ -9,14 +9,16 @@ use radiosity::{
     accuracy::{error_bars::ErrorBars, survey::Survey},
     energy::EnergyLedger,
     form_factor::{CastOptions, Estimator, FormFactors},
-    output::inspection_report::{InspectionReport, MaterialReport},
+    output::inspection_report::{Enclosed, EnclosedReport, InspectionReport, MaterialReport},
     patch::{Patches, Subdivision},
     scene::{
         Material,
         inspection::{Inspection, MaterialUse},
+        surfaces::{By, Side, Surfaces},
     },
     solve::{SolveOptions, Solver, solve},
     trace::Tracer,
+    view_factor::look,
 };
 
 use super::{
@@ -48,8 +50,9 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     args.common.start_threads()?;
     let watch = Watch::new(args.common.quiet);
     let files: Vec<_> = report_file.iter().collect();
-    let ((scene, inspection), _) =
-        watch.stage("reading", || pipeline::read_and(&args.scene, &files, &watch, Inspection::of))?;
+    let ((scene, (inspection, enclosed)), _) = watch.stage("reading", || {
+        pipeline::read_and(&args.scene, &files, &watch, |scene| (Inspection::of(scene), enclosed(scene)))
+    })?;
     let (tracer, _) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
     pipeline::warn_of_turned_lamps(&scene, &tracer, &watch);
     let (bookkeeping, _) = watch.stage("pace", || bookkeeping(watch.progress()))?;
@@ -58,7 +61,7 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
 
     let (bytes, file) =
         (forecast::bytes(&scene, Estimator::Pooled, Solver::Auto), args.scene.path.display().to_string());
-    let report = InspectionReport::new(&file, &scene, &inspection, &survey, |quality: Quality| {
+    let report = InspectionReport::new(&file, &scene, &inspection, enclosed, &survey, |quality: Quality| {
         let fronts = Patches::forecast(&scene, &Subdivision::Count(quality.patches));
         let patches = (fronts * (1.0 + survey.back_area)).round();
         let rays = f64::from(quality.rays);
@@ -73,6 +76,19 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
         to_stdout(&table(&report, args.common.limit()))?;
     }
     Ok(Outcome::Done)
+}
+
+/// Looking round takes seconds where faces are more than this.
+const MOST_FACES: usize = 50_000;
+
+/// Whether the faces enclose a room, as `view-factors` finds out; `None` where they are too many.
+fn enclosed(scene: &Scene) -> Option<EnclosedReport> {
+    if scene.faces.len().max(scene.triangles.len() / 2) > MOST_FACES {
+        return None;
+    }
+    let surfaces = Surfaces::of(scene, &By::Face, Side::Front);
+    let seen = look(&surfaces.list, &surfaces.obstacles, DVec3::Y);
+    Some(EnclosedReport::new(&surfaces, &seen))
 }
 
 /// Seconds per ray on this machine for everything except tracing: form factors, solution and error bars. Measured on a
@@ -116,14 +132,14 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
     let unit = scene.unit_guess.map_or("unit of length unknown".into(), |unit| format!("probably in {unit}"));
     row("size", format!("{}, {unit}", size.join(" x ")));
     let edges = &report.edges.count;
-    let closed = if report.edges.closed { "closed" } else { "not closed" };
     row(
         "edges",
         format!(
-            "{}: {} open, {} with more than two faces, {} of mixed winding; {closed}",
+            "{}: {} open, {} with more than two faces, {} of mixed winding",
             edges.total, edges.open, edges.non_manifold, edges.inconsistent
         ),
     );
+    row("enclosed", report.enclosed.as_ref().map_or("not examined: too many faces".into(), enclosure));
     let contacts = &report.contacts;
     if contacts.lines > 0 {
         row(
@@ -184,6 +200,21 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
         concerns => concerns.iter().for_each(|concern| row("concern", concern.clone())),
     }
     text
+}
+
+/// Whether the faces enclose a room, and where they do not.
+fn enclosure(enclosed: &EnclosedReport) -> String {
+    let most = enclosed.open_at.iter().take(4);
+    let faces: Vec<String> =
+        most.map(|open| format!("`{}` ({:.3} %)", open.face, 100.0 * open.lost_share)).collect();
+    let more = enclosed.open_at.len() - faces.len();
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    let at = format!("from faces {}{more}", faces.join(", "));
+    match enclosed.enclosed {
+        Enclosed::Yes => "yes: every ray from a front meets a front".into(),
+        Enclosed::Cracked => format!("but for cracks: some rays are lost {at}"),
+        Enclosed::No => format!("no: rays leave the scene or meet backs {at}"),
+    }
 }
 
 /// The lamps and the materials with the largest areas, in the order of the scene, and the number of the others.

@@ -11,7 +11,7 @@ use radiosity::{
         DEFAULT_REFLECTANCE, LoadOptions, Part,
         surfaces::{By, Side, Surface, Surfaces},
     },
-    view_factor::{Sight, ViewFactorOptions, ViewFactors, look, most_open, view_factors_among},
+    view_factor::{Enclosure, Sight, ViewFactorOptions, ViewFactors, leaks, look, view_factors_among},
 };
 
 use super::{forecast::Limit, options, watch::Watch};
@@ -270,11 +270,9 @@ fn list(names: impl ExactSizeIterator<Item = String>) -> String {
 }
 
 /// The surfaces that lose most rays, with the lost share.
-fn open_faces(surfaces: &Surfaces, seen: &[Sight]) -> String {
-    let share = |i: usize| seen[i].lost() as f64 / seen[i].rays.max(1) as f64;
-    let mut open: Vec<usize> = (0..seen.len()).filter(|&i| seen[i].lost() > 0).collect();
-    open.sort_by(|&i, &j| share(j).total_cmp(&share(i)));
-    list(open.iter().map(|&i| format!("`{}` ({:.3} %)", surfaces.list[i].name, 100.0 * share(i))))
+pub fn open_faces(surfaces: &Surfaces, seen: &[Sight]) -> String {
+    let named = |i: usize| format!("`{}` ({:.3} %)", surfaces.list[i].name, 100.0 * seen[i].lost_share());
+    list(leaks(seen).into_iter().map(named))
 }
 
 /// The view factors of the surfaces of a scene, and the rays that tested whether they enclose a room.
@@ -340,12 +338,12 @@ fn compute(
     let refused = |i: usize, message: String| {
         let Surface { line, .. } = &surfaces.list[i];
         let hint = match lost {
-            0 => "leave --enclosed out; `inspect` reports open edges and backs".into(),
+            0 => "leave --enclosed out".into(),
             _ => format!("leave --enclosed out; it is open where rays leave {}", open_faces(surfaces, seen)),
         };
         Err(Error::input(&args.scene, *line, message).with_hint(hint))
     };
-    if let Some(i) = most_open(seen) {
+    if let Enclosure::Open(i) = Enclosure::of(seen) {
         let Sight { rays, .. } = seen[i];
         let message = format!(
             "no room is enclosed: {} of {rays} rays left the room or hit backs, all from surface `{}`",

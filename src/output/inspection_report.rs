@@ -10,7 +10,9 @@ use crate::{
     scene::{
         Contacts, Scene,
         inspection::{Edges, Inspection, MaterialUse},
+        surfaces::Surfaces,
     },
+    view_factor::{Enclosure, Sight, leaks},
 };
 
 /// The report of `radiosity inspect`.
@@ -22,6 +24,8 @@ pub struct InspectionReport {
     pub scene: MeshReport,
     /// The edges of the mesh.
     pub edges: EdgesReport,
+    /// Whether the faces enclose a room; `null` where there are too many to look.
+    pub enclosed: Option<EnclosedReport>,
     /// Cuts at places where surfaces touch or cross.
     pub contacts: Contacts,
     /// The hits of rays from fronts.
@@ -73,6 +77,64 @@ pub struct EdgesReport {
     pub count: Edges,
     /// Whether no edge is open or non-manifold.
     pub closed: bool,
+}
+
+/// Whether faces enclose a room, by rays from every front.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EnclosedReport {
+    /// The answer.
+    pub enclosed: Enclosed,
+    /// Number of rays.
+    pub rays: u64,
+    /// Number of rays that left the scene or met a back.
+    pub lost: u64,
+    /// The faces that lose rays, those that lose the largest share first.
+    pub open_at: Vec<OpenFace>,
+}
+
+/// Whether faces enclose a room.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Enclosed {
+    /// Every ray meets a front.
+    Yes,
+    /// But for cracks between faces that adjoin up to rounding.
+    Cracked,
+    /// They do not.
+    No,
+}
+
+/// A face that loses rays.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OpenFace {
+    /// Its number in the file, from 0.
+    pub face: String,
+    /// Its line.
+    pub line: Option<usize>,
+    /// The share of its rays that leave the scene or meet backs.
+    pub lost_share: f64,
+}
+
+impl EnclosedReport {
+    /// By what rays from each surface met.
+    pub fn new(surfaces: &Surfaces, seen: &[Sight]) -> EnclosedReport {
+        let all = seen.iter().fold(Sight::default(), |all, sight| all.and(*sight));
+        let open = |i: usize| OpenFace {
+            face: surfaces.list[i].name.clone(),
+            line: surfaces.list[i].line,
+            lost_share: seen[i].lost_share(),
+        };
+        EnclosedReport {
+            enclosed: match Enclosure::of(seen) {
+                Enclosure::Closed => Enclosed::Yes,
+                Enclosure::Cracked => Enclosed::Cracked,
+                Enclosure::Open(_) => Enclosed::No,
+            },
+            rays: all.rays,
+            lost: all.lost(),
+            open_at: leaks(seen).into_iter().map(open).collect(),
+        }
+    }
 }
 
 /// The hits of rays.
@@ -128,6 +190,7 @@ impl InspectionReport {
         file: &str,
         scene: &Scene,
         inspection: &Inspection,
+        enclosed: Option<EnclosedReport>,
         survey: &Survey,
         forecast: impl Fn(Quality) -> (f64, f64, f64, f64),
     ) -> InspectionReport {
@@ -150,6 +213,7 @@ impl InspectionReport {
                 channels: scene.channels(),
             },
             edges: EdgesReport { count: edges, closed: edges.is_closed() },
+            enclosed,
             contacts: scene.contacts,
             seen: SeenReport {
                 rays: survey.all.rays,

@@ -38,6 +38,11 @@ impl Sight {
         self.backs + self.up + self.down
     }
 
+    /// Their share of all.
+    pub fn lost_share(&self) -> f64 {
+        self.lost() as f64 / self.rays.max(1) as f64
+    }
+
     /// The sum of two counts.
     pub fn and(self, other: Sight) -> Sight {
         Sight {
@@ -56,7 +61,7 @@ pub fn most_open(seen: &[Sight]) -> Option<usize> {
     /// of standard errors of a count that chance explains.
     const CRACKS: f64 = 1e-4;
     const STANDARD_ERRORS: f64 = 3.0;
-    let share = |i: usize| seen[i].lost() as f64 / seen[i].rays.max(1) as f64;
+    let share = |i: usize| seen[i].lost_share();
     let is_open = |&i: &usize| {
         let lost = seen[i].lost() as f64;
         lost - STANDARD_ERRORS * lost.sqrt() > CRACKS * seen[i].rays as f64

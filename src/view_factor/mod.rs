@@ -13,6 +13,7 @@
 mod blockers;
 mod closure;
 mod contact;
+mod enclosure;
 mod estimate;
 mod lost;
 mod paths;
@@ -30,6 +31,7 @@ use self::{
 };
 use crate::{Error, Progress, Result, form_factor::BeforeAfter};
 
+pub use enclosure::{Enclosure, leaks};
 pub use lost::{Lost, Share, Sight, most_open};
 
 /// Options for view factors.

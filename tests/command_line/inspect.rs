@@ -100,8 +100,12 @@ fn a_room_is_described_in_figures_and_sentences() {
     let output = here.run("inspect scene.obj --report r.json");
     assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()));
     let table = String::from_utf8(output.stdout).unwrap();
-    for said in ["12 triangles, 8 vertices, area 6.0", "probably in metres", "; closed", "concerns      none"]
-    {
+    for said in [
+        "12 triangles, 8 vertices, area 6.0",
+        "probably in metres",
+        "enclosed      yes",
+        "concerns      none",
+    ] {
         assert!(table.contains(said), "{said} is missing in\n{table}");
     }
     let report = here.json("r.json");

@@ -318,6 +318,58 @@ fn rays_or_the_user_decide_if_a_room_is_enclosed() {
     assert!(errors.contains("hint: ") && errors.contains("rays left the room"), "{errors}");
 }
 
+/// A box from corner to corner, seen from outside.
+fn block(low: [f64; 3], high: [f64; 3]) -> Vec<(&'static str, Vec<[f64; 3]>)> {
+    let place = |p: [f64; 3]| std::array::from_fn(|k| low[k] + (high[k] - low[k]) * p[k]);
+    let outward = |corners: Vec<[f64; 3]>| corners.into_iter().rev().map(place).collect();
+    cube(1, |_| "").into_iter().map(|(before, corners)| (before, outward(corners))).collect()
+}
+
+/// `inspect` and `--enclosed` agree about what is closed, and name the same faces where it is open: a room, one without a wall, with
+/// a cube on its floor, with one on the joint of two tiles, and with a hole in the floor beside it.
+#[test]
+fn inspect_and_enclosed_agree() {
+    let cut = |from: f64, to: f64| vec![[from, 0.0, 0.0], [to, 0.0, 0.0], [to, 1.0, 0.0], [from, 1.0, 0.0]];
+    let floor = (0..6).find(|&k| cube(1, |_| "")[k].1.iter().all(|p| p[2] == 0.0)).unwrap();
+    let with = |floors: &[Vec<[f64; 3]>], blocks: &[Vec<(&'static str, Vec<[f64; 3]>)>]| {
+        let mut faces = cube(1, |_| "");
+        faces.remove(floor);
+        faces.extend(floors.iter().map(|corners| ("", corners.clone())));
+        faces.extend(blocks.iter().flatten().cloned());
+        obj(faces)
+    };
+    let box_on_it = block([0.3, 0.4, 0.0], [0.7, 0.6, 0.3]);
+    let cases = [
+        ("a room", with(&[cut(0.0, 1.0)], &[]), true),
+        ("without a floor", with(&[], &[]), false),
+        ("a cube on the floor", with(&[cut(0.0, 1.0)], &[box_on_it.clone()]), true),
+        ("a cube on a joint", with(&[cut(0.0, 0.5), cut(0.5, 1.0)], &[box_on_it.clone()]), true),
+        ("a slit beside it", with(&[cut(0.0, 0.2), cut(0.21, 1.0)], &[box_on_it]), false),
+    ];
+    for (name, scene, is_closed) in cases {
+        let here = Here::new(&scene, "");
+        here.run("inspect scene.obj --report i.json");
+        let inspected = here.json("i.json");
+        let state = if is_closed { "yes" } else { "no" };
+        assert_eq!(inspected["enclosed"]["enclosed"], state, "{name}: {}", inspected["enclosed"]);
+        if is_closed {
+            let output =
+                here.run("view-factors scene.obj -o out.csv --enclosed --error 1e-3 --report r.json");
+            assert_eq!(output.status.code(), Some(0), "{name}: {}", stderr(&output));
+            assert_eq!(here.json("r.json")["enclosed"], true, "{name}");
+            continue;
+        }
+        let errors = here.fails("view-factors scene.obj -o out.csv --enclosed --error 1e-3", 2);
+        let open = inspected["enclosed"]["open_at"].as_array().unwrap();
+        assert!(!open.is_empty(), "{name}");
+        for face in open.iter().take(4) {
+            let share = 100.0 * face["lost_share"].as_f64().unwrap();
+            let named = format!("`{}` ({share:.3} %)", face["face"].as_str().unwrap());
+            assert!(errors.contains(&named), "{name}: {named} is not in {errors}");
+        }
+    }
+}
+
 #[test]
 fn reversed_walls_and_overlapping_faces_are_reported() {
     let mut faces = cube(1, |_| "");

@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use crate::common::{Corners, flipped, icosphere};
 use glam::{DVec3, dvec3};
 use radiosity::{
     Progress,
@@ -92,6 +93,23 @@ fn a_convex_body_in_a_room() {
     let heat = run(&[(body, at(400.0, 0.6)), (room, at(300.0, 0.2))], true, 0.0);
     let resistance = 1.0 / 0.6 + 0.24 / 600.0 * (1.0 / 0.2 - 1.0);
     close(heat.surfaces[0].heat, 0.24 * (power(400.0) - power(300.0)) / resistance, 1e-3);
+}
+
+/// One icosahedron in another one: all faces of each are alike, so the forms of concentric spheres hold without an error of
+/// discretisation. Script-F times area: A 𝓕12 = 1 / (1 / (A1 ε1) + (1 / ε2 - 1) / A2).
+#[test]
+fn script_f_of_concentric_bodies() {
+    let triangles = |t: Vec<Corners>| t.into_iter().map(Vec::from).collect::<Vec<Vec<DVec3>>>();
+    let (inner, outer) = (triangles(icosphere(0.5, 0)), triangles(flipped(icosphere(1.0, 0))));
+    let area = |polygons: &[Vec<DVec3>]| {
+        polygons.iter().map(|p| (p[1] - p[0]).cross(p[2] - p[0]).length() / 2.0).sum::<f64>()
+    };
+    let [(a1, e1), (a2, e2)] = [(area(&inner), 0.7), (area(&outer), 0.4)];
+    let heat = run(&[(inner, at(400.0, e1)), (outer, at(300.0, e2))], true, 0.0);
+    let right = 1.0 / (1.0 / (a1 * e1) + (1.0 / e2 - 1.0) / a2);
+    close(heat.exchange_areas[(0, 1)], right, 1e-4);
+    close(heat.exchange_areas[(1, 0)], right, 1e-4);
+    close(heat.surfaces[0].heat, right * (power(400.0) - power(300.0)), 1e-4);
 }
 
 /// Plates 1 m wide and 1 mm apart from an adiabatic shield between them: the heat is σ (T1⁴ - T2⁴) over

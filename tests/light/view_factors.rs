@@ -11,7 +11,8 @@ use radiosity::{
     scene::Material,
     trace::Tracer,
     view_factor::{
-        ViewFactorOptions, ViewFactors, look, view_factors, view_factors_among, view_factors_of_surfaces,
+        Enclosure, ViewFactorOptions, ViewFactors, look, view_factors, view_factors_among,
+        view_factors_of_surfaces,
     },
 };
 
@@ -381,6 +382,39 @@ fn a_box_on_the_floor_sees_what_it_stands_on() {
             let sigma = touching.standard_error(i, j).hypot(gap.standard_error(i, j));
             assert!((a - b).abs() < 5.0 * sigma + 2e-5, "{i} {j}: {a} and {b} ± {sigma}");
         }
+    }
+}
+
+/// A box on the joint of two tiles, and a panel with two sides that leans on the floor: in a closed room all rows close, however the
+/// faces touch, and the bottom of the box sees both tiles by the areas that it covers.
+#[test]
+fn contact_of_any_kind_leaves_rows_closed() {
+    let room = sides(dvec3(2.0, 1.5, 1.0), dvec3(2.0, 1.5, 1.0), 0.0, -1.0, 1);
+    let joint = 1.2;
+    let tiles = [
+        rectangle(DVec3::ZERO, DVec3::X * joint, DVec3::Y * 3.0),
+        rectangle(DVec3::X * joint, DVec3::X * (4.0 - joint), DVec3::Y * 3.0),
+    ];
+    let half = dvec3(0.4, 0.3, 0.25);
+    let leaning = [dvec3(2.5, 0.5, 0.0), dvec3(0.0, 2.0, 0.0), dvec3(0.985, 0.0, 0.174)];
+    let panel =
+        [rectangle(leaning[0], leaning[1], leaning[2]), rectangle(leaning[0], leaning[2], leaning[1])];
+    let walls = room.iter().enumerate().filter(|(k, _)| *k != 4).map(|(_, wall)| wall.clone());
+    let mut polygons: Vec<Vec<DVec3>> = tiles.into_iter().chain(walls).chain(panel).collect();
+    let bottom = polygons.len() + 4;
+    polygons.extend(sides(dvec3(1.1, 1.3, half.z), half, 0.0, 1.0, 1));
+    let seen = look(&polygons.iter().map(|p| vec![p.clone()]).collect::<Vec<_>>(), &[], DVec3::Z);
+    assert_eq!(Enclosure::of(&seen), Enclosure::Closed);
+    let found = compute(&polygons, 1e-3, true);
+    // It reaches from 0.7 to 1.5.
+    for (tile, share) in [(0, (joint - 0.7) / 0.8), (1, (1.5 - joint) / 0.8)] {
+        // Clipping is exact to some 10⁻¹¹ of coordinates.
+        assert!((found.get(bottom, tile) - share).abs() < 1e-9, "{tile}: {}", found.get(bottom, tile));
+    }
+    assert_eq!(found.row(bottom).count(), 2);
+    for i in 0..polygons.len() {
+        let sum: f64 = found.row(i).map(|(_, f)| f).sum();
+        assert!((sum - 1.0).abs() < 1e-12, "row {i}: {sum}");
     }
 }
 
