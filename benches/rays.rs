@@ -142,6 +142,6 @@ fn ray(scene: &Scene, tracer: &Tracer, areas_below: &[f64], index: u32) -> (Vec3
     let t = areas_below.partition_point(|&a| a < wanted).min(scene.triangles.len() - 1);
     let triangle = &tracer.triangles()[t];
     let [x, y, u, v] = sobol_4d(index, 1);
-    let from = Tracer::leave(triangle.point(square_to_triangle(x, y)), triangle.normal);
+    let from = triangle.side(true).leave(triangle.point(square_to_triangle(x, y)));
     (from, around(triangle.normal, square_to_cosine_hemisphere(u, v)))
 }

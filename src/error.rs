@@ -75,6 +75,18 @@ pub enum Error {
         /// Its row sum.
         sum: f64,
     },
+    /// A face stands before another one at a distance that the single precision of rays does not resolve.
+    #[error(
+        "triangles {} and {} are {width:.3e} apart, and rays resolve {resolved:.3e} there", triangles[0], triangles[1]
+    )]
+    UnresolvedGap {
+        /// Indices of the two triangles in the scene.
+        triangles: [u32; 2],
+        /// How far apart they are, in the file's unit.
+        width: f64,
+        /// The narrowest gap that rays would resolve there.
+        resolved: f64,
+    },
     /// [`Progress::stop`](crate::Progress::stop) was called.
     #[error("stopped")]
     Stopped,
@@ -232,6 +244,10 @@ impl Error {
                 hint.as_deref()
             }
             Error::NotConverged { .. } => Some("raise the tolerance, or choose another solver"),
+            Error::UnresolvedGap { .. } => Some(
+                "single precision has seven digits: leave out what is far away, compute parts of the scene one by one, or \
+                 join the two faces",
+            ),
             Error::NoEquilibrium => Some("give a material a reflectance below 1, or open the scene"),
             _ => None,
         }

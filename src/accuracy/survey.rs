@@ -185,11 +185,11 @@ fn kept(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]
         }
         let triangle = &tracer.triangles()[lamp[at]];
         let [x, y, mut u, mut v] = sobol_4d(k, 0);
-        let (mut point, mut normal) = (triangle.point(square_to_triangle(x, y)), triangle.side_normal(front));
+        let (mut point, mut side) = (triangle.point(square_to_triangle(x, y)), triangle.side(front));
         kept += 1;
         for step in 0..STEPS {
-            let origin = Tracer::leave(point, normal);
-            let hit = tracer.closest(origin, around(normal, square_to_cosine_hemisphere(u, v)));
+            let direction = around(side.normal, square_to_cosine_hemisphere(u, v));
+            let hit = tracer.closest(side.leave(point), direction);
             let Some(hit) = hit else {
                 kept -= 1;
                 break;
@@ -198,7 +198,7 @@ fn kept(scene: &Scene, tracer: &Tracer, lamp: &[usize], front: bool, [low, high]
                 met[scene.triangles[hit.triangle as usize].material as usize] += 1;
             }
             let triangle = &tracer.triangles()[hit.triangle as usize];
-            (point, normal) = (triangle.point(hit.barycentric), triangle.side_normal(hit.front));
+            (point, side) = (triangle.point(hit.barycentric), triangle.side(hit.front));
             if point.cmplt(low).any() || point.cmpgt(high).any() {
                 kept -= 1;
                 break;
@@ -261,7 +261,7 @@ fn cast(
                 let t = from[below.partition_point(|&b| b < at).min(from.len() - 1)];
                 let triangle = &tracer.triangles()[t];
                 let [x, y, u, v] = sobol_4d(k as u32, seed);
-                let origin = Tracer::leave(triangle.point(square_to_triangle(x, y)), triangle.normal);
+                let origin = triangle.side(true).leave(triangle.point(square_to_triangle(x, y)));
                 let direction = around(triangle.normal, square_to_cosine_hemisphere(u, v));
                 seen.rays += 1;
                 match tracer.closest(origin, direction) {

@@ -21,7 +21,6 @@ use radiosity::{
     patch::Patches,
     scene::light::Weather,
     solve::Solver,
-    trace::Tracer,
 };
 
 use super::{
@@ -103,7 +102,7 @@ pub fn run(args: &DaylightArgs) -> Result<Outcome> {
     times.load = load;
     pipeline::flatten(&mut scene, &args.scene, &watch);
     let tracer;
-    (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
+    (tracer, times.bvh) = watch.stage("bvh", || pipeline::trace(&scene, &args.scene.path, &watch))?;
     let up = args.scene.lights.up();
     let options = DaylightOptions::default()
         .with_parts(SkyParts::new(args.division as usize))

@@ -50,9 +50,42 @@ pub fn load_as_given(
             "give a material an emitted radiance with --emit, or with a line like `Ke 10 10 10` in the .mtl file, or add --sun or --sky",
         ));
     }
-    (tracer, times.bvh) = watch.stage("bvh", || Ok(Tracer::new(&scene)))?;
+    (tracer, times.bvh) = watch.stage("bvh", || trace(&scene, path, watch))?;
     warn_of_turned_lamps(&scene, &tracer, watch);
     Ok((scene, tracer))
+}
+
+/// The ray tracer of a scene. Refuses a scene with a gap that rays do not resolve, and warns of one that they resolve badly.
+pub fn trace(scene: &Scene, path: &Path, watch: &Watch) -> Result<Tracer> {
+    let tracer = Tracer::new(scene);
+    let face = |t: u32| {
+        let triangle = &scene.triangles[t as usize];
+        let face = scene.faces.partition_point(|face| face.first <= triangle.source).checked_sub(1);
+        let line = face.and_then(|face| scene.faces[face].line);
+        (line, format!("face {} of `{}`", face.unwrap_or(t as usize), scene.material(t as usize).name))
+    };
+    let told = |[one, other]: [u32; 2], width: f64, resolved: f64| {
+        let [(line, one), (_, other)] = [one, other].map(face);
+        (line, format!("{one} is {width:.3e} from {other}, and rays resolve {resolved:.3e} there"))
+    };
+    match tracer.check_gaps(scene) {
+        Ok(None) => {}
+        Ok(Some(gap)) => {
+            let (line, message) = told(gap.triangles, gap.width, gap.resolved);
+            let line = line.map_or(String::new(), |line| format!(":{line}"));
+            watch.warn(&format!(
+                "{}{line}: {message}: light between them may be off by {:.0} %",
+                path.display(),
+                100.0 * gap.share()
+            ));
+        }
+        Err(error) => {
+            let Error::UnresolvedGap { triangles, width, resolved } = error else { return Err(error) };
+            let (line, message) = told(triangles, width, resolved);
+            return Err(Error::input(path, line, message).with_hint(error.hint().unwrap_or_default()));
+        }
+    }
+    Ok(tracer)
 }
 
 /// Warns of luminaires that are inside out.

@@ -222,8 +222,8 @@ impl<'a> Daylight<'a> {
         progress.begin("gathering at points", points.len() as u64);
         let of_point = |(k, &(point, normal)): (usize, &Place)| {
             progress.check()?;
-            let normal = normal.normalize().as_vec3a();
-            let origin = Tracer::leave(self.tracer.to_unit(point), normal);
+            let (place, side) = self.tracer.place(point, normal);
+            let (origin, normal) = (side.leave(place), side.normal);
             let (mut direct, mut met) = (vec![0f64; count], vec![0f64; self.patches.len()]);
             let share = 1.0 / f64::from(rays_of_points);
             let seed = mix(&[seed, k as u64, 0x706f_696e_7473]);
@@ -261,10 +261,9 @@ impl<'a> Daylight<'a> {
 
     /// Whether a point receives direct light from the sun in the direction `towards`.
     pub fn sees(&self, (point, normal): &Place, towards: DVec3) -> bool {
-        let normal = normal.normalize().as_vec3a();
+        let (place, side) = self.tracer.place(*point, *normal);
         let towards = towards.as_vec3a();
-        let origin = Tracer::leave(self.tracer.to_unit(*point), normal);
-        normal.dot(towards) > 0.0 && self.tracer.closest(origin, towards).is_none()
+        side.normal.dot(towards) > 0.0 && self.tracer.closest(side.leave(place), towards).is_none()
     }
 }
 

@@ -7,21 +7,18 @@ use glam::Vec3A;
 use crate::{
     patch::Patches,
     trace::{
-        Tracer,
+        Side, Tracer,
         sampling::{cosine_hemisphere, square_to_triangle, tangents},
         sobol::{LANES, Sobol, blocks},
     },
 };
 
-/// A face at most this far in front of a patch, in unit space, counts as being at the same place: rays start beyond it.
-const SAME_PLACE: f32 = 4e-6;
-
-/// The part of a patch from which rays start: its corners, inset from the triangle's edges, and its normal, in unit
+/// The part of a patch from which rays start: its corners, inset from the triangle's edges, and its side, in unit
 /// space.
 #[derive(Debug, Clone)]
 pub(crate) struct Footprint {
     pub(super) corners: [Vec3A; 3],
-    pub(crate) normal: Vec3A,
+    pub(crate) side: Side,
 }
 
 /// A ray from a point of a patch in a cosine-distributed direction.
@@ -39,8 +36,14 @@ impl Footprint {
         let triangle = &tracer.triangles()[patches.triangle(i)];
         Footprint {
             corners: patches.barycentric_corners(i).map(|b| triangle.point(b.map(|x| x as f32))),
-            normal: triangle.side_normal(patches.is_front(i)),
+            side: triangle.side(patches.is_front(i)),
         }
+    }
+
+    /// The unit normal.
+    #[inline]
+    pub(crate) fn normal(&self) -> Vec3A {
+        self.side.normal
     }
 
     /// The point with these barycentric coordinates.
@@ -55,7 +58,7 @@ impl Footprint {
         indices: Range<u32>,
         seed: u64,
     ) -> impl Iterator<Item = HemisphereRay> + '_ {
-        let (sobol, [tangent, bitangent]) = (Sobol::new(seed), tangents(self.normal));
+        let (sobol, [tangent, bitangent]) = (Sobol::new(seed), tangents(self.normal()));
         blocks(indices).flat_map(move |(first, lanes)| {
             // The first two dimensions are stratified better and choose the direction.
             let [u, v, x, y] = sobol.points(first);
@@ -69,14 +72,14 @@ impl Footprint {
                 }
             }
             for (axis, at) in at.iter_mut().enumerate() {
-                Tracer::leave_along(at, self.normal, axis);
+                self.side.leave_along(at, axis);
             }
             lanes.map(move |lane| {
                 let [x, y, cosine] = lifted[lane];
                 HemisphereRay {
                     index: first + lane as u32,
                     origin: Vec3A::new(at[0][lane], at[1][lane], at[2][lane]),
-                    direction: tangent * x + bitangent * y + self.normal * cosine,
+                    direction: tangent * x + bitangent * y + self.normal() * cosine,
                 }
             })
         })
@@ -92,11 +95,13 @@ pub(crate) fn kernel(path: Vec3A, from: Vec3A, to: Vec3A) -> f32 {
 
 /// Whether another face lies on the middle of patch `i` and faces the same way.
 pub(crate) fn is_hidden(tracer: &Tracer, patches: &Patches, i: usize) -> bool {
-    let Footprint { corners, normal } = Footprint::new(tracer, patches, i);
+    let Footprint { corners, side } = Footprint::new(tracer, patches, i);
     let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
-    tracer.closest(Tracer::leave(middle, normal), -normal).is_some_and(|hit| {
+    // Rays begin beyond a face that is nearer than this.
+    let same_place = 4.0 * side.clearance();
+    tracer.closest(side.leave(middle), -side.normal).is_some_and(|hit| {
         hit.front == patches.is_front(i)
-            && hit.t <= SAME_PLACE
+            && hit.t <= same_place
             && hit.triangle as usize != patches.triangle(i)
     })
 }

@@ -181,11 +181,11 @@ impl Piece {
         let (p, q, weight) = match &self.source {
             Source::Surface(surface) => {
                 let (p, q, weight) = surface.sample(from, point)?;
-                (p, Tracer::leave(q, surface.footprint.normal), weight)
+                (p, surface.footprint.side.leave_towards(q, p), weight)
             }
             Source::Remote(remote, _) => remote.sample(from, point)?,
         };
-        Some((Tracer::leave(p, from.normal), q, weight))
+        Some((from.side.leave_towards(p, q), q, weight))
     }
 }
 
@@ -208,8 +208,8 @@ impl Surface {
             let (point, at) = (p.as_dvec3(), corners.map(|corner| corner.as_dvec3()));
             let (direction, solid_angle) = solid_angle::sample(at, point, [u, v].map(f64::from))?;
             let (cos, cos_lamp) =
-                (direction.dot(from.normal.as_dvec3()), -direction.dot(own.normal.as_dvec3()));
-            let height = -f64::from((own.corners[0] - p).dot(own.normal));
+                (direction.dot(from.normal().as_dvec3()), -direction.dot(own.normal().as_dvec3()));
+            let height = -f64::from((own.corners[0] - p).dot(own.normal()));
             if cos <= 0.0 || cos_lamp <= 0.0 || height <= 0.0 {
                 return None;
             }
@@ -218,9 +218,9 @@ impl Surface {
             return Some((p, q.as_vec3a(), whole * weight));
         }
         let q = within(&corners, square_to_triangle(u, v));
-        let facing = (q - p).dot(from.normal) > 0.0 && (q - p).dot(own.normal) < 0.0;
+        let facing = (q - p).dot(from.normal()) > 0.0 && (q - p).dot(own.normal()) < 0.0;
         let area = self.area * f64::from(of_piece.of_all);
-        facing.then(|| (p, q, whole * area * f64::from(kernel(q - p, from.normal, own.normal))))
+        facing.then(|| (p, q, whole * area * f64::from(kernel(q - p, from.normal(), own.normal()))))
     }
 }
 
@@ -236,7 +236,7 @@ struct Part {
 /// Also returns the rest of the number, stretched to \[0, 1) again. Returns `None` if nothing is in front.
 #[inline]
 fn part_in_front(corners: &[Vec3A; 3], face: &Footprint, u: f32) -> Option<([Vec3A; 3], f32, Part)> {
-    let heights = corners.map(|corner| (corner - face.corners[0]).dot(face.normal));
+    let heights = corners.map(|corner| (corner - face.corners[0]).dot(face.normal()));
     if heights.iter().all(|&h| h >= 0.0) {
         return Some((*corners, u, Part { of_all: 1.0, chosen: 1.0 }));
     }
@@ -330,7 +330,7 @@ impl Lamps {
                 let surface = Surface {
                     footprint: Footprint {
                         corners: corners.map(|b| triangle.point(b.map(|x| x as f32))),
-                        normal: triangle.normal,
+                        side: triangle.side(true),
                     },
                     facing,
                     area: 0.5 * (b - a).cross(c - a).length(),
@@ -442,12 +442,12 @@ impl Lamps {
         let walk = self.tree.as_ref().map(|tree| {
             let middle = (from.corners[0] + from.corners[1] + from.corners[2]) / 3.0;
             let radius = from.corners.iter().map(|c| c.distance(middle)).fold(0.0, f32::max);
-            (tree, (middle.as_dvec3(), radius.into(), from.normal.as_dvec3()))
+            (tree, (middle.as_dvec3(), radius.into(), from.normal().as_dvec3()))
         });
         let mut found = vec![0.0; self.pieces.len()];
         if self.has_remote() {
             let corners = from.corners.map(|corner| corner.as_dvec3());
-            let patch = Facing { corners, normal: from.normal.as_dvec3() };
+            let patch = Facing { corners, normal: from.normal().as_dvec3() };
             let from = if walk.is_some() { self.surfaces } else { 0 };
             let asked = found[from..].iter_mut().zip(&self.pieces[from..]);
             asked.for_each(|(found, piece)| *found = piece.unoccluded(&patch));

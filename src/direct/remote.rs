@@ -91,7 +91,7 @@ impl Remote {
         match self {
             Remote::Distant(distant) => {
                 let direction = distant.sample([u, v].map(f64::from));
-                let cos = direction.dot(from.normal.as_dvec3());
+                let cos = direction.dot(from.normal().as_dvec3());
                 if cos <= 0.0 {
                     return None;
                 }
@@ -105,7 +105,7 @@ impl Remote {
             }
             Remote::Cell(cell) => {
                 let direction = cell.sample([u, v].map(f64::from));
-                let cos = direction.dot(from.normal.as_dvec3());
+                let cos = direction.dot(from.normal().as_dvec3());
                 let p = from.at(square_to_triangle(x, y));
                 let weight = cos * cell.solid_angle();
                 (cos > 0.0).then(|| (p, p + direction.as_vec3a() * FAR_AWAY, weight))
@@ -114,7 +114,7 @@ impl Remote {
                 let at = *at + shining.map_or(DVec3::ZERO, |area| area.sample([u, v].map(f64::from)));
                 let at = &at;
                 let corners = from.corners.map(|corner| corner.as_dvec3());
-                let normal = from.normal.as_dvec3();
+                let normal = from.normal().as_dvec3();
                 let height = (*at - corners[0]).dot(normal);
                 if height <= 0.0 {
                     return None;
@@ -190,6 +190,7 @@ fn flux(distribution: &Distribution, at: DVec3, corners: [DVec3; 3], cuts: u32) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::trace::Side;
     use glam::dvec3;
 
     /// The integral of intensity over near and far triangles is the mean of many samples.
@@ -207,7 +208,7 @@ mod tests {
                 let corners = [DVec3::ZERO, dvec3(size, 0.0, 0.0), dvec3(0.0, size, 0.0)];
                 let from = Footprint {
                     corners: corners.map(|corner| corner.as_vec3a()),
-                    normal: Vec3A::new(0.0, 0.0, 1.0),
+                    side: Side::new(Vec3A::Z, Vec3A::ONE),
                 };
                 let count = 512;
                 let cell = |k: usize| (k as f32 + 0.5) / count as f32;

@@ -37,9 +37,14 @@ pub(super) struct Facing {
 pub(super) fn form_factor(patch: &Facing, lamp: &Facing) -> f64 {
     let Facing { corners, normal } = *patch;
     let heights = corners.map(|c| (c - lamp.corners[0]).dot(lamp.normal));
-    // Heights up to single-precision rounding count as in the lamp's plane.
-    if heights.iter().all(|&h| h <= f64::from(f32::EPSILON)) {
-        return 0.0;
+    // Heights up to single-precision rounding count as in the lamp's plane. Coordinates are 2 at most.
+    const MOST: f64 = 4.0 * f32::EPSILON as f64;
+    if heights.iter().all(|&h| h <= MOST) {
+        let reach = corners.iter().chain(&lamp.corners).fold(DVec3::ZERO, |reach, c| reach.max(c.abs()));
+        let rounding = f64::from(f32::EPSILON) * lamp.normal.abs().dot(reach);
+        if heights.iter().all(|&h| h <= rounding) {
+            return 0.0;
+        }
     }
     let rises = lamp.corners.map(|c| (c - corners[0]).dot(normal));
     if rises.iter().all(|&h| h <= 0.0) {

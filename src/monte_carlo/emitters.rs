@@ -7,7 +7,7 @@ use glam::Vec3A;
 use super::Samples;
 use crate::{
     scene::{Scene, quadtree},
-    trace::{Tracer, sampling::square_to_triangle},
+    trace::{Side, Tracer, sampling::square_to_triangle},
 };
 
 /// An emitting triangle, or a part of a triangle with an emission texture.
@@ -37,8 +37,8 @@ const DEEPEST: u8 = 12;
 pub(super) struct EmitterPoint {
     /// The point in unit space.
     pub(super) position: Vec3A,
-    /// Normal of the side that emits.
-    pub(super) normal: Vec3A,
+    /// The side that emits.
+    pub(super) side: Side,
     /// Emitted radiance.
     pub(super) radiance: [f64; 3],
     /// Probability per area in unit space.
@@ -158,7 +158,7 @@ impl Emitters {
         let shape = &tracer.triangles()[triangle as usize];
         EmitterPoint {
             position: shape.point(barycentric),
-            normal: shape.normal,
+            side: shape.side(true),
             radiance: scene.emission_at(triangle as usize, barycentric.map(f64::from)),
             density,
         }

@@ -5,7 +5,7 @@ use glam::Vec3A;
 use super::Camera;
 use crate::{
     Result,
-    scene::Scene,
+    scene::{Scene, centre_and_extent},
     trace::{Tracer, sampling::mix},
 };
 
@@ -48,6 +48,8 @@ impl Camera {
     pub fn frame(scene: &Scene, tracer: &Tracer, width: usize, height: usize) -> Result<Camera> {
         let (low, high) = bounds(scene, tracer);
         let centre = (low + high) * 0.5;
+        // In double precision, as it is written to reports.
+        let (middle, _) = centre_and_extent(scene.vertices.iter().copied());
         let inside: Vec<Surroundings> = (0..PLACES)
             .map(|i| low + (high - low) * (place(i) * 0.8 + 0.1))
             .map(|p| look_around(tracer, p))
@@ -57,7 +59,7 @@ impl Camera {
         let (eye, look_at, up, fov) = match kind(&inside) {
             Kind::Closed => {
                 let (eye, look_at) = from_corner(tracer, low, high, &inside);
-                (eye, look_at, Vec3A::Y, INSIDE)
+                (eye, tracer.to_file(look_at), Vec3A::Y, INSIDE)
             }
             Kind::OpenTowards(side) => {
                 let axis = AXES[side];
@@ -66,16 +68,16 @@ impl Camera {
                 let across = half * (Vec3A::ONE - axis.abs() - up);
                 // The opening fills the picture, with a margin of 3 %.
                 let distance = fit(half.dot(up).max(across.element_sum() / aspect as f32) * 1.03, OUTSIDE);
-                (centre + axis * (half.dot(axis.abs()) + distance), centre, up, OUTSIDE)
+                (centre + axis * (half.dot(axis.abs()) + distance), middle, up, OUTSIDE)
             }
             Kind::Object => {
                 let radius = (high - low).length() * 0.5;
                 let half_angle = (OUTSIDE.to_radians() / 2.0).tan() * aspect.min(1.0);
                 let distance = radius / (half_angle.atan().sin() as f32).max(1e-3);
-                (centre + Vec3A::new(0.55, 0.45, 0.7).normalize() * distance, centre, Vec3A::Y, OUTSIDE)
+                (centre + Vec3A::new(0.55, 0.45, 0.7).normalize() * distance, middle, Vec3A::Y, OUTSIDE)
             }
         };
-        Camera::new(tracer.to_file(eye), tracer.to_file(look_at), up.as_dvec3(), fov, width, height)
+        Camera::new(tracer.to_file(eye), look_at, up.as_dvec3(), fov, width, height)
     }
 }
 

@@ -25,7 +25,7 @@ use crate::{
     Error, Progress, Result,
     scene::Scene,
     trace::{
-        Hit, Tracer,
+        Hit, Side, Tracer,
         sampling::{around, mix, square_to_cosine_hemisphere},
     },
 };
@@ -120,9 +120,9 @@ pub struct LightTracer<'a> {
 enum Event<'h> {
     /// Flux arrives at a hit.
     Arrives(&'h Hit, DVec3),
-    /// Flux leaves a point with a normal. The function returns this flux per solid angle and cosine in the direction of
-    /// a vector.
-    Leaves(Vec3A, Vec3A, &'h dyn Fn(Vec3A) -> DVec3),
+    /// Flux leaves a point of a side. The function returns this flux per solid angle and cosine in the direction of a
+    /// vector.
+    Leaves(Vec3A, Side, &'h dyn Fn(Vec3A) -> DVec3),
 }
 
 /// A particle at its origin.
@@ -184,8 +184,8 @@ impl<'a> LightTracer<'a> {
         let lens = camera.lens(self.tracer);
         let (width, height) = (camera.width(), camera.height());
         let found = self.run(width * height, progress, |counters, event| {
-            if let Event::Leaves(point, normal, leaving) = event {
-                self.splat(&lens, point, normal, leaving, counters);
+            if let Event::Leaves(point, side, leaving) = event {
+                self.splat(&lens, point, side, leaving, counters);
             }
         })?;
         let film = |pick: fn(&Estimate) -> [f64; 3]| {
@@ -329,12 +329,12 @@ impl<'a> LightTracer<'a> {
             };
             report(Event::Arrives(&hit, flux));
             let shape = &self.tracer.triangles()[hit.triangle as usize];
-            let (point, normal) = (shape.point(hit.barycentric), shape.side_normal(hit.front));
-            origin = Tracer::leave(point, normal);
+            let (point, side) = (shape.point(hit.barycentric), shape.side(hit.front));
+            origin = side.leave(point);
             let (surface, reflectance) = S::met(place, &hit, direction);
             let arrived = flux * reflectance;
-            report(Event::Leaves(point, normal, &|to| arrived * surface.brdf(to)));
-            let bounce = surface.sample(normal, samples);
+            report(Event::Leaves(point, side, &|to| arrived * surface.brdf(to)));
+            let bounce = surface.sample(side.normal, samples);
             let weight = bounce.map_or(DVec3::ZERO, |b| b.weight * reflectance);
             let q = if hits < self.options.continuous { 1.0 } else { survival(weight, flux) };
             let kept =
@@ -363,13 +363,13 @@ impl<'a> LightTracer<'a> {
             of_lamps = 1.0 - self.share;
         }
         let lamp = self.emitters.sample(self.scene, self.tracer, samples);
-        let (point, normal) = (lamp.position, lamp.normal);
+        let (point, side) = (lamp.position, lamp.side);
         let file_density = lamp.density / self.tracer.scale().powi(2);
         let flux = DVec3::from(lamp.radiance) * (PI * share / (file_density * of_lamps));
-        report(Event::Leaves(point, normal, &|_| flux * FRAC_1_PI));
+        report(Event::Leaves(point, side, &|_| flux * FRAC_1_PI));
         let [x, y] = samples.square();
-        let direction = around(normal, square_to_cosine_hemisphere(x, y));
-        Begun { origin: Tracer::leave(point, normal), direction, flux, is_outside: false }
+        let direction = around(side.normal, square_to_cosine_hemisphere(x, y));
+        Begun { origin: side.leave(point), direction, flux, is_outside: false }
     }
 
     /// Adds flux that leaves a point to the radiance of the pixel in which the camera sees the point.
@@ -382,14 +382,14 @@ impl<'a> LightTracer<'a> {
         &self,
         lens: &Lens,
         point: Vec3A,
-        normal: Vec3A,
+        side: Side,
         leaving: &dyn Fn(Vec3A) -> DVec3,
         counters: &mut [[f64; 3]],
     ) {
         let Some((pixel, cos_axis)) = lens.pixel_of(point) else { return };
-        let from = Tracer::leave(point, normal);
+        let from = side.leave_towards(point, lens.eye());
         let to = lens.eye() - from;
-        let cos = to.dot(normal);
+        let cos = to.dot(side.normal);
         if cos > 0.0 && self.tracer.visible(from, lens.eye()) {
             let squared = f64::from(to.length_squared());
             let cover = f64::from(cos) / (squared * squared.sqrt() * cos_axis.powi(3));

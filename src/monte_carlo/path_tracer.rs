@@ -14,9 +14,9 @@ use super::{
 };
 use crate::{
     Progress, Result,
-    scene::{Scene, direction},
+    scene::Scene,
     trace::{
-        Hit, Tracer,
+        Hit, Side, Tracer,
         sampling::{around, sobol_4d, square_to_cosine_hemisphere, square_to_triangle},
     },
 };
@@ -25,9 +25,6 @@ use crate::{
 /// its square root, the variance of long paths is infinite. With 0.98, the estimate for a furnace of reflectance 0.999
 /// was less than half of the true value, with error bars of a few percent.
 const MOST_LIKELY_SURVIVAL: f64 = 0.9999;
-
-/// Largest distance in unit space between a surface and a point on it whose coordinates were rounded to six digits.
-const NEAR: f32 = 4e-6;
 
 /// Options of [`PathTracer::new`]. Only `max_bounces` changes the expectation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,33 +59,24 @@ impl Default for PathOptions {
 pub struct Receiver {
     /// The point.
     pub position: Vec3A,
-    /// Unit normal of the receiving side.
-    pub normal: Vec3A,
+    /// The receiving side.
+    pub side: Side,
 }
 
 impl Receiver {
     /// A point on the front or back of a triangle of the scene.
     pub fn on_triangle(tracer: &Tracer, triangle: usize, barycentric: [f64; 3], front: bool) -> Receiver {
         let shape = &tracer.triangles()[triangle];
-        Receiver { position: shape.point(barycentric.map(|b| b as f32)), normal: shape.side_normal(front) }
+        Receiver { position: shape.point(barycentric.map(|b| b as f32)), side: shape.side(front) }
     }
 
-    /// A point in scene coordinates. It need not lie on a surface. A point that lies on a surface up to the rounding of
-    /// printed coordinates is moved onto it, because it would be dark just below the surface.
+    /// A point in scene coordinates ([`Tracer::place`]).
     ///
     /// # Panics
     /// If the normal is zero or not finite.
     pub fn free(tracer: &Tracer, point: DVec3, normal: DVec3) -> Receiver {
-        let normal = direction(normal).expect("a normal has a direction").as_vec3a();
-        let given = Receiver { position: tracer.to_unit(point), normal };
-        match tracer.closest(given.position + normal * NEAR, -normal) {
-            Some(hit) if hit.t < 2.0 * NEAR => {
-                let met = Receiver::of_hit(tracer, &hit);
-                // A surface at a steep angle to the normal is a chance hit near an edge.
-                if met.normal.dot(normal) > 0.7 { Receiver { position: met.position, normal } } else { given }
-            }
-            _ => given,
-        }
+        let (position, side) = tracer.place(point, normal);
+        Receiver { position, side }
     }
 
     /// Whether the point sees the backs of faces in almost all directions, with cosine weight: it lies below a surface or inside a
@@ -96,10 +84,10 @@ impl Receiver {
     pub fn is_buried(&self, tracer: &Tracer) -> bool {
         const RAYS: u32 = 64;
         const MOSTLY: f64 = 0.9;
-        let origin = Tracer::leave(self.position, self.normal);
+        let origin = self.side.leave(self.position);
         let sees_back = |&k: &u32| {
             let [x, y, ..] = sobol_4d(k, 0);
-            let direction = around(self.normal, square_to_cosine_hemisphere(x, y));
+            let direction = around(self.side.normal, square_to_cosine_hemisphere(x, y));
             tracer.closest(origin, direction).is_some_and(|hit| !hit.front)
         };
         (0..RAYS).filter(sees_back).count() as f64 >= MOSTLY * f64::from(RAYS)
@@ -109,7 +97,7 @@ impl Receiver {
     #[inline]
     pub fn of_hit(tracer: &Tracer, hit: &Hit) -> Receiver {
         let shape = &tracer.triangles()[hit.triangle as usize];
-        Receiver { position: shape.point(hit.barycentric), normal: shape.side_normal(hit.front) }
+        Receiver { position: shape.point(hit.barycentric), side: shape.side(hit.front) }
     }
 }
 
@@ -199,7 +187,7 @@ impl<'a> PathTracer<'a> {
     pub fn irradiance(&self, at: Receiver, samples: &mut Samples) -> [f64; 3] {
         let factor = DVec3::splat(PI);
         let found = if self.glossy {
-            self.gather(at, Surface::receiver(at.normal), factor, 0, samples)
+            self.gather(at, Surface::receiver(at.side.normal), factor, 0, samples)
         } else {
             self.gather(at, Diffuse, factor, 0, samples)
         };
@@ -321,19 +309,19 @@ impl<'a> PathTracer<'a> {
         surface: &S,
         samples: &mut Samples,
     ) -> (DVec3, Option<(Hit, Bounce)>) {
-        let bounce = surface.sample(at.normal, samples);
-        let origin = Tracer::leave(at.position, at.normal);
+        let bounce = surface.sample(at.side.normal, samples);
+        let origin = at.side.leave(at.position);
         let mut light = DVec3::ZERO;
         if self.options.next_event && !self.emitters.is_empty() {
-            light += self.look_at_emitter(origin, at.normal, surface, samples);
+            light += self.look_at_emitter(at, surface, samples);
         }
         if !self.outside.is_empty() {
-            light += self.look_outside(origin, at.normal, surface, samples);
+            light += self.look_outside(at, surface, samples);
         }
         let Some(bounce) = bounce else { return (light, None) };
         let hit = self.tracer.closest(origin, bounce.direction);
         if hit.is_none() && !self.outside.is_empty() {
-            let (place, next_event) = ((origin, at.normal), self.options.next_event);
+            let (place, next_event) = ((origin, at.side.normal), self.options.next_event);
             let towards = bounce.direction.normalize();
             light += bounce.weight * self.outside.met(place, towards, bounce.density, next_event);
         }
@@ -357,15 +345,16 @@ impl<'a> PathTracer<'a> {
     #[inline]
     fn look_at_emitter<'s, S: Scattering<'s>>(
         &self,
-        origin: Vec3A,
-        normal: Vec3A,
+        at: Receiver,
         surface: &S,
         samples: &mut Samples,
     ) -> DVec3 {
         let lamp = self.emitters.sample(self.scene, self.tracer, samples);
-        let target = Tracer::leave(lamp.position, lamp.normal);
+        let normal = at.side.normal;
+        let origin = at.side.leave_towards(at.position, lamp.position);
+        let target = lamp.side.leave_towards(lamp.position, at.position);
         let to = target - origin;
-        let (cos, cos_lamp) = (to.dot(normal), -to.dot(lamp.normal));
+        let (cos, cos_lamp) = (to.dot(normal), -to.dot(lamp.side.normal));
         if !(cos > 0.0 && cos_lamp > 0.0) {
             return DVec3::ZERO;
         }
@@ -383,16 +372,12 @@ impl<'a> PathTracer<'a> {
     /// The same as [`PathTracer::look_at_emitter`] for lights that are not surfaces. No bounce can hit a light without
     /// size, so its weight is 1.
     #[inline]
-    fn look_outside<'s, S: Scattering<'s>>(
-        &self,
-        origin: Vec3A,
-        normal: Vec3A,
-        surface: &S,
-        samples: &mut Samples,
-    ) -> DVec3 {
-        let Some(look) = self.outside.look(origin, normal, self.options.next_event, samples) else {
+    fn look_outside<'s, S: Scattering<'s>>(&self, at: Receiver, surface: &S, samples: &mut Samples) -> DVec3 {
+        let normal = at.side.normal;
+        let Some(look) = self.outside.look(at.position, normal, self.options.next_event, samples) else {
             return DVec3::ZERO;
         };
+        let origin = at.side.leave_towards(at.position, look.target);
         let to = look.target - origin;
         if to.dot(normal) <= 0.0 {
             return DVec3::ZERO;

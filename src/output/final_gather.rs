@@ -71,11 +71,11 @@ impl<'a> FinalGather<'a> {
     /// One sample of the irradiance of a point, W/m².
     pub fn irradiance(&self, at: Receiver, samples: &mut Samples) -> [f64; 3] {
         let direct = DVec3::from(self.direct.irradiance(at, samples));
-        let origin = Tracer::leave(at.position, at.normal);
+        let origin = at.side.leave(at.position);
         let mut reflected = DVec3::ZERO;
         for ray in 0..self.rays {
             let [x, y] = samples.branch(ray, self.rays).square();
-            let direction = around(at.normal, square_to_cosine_hemisphere(x, y));
+            let direction = around(at.side.normal, square_to_cosine_hemisphere(x, y));
             if let Some(hit) = self.tracer.closest(origin, direction) {
                 // The sample is π times the radiance ρ E' / π.
                 reflected += self.reflected(&hit);

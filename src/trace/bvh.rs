@@ -156,11 +156,13 @@ impl<'a> Way<'a> {
 pub(super) const STACK: usize = 96;
 
 impl Bvh {
-    /// Builds the hierarchy over the triangles in `kept`. Coordinates are at most 1.
+    /// Builds the hierarchy over the triangles in `kept`.
     pub(super) fn new(triangles: &[UnitTriangle], kept: &[u32]) -> Bvh {
-        // Four ulp of the largest coordinate, 1. The box test rounds, and must never miss a box with a triangle that the
-        // watertight test would hit.
-        let padding = Vec3A::splat(4.0 * f32::EPSILON);
+        // Four ulp of the largest coordinate. The box test rounds, and must never miss a box with a triangle that the watertight test
+        // would hit, from wherever in the scene.
+        let largest =
+            triangles.iter().flat_map(|t| t.corners).fold(1.0, |m: f32, p| m.max(p.abs().max_element()));
+        let padding = Vec3A::splat(4.0 * f32::EPSILON * largest);
         let padded = |t: &UnitTriangle| {
             let [a, b, c] = t.corners;
             Aabb::new(a.min(b).min(c) - padding, a.max(b).max(c) + padding)

@@ -121,7 +121,10 @@ mod tests {
     fn one_by_one(tracer: &Tracer, rays: &[(Vec3A, Vec3A)]) -> Vec<[Option<(u32, u32)>; 2]> {
         let ask = |&(from, to): &(Vec3A, Vec3A)| {
             let met = tracer.closest(from, to - from);
-            [met.map(|hit| (hit.triangle, hit.t.to_bits())), tracer.visible(from, to).then_some((0, 0))]
+            [
+                met.map(|hit| (hit.triangle, hit.t.to_bits())),
+                tracer.kernel.ask::<Free>(&tracer.bvh, from, to - from).then_some((0, 0)),
+            ]
         };
         rays.iter().map(ask).collect()
     }

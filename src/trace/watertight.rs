@@ -28,6 +28,8 @@ pub(super) struct Met {
     pub(super) t: f32,
     /// Cosine to the normal of the front, times the length of the direction. Negative for rays from the front.
     approach: f32,
+    /// The magnitude of the coordinates that `t` was computed from, as far as they are along the normal.
+    reach: f32,
     weights: [f32; 3],
 }
 
@@ -36,10 +38,9 @@ impl Met {
         self.approach < 0.0
     }
 
-    /// Bound of the rounding of `t`: about eight roundings of coordinates near 1, and more at grazing incidence up to a
-    /// limit.
+    /// Bound of the rounding of `t`: about eight roundings of the coordinates, and more at grazing incidence up to a limit.
     pub(super) fn rounding(&self) -> f32 {
-        (8.0 * 0.5 * f32::EPSILON / self.approach.abs()).min(1e-4 * self.t)
+        (8.0 * 0.5 * f32::EPSILON * self.reach / self.approach.abs()).min(1e-4 * self.t)
     }
 
     pub(super) fn barycentric(&self) -> [f32; 3] {
@@ -96,8 +97,9 @@ impl PreparedRay {
     pub(super) fn meet(&self, corner: Vec3A, normal: Vec3A, weights: [f32; 3]) -> Option<Met> {
         let approach = normal.dot(self.direction);
         let t = normal.dot(corner - self.origin) / approach;
+        let reach = normal.abs().dot(corner.abs().max(self.origin.abs()));
         // Written so that a NaN is a miss.
-        if t > 0.0 { Some(Met { t, approach, weights }) } else { None }
+        if t > 0.0 { Some(Met { t, approach, reach, weights }) } else { None }
     }
 }
 
@@ -124,7 +126,7 @@ mod tests {
                 q
             });
             let normal = (turned[1] - turned[0]).cross(turned[2] - turned[0]).normalize();
-            let triangle = UnitTriangle::new(turned.map(|p| p.as_dvec3()), normal, [0.0; 3]);
+            let triangle = UnitTriangle::new(turned.map(|p| p.as_dvec3()), normal, [0.0; 3], 0.0);
             let leaf = Leaf::new(&[0], &[triangle]);
             let inside = (turned[0] + turned[1] + turned[2]) / 3.0;
             for tilt in [Vec3A::ZERO, vec3a(0.1, -0.2, 0.05)] {

@@ -24,6 +24,7 @@ mod ply;
 mod presets;
 mod properties;
 mod rays;
+mod sizes;
 mod solvers;
 mod stochastic_jacobi;
 mod validation;

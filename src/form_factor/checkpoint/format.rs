@@ -7,7 +7,7 @@ use crate::{Error, Result, scene::Scene, trace::sampling::mix};
 /// Identifies the file. A transfer as text changes the line end.
 const MAGIC: &[u8; 16] = b"radiosity rays\r\n";
 /// Grows with each change of the format, of the rays that a seed gives, or of what is stored of them.
-const FORMAT: u32 = 4;
+const FORMAT: u32 = 5;
 /// Bytes of the header.
 pub(super) const HEADER: usize = 48;
 /// Bytes of a record before and after its body.

@@ -1,0 +1,132 @@
+//! Where rays leave a surface.
+
+use glam::{DVec3, Vec3A};
+
+use super::{Hit, Tracer};
+use crate::scene::direction;
+
+/// Fourteen roundings, each of at most half a unit in the last place: of a point on a triangle and of the intersection test.
+const CLEARANCE: f32 = 14.0 * 0.5 * f32::EPSILON;
+
+/// A side of a surface, for rays to leave.
+///
+/// Rays begin above their surface, by what rounding may make of the point and of the triangle's plane. Roundings are relative to
+/// the coordinates of the corners, and they matter as far as they are along the normal. So does the height: a floor whose corners
+/// have no height in unit space is left exactly where it is, however large.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Side {
+    /// Unit normal.
+    pub normal: Vec3A,
+    /// The largest magnitude of coordinates, by axis.
+    reach: Vec3A,
+}
+
+impl Side {
+    pub(crate) fn new(normal: Vec3A, reach: Vec3A) -> Side {
+        Side { normal, reach }
+    }
+
+    /// The same surface seen with another normal, that of a sensor on it.
+    pub(crate) fn turned(&self, normal: Vec3A) -> Side {
+        // As high above the surface as before.
+        let cosine = self.normal.dot(normal).max(0.5);
+        let height = self.normal.abs().dot(self.reach) / (cosine * normal.abs().element_sum());
+        Side { normal, reach: Vec3A::splat(height) }
+    }
+
+    /// How far above the surface rays begin.
+    #[inline]
+    pub(crate) fn clearance(&self) -> f32 {
+        CLEARANCE * self.normal.abs().dot(self.reach)
+    }
+
+    /// The origin for rays that leave the point `p` of the surface.
+    #[inline]
+    pub fn leave(&self, p: Vec3A) -> Vec3A {
+        self.outward(p + self.normal * self.clearance())
+    }
+
+    /// The end at the point `p` of the surface of a segment to `other`, for [`Tracer::visible`](super::Tracer::visible).
+    ///
+    /// The ray begins at the end with the smaller coordinates. If that is the other one, its coordinates add to the rounding of this
+    /// surface's plane.
+    #[inline]
+    pub fn leave_towards(&self, p: Vec3A, other: Vec3A) -> Vec3A {
+        if is_finer(other, p) {
+            let reach = self.reach.max(other.abs());
+            return Side { reach, ..*self }.leave(p);
+        }
+        self.leave(p)
+    }
+
+    /// [`Side::leave`] for one coordinate of several points.
+    #[inline]
+    pub(crate) fn leave_along<const N: usize>(&self, points: &mut [f32; N], axis: usize) {
+        let (higher, towards) = ((self.normal * self.clearance())[axis], self.normal[axis]);
+        for x in points {
+            *x = one_ulp_towards(towards, *x + higher);
+        }
+    }
+
+    /// A point by one ulp farther from the surface.
+    #[inline]
+    fn outward(&self, p: Vec3A) -> Vec3A {
+        let outward = |axis: usize| one_ulp_towards(self.normal[axis], p[axis]);
+        Vec3A::new(outward(0), outward(1), outward(2))
+    }
+}
+
+/// Coordinates printed with six digits are off by this share of the largest, at most.
+const PRINTED: f64 = 4e-6;
+
+impl Tracer {
+    /// A point in the coordinates of the file that light comes to from the side of a normal, such as that of a sensor, in unit space.
+    /// It need not lie on a surface. A point that lies on a surface up to the rounding of printed coordinates is moved onto it,
+    /// because just below the surface it would be dark.
+    ///
+    /// # Panics
+    /// When the normal is zero or not finite.
+    pub fn place(&self, point: DVec3, normal: DVec3) -> (Vec3A, Side) {
+        let normal = direction(normal).expect("a normal has a direction").as_vec3a();
+        let at = self.to_unit(point);
+        let near = (PRINTED * (point.abs().max_element() / self.scale()).min(1.0)) as f32;
+        let surface = |hit: &Hit| self.triangles()[hit.triangle as usize].side(hit.front);
+        let is_near = |hit: &Hit, distance: f32| distance <= near.max(surface(hit).clearance());
+        let above = self.closest(at, normal).filter(|hit| is_near(hit, hit.t));
+        // From a little higher, so that a surface right at the point counts, but not from beyond another one.
+        let lift = above.map_or(near, |hit| near.min(0.5 * hit.t));
+        let below = self.closest(at + normal * lift, -normal).filter(|hit| is_near(hit, hit.t - lift));
+        let found = match (above, below) {
+            // Below the front of a floor. In a gap between two surfaces a point lies on the lower one.
+            (Some(above), Some(below)) if above.front || below.t - lift < above.t => Some(below),
+            (Some(above), _) => Some(Hit { front: !above.front, ..above }),
+            (None, below) => below,
+        };
+        match found {
+            // Steep surfaces are met by chance, near an edge.
+            Some(hit) if surface(&hit).normal.dot(normal) > 0.7 => {
+                let on = self.triangles()[hit.triangle as usize].point(hit.barycentric);
+                (on, surface(&hit).turned(normal))
+            }
+            _ => (at, self.side_at(at, normal)),
+        }
+    }
+}
+
+/// Whether rounding changes a point less than another one, at most.
+#[inline]
+pub(super) fn is_finer(p: Vec3A, than: Vec3A) -> bool {
+    p.abs().max_element() < than.abs().max_element()
+}
+
+/// The next larger number if `towards` is positive, the next smaller one if it is negative.
+#[inline]
+fn one_ulp_towards(towards: f32, x: f32) -> f32 {
+    if towards > 0.0 {
+        x.next_up()
+    } else if towards < 0.0 {
+        x.next_down()
+    } else {
+        x
+    }
+}
