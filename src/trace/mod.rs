@@ -2,7 +2,7 @@
 //!
 //! All rays run in *unit space*: the scene is moved and rescaled so that its longest side is 2. So single precision resolves a
 //! scene in millimetres, or 10 km from its origin, as well as any other. The origin lies where the scene has its finest detail
-//! ([`space`]), since single precision resolves small coordinates best.
+//! (`space.rs`), since single precision resolves small coordinates best.
 
 mod bvh;
 mod collapse;
