@@ -52,7 +52,7 @@ impl UnitSpace {
 
     /// A point of the file in unit space.
     #[inline]
-    pub(super) fn to_unit(&self, point: DVec3) -> DVec3 {
+    pub(super) fn to_unit(self, point: DVec3) -> DVec3 {
         (point - self.origin) / self.scale
     }
 }
