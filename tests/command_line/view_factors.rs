@@ -318,8 +318,11 @@ fn rays_or_the_user_decide_if_a_room_is_enclosed() {
     assert!(errors.contains("hint: ") && errors.contains("rays left the room"), "{errors}");
 }
 
+/// The lines before a face, and its corners.
+type Face = (&'static str, Vec<[f64; 3]>);
+
 /// A box from corner to corner, seen from outside.
-fn block(low: [f64; 3], high: [f64; 3]) -> Vec<(&'static str, Vec<[f64; 3]>)> {
+fn block(low: [f64; 3], high: [f64; 3]) -> Vec<Face> {
     let place = |p: [f64; 3]| std::array::from_fn(|k| low[k] + (high[k] - low[k]) * p[k]);
     let outward = |corners: Vec<[f64; 3]>| corners.into_iter().rev().map(place).collect();
     cube(1, |_| "").into_iter().map(|(before, corners)| (before, outward(corners))).collect()
@@ -331,20 +334,20 @@ fn block(low: [f64; 3], high: [f64; 3]) -> Vec<(&'static str, Vec<[f64; 3]>)> {
 fn inspect_and_enclosed_agree() {
     let cut = |from: f64, to: f64| vec![[from, 0.0, 0.0], [to, 0.0, 0.0], [to, 1.0, 0.0], [from, 1.0, 0.0]];
     let floor = (0..6).find(|&k| cube(1, |_| "")[k].1.iter().all(|p| p[2] == 0.0)).unwrap();
-    let with = |floors: &[Vec<[f64; 3]>], blocks: &[Vec<(&'static str, Vec<[f64; 3]>)>]| {
+    let with = |floors: &[Vec<[f64; 3]>], block: &[Face]| {
         let mut faces = cube(1, |_| "");
         faces.remove(floor);
         faces.extend(floors.iter().map(|corners| ("", corners.clone())));
-        faces.extend(blocks.iter().flatten().cloned());
+        faces.extend_from_slice(block);
         obj(faces)
     };
     let box_on_it = block([0.3, 0.4, 0.0], [0.7, 0.6, 0.3]);
     let cases = [
         ("a room", with(&[cut(0.0, 1.0)], &[]), true),
         ("without a floor", with(&[], &[]), false),
-        ("a cube on the floor", with(&[cut(0.0, 1.0)], &[box_on_it.clone()]), true),
-        ("a cube on a joint", with(&[cut(0.0, 0.5), cut(0.5, 1.0)], &[box_on_it.clone()]), true),
-        ("a slit beside it", with(&[cut(0.0, 0.2), cut(0.21, 1.0)], &[box_on_it]), false),
+        ("a cube on the floor", with(&[cut(0.0, 1.0)], &box_on_it), true),
+        ("a cube on a joint", with(&[cut(0.0, 0.5), cut(0.5, 1.0)], &box_on_it), true),
+        ("a slit beside it", with(&[cut(0.0, 0.2), cut(0.21, 1.0)], &box_on_it), false),
     ];
     for (name, scene, is_closed) in cases {
         let here = Here::new(&scene, "");
