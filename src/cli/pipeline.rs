@@ -111,7 +111,7 @@ pub fn flatten(scene: &mut Scene, args: &SceneArgs, watch: &Watch) {
             n => format!("the specular parts of material `{first}` and {n} more"),
         };
         let what = match args.specular() {
-            SpecularPart::Diffuse => "counted as diffuse; --specular drop leaves it out",
+            SpecularPart::Diffuse => "counted as diffuse, unless --specular drop is given",
             SpecularPart::Drop => "left out",
         };
         let warning = format!("{}: {whose}: {what}", args.path.display());
