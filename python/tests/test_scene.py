@@ -140,7 +140,7 @@ def test_a_file_with_lights_is_that_of_the_command_line(cornell_path, tmp_path):
     [
         ({"sun": [1]}, "sun"),
         ({"sun": [0, 100, 5]}, "sun"),
-        ({"sun": [0, 10]}, "sun"),
+        ({"sun": [0, 10]}, "the position of the sun has no effect"),
         ({"sky": "blue"}, "sky"),
         ({"sky": ("uniform", -1)}, "sky"),
         ({"sky": ("clear", 100)}, "sky"),

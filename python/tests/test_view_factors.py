@@ -68,7 +68,7 @@ def test_obstacles_block_and_are_no_surfaces():
     assert len(result) == 2 and result.F.max() < 1e-6
     # Both see the plate, and around it the sky and the ground.
     backs = result.backs
-    assert (abs(backs.value - parallel(1, 1, 0.5)) < 4 * backs.standard_error + 1e-4).all() and (backs.standard_error < 1e-2).all()
+    assert (abs(backs.value - parallel(1, 1, 0.5)) < 4 * backs.standard_error + 1e-4).all() and (backs.standard_error < 0.03).all()
     assert result.escaped == pytest.approx([1, 1])
     again = radiosity.view_factors([floor, roof], obstacles=(np.array(half), [[0, 1, 2, 3]]))
     assert np.array_equal(again.F, result.F)
