@@ -68,7 +68,7 @@ mod tests {
         let (scene, specular) = read_scene(given).unwrap();
         assert!(scene.materials.iter().any(|m| m.name == "white" && m.emission == [3.0; 3]));
         assert_eq!(scene.lights.names().collect::<Vec<_>>(), ["sky"]);
-        assert_eq!(specular, SpecularPart::Drop);
+        assert_eq!(specular, SpecularPart::Diffuse);
     }
 
     #[test]
@@ -82,7 +82,7 @@ mod tests {
     fn wrong_words_are_errors_that_name_the_option() {
         let mut scene = Scene::load("meshes/cornell-box.obj").unwrap();
         for (given, message) in [
-            ("--sun=1,91,3", "--sun: the altitude of the sun is between 0 and 90 degrees"),
+            ("--sun=1,91,3", "--sun: the altitude of the sun must be between 0 and 90 degrees"),
             ("--sky=blue:1", "--sky: expected uniform:RADIANCE"),
             ("--sky-rotation=3", "required"),
             ("--nothing", "unexpected argument"),
