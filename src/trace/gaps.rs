@@ -10,8 +10,8 @@ use crate::{Error, Result, scene::Scene};
 const PARALLEL: f64 = 0.5;
 /// A gap narrower than this share of the smaller face lets so little light through that only what the two faces emit matters.
 const NARROW: f64 = 1e-3;
-/// A gap narrower than both this share of the scene's size and this share of the smaller face is what rounding leaves between faces
-/// that touch.
+/// Rounding leaves gaps between faces that touch: gaps narrower than both this share of the scene's size and this share of the smaller
+/// face.
 const TOUCHING: (f64, f64) = (1e-7, 1e-5);
 /// Rays begin and end off their surfaces by less than this share of a wide gap.
 const WIDE: f64 = 0.02;
@@ -31,7 +31,7 @@ pub struct Gap {
 }
 
 impl Gap {
-    /// By what share of itself the gap seems narrower to rays.
+    /// The share of its width that the gap loses for rays.
     pub fn share(&self) -> f64 {
         self.resolved / self.width
     }

@@ -81,8 +81,8 @@ pub struct UnitTriangle {
 const ROUNDING: f64 = 0.5 * f32::EPSILON as f64;
 
 impl UnitTriangle {
-    /// `keep` is the distance that points to start from keep from the edge from each corner to the next. Coordinates are known to
-    /// the rounding of numbers of magnitude `least`, at best.
+    /// `keep` holds one distance for the edge from each corner to the next: rays start at least that far from the edge. Coordinates
+    /// are rounded at least as much as numbers of magnitude `least`.
     fn new(corners: [DVec3; 3], normal: Vec3A, keep: [f64; 3], least: f64) -> Self {
         let [a, b, c] = corners;
         let doubled = (b - a).cross(c - a).length();

@@ -10,9 +10,9 @@ const CLEARANCE: f32 = 14.0 * 0.5 * f32::EPSILON;
 
 /// A side of a surface, for rays to leave.
 ///
-/// Rays begin above their surface, by what rounding may make of the point and of the triangle's plane. Roundings are relative to
-/// the coordinates of the corners, and they matter as far as they are along the normal. So does the height: a floor whose corners
-/// have no height in unit space is left exactly where it is, however large.
+/// Rays begin above their surface, because rounding moves the point and the triangle's plane. Rounding is relative to the coordinates
+/// of the corners, and only its component along the normal matters. So the height above the surface is relative to that component: from
+/// a floor at height zero of unit space rays begin on the floor itself, however large it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Side {
     /// Unit normal.
@@ -40,16 +40,16 @@ impl Side {
         CLEARANCE * self.normal.abs().dot(self.reach)
     }
 
-    /// The origin for rays that leave the point `p` of the surface.
+    /// The origin of rays that leave the surface at the point `p`.
     #[inline]
     pub fn leave(&self, p: Vec3A) -> Vec3A {
         self.outward(p + self.normal * self.clearance())
     }
 
-    /// The end at the point `p` of the surface of a segment to `other`, for [`Tracer::visible`](super::Tracer::visible).
+    /// The end of a segment from the point `p` of the surface to `other`, for [`Tracer::visible`](super::Tracer::visible).
     ///
-    /// The ray begins at the end with the smaller coordinates. If that is the other one, its coordinates add to the rounding of this
-    /// surface's plane.
+    /// The ray begins at the end with the smaller coordinates. If it begins at `other`, the coordinates of `other` add to the rounding
+    /// of this surface's plane.
     #[inline]
     pub fn leave_towards(&self, p: Vec3A, other: Vec3A) -> Vec3A {
         if is_finer(other, p) {
@@ -68,7 +68,7 @@ impl Side {
         }
     }
 
-    /// A point by one ulp farther from the surface.
+    /// Moves a point away from the surface by one unit in the last place.
     #[inline]
     fn outward(&self, p: Vec3A) -> Vec3A {
         let outward = |axis: usize| one_ulp_towards(self.normal[axis], p[axis]);
@@ -76,13 +76,12 @@ impl Side {
     }
 }
 
-/// Coordinates printed with six digits are off by this share of the largest, at most.
+/// The largest error of coordinates printed with six digits, as a share of the largest coordinate.
 const PRINTED: f64 = 4e-6;
 
 impl Tracer {
-    /// A point in the coordinates of the file that light comes to from the side of a normal, such as that of a sensor, in unit space.
-    /// It need not lie on a surface. A point that lies on a surface up to the rounding of printed coordinates is moved onto it,
-    /// because just below the surface it would be dark.
+    /// Places a sensor, given by a point of the file and a normal, in unit space. The point need not lie on a surface. If it lies on a
+    /// surface up to the rounding of printed coordinates, it is moved onto the surface, because just below it would be dark.
     ///
     /// # Panics
     /// When the normal is zero or not finite.

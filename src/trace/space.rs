@@ -15,7 +15,7 @@ pub(super) struct UnitSpace {
     pub(super) least: f64,
 }
 
-/// Triangles of like size: between a power of two and the next, in multiples of the scene.
+/// The triangles whose size, relative to the scene, lies between one power of two and the next.
 #[derive(Clone, Copy)]
 struct Class {
     size: f64,
@@ -23,13 +23,13 @@ struct Class {
     high: DVec3,
 }
 
-/// Sizes below 2⁻⁶⁰ of the scene count as that: double precision has no more digits.
+/// Sizes below 2⁻⁶⁰ of the scene count as 2⁻⁶⁰, since double precision has no more digits.
 const CLASSES: usize = 61;
 
 impl UnitSpace {
-    /// The origin is where the largest ratio of a triangle's distance from it, along any axis, to the triangle's size is
-    /// least. So single precision resolves each triangle as well as it can resolve the worst of them. With triangles of one
-    /// size that is the middle of the scene; plates of a metre beneath a dome of kilometres have it among them.
+    /// Chooses the origin that minimises, over all triangles and axes, the largest ratio of a triangle's distance from the origin
+    /// to the triangle's size. Single precision then resolves the worst triangle as well as it can. If all triangles have one
+    /// size, the origin is the middle of the scene. With plates of a metre beneath a dome of kilometres, it lies at the plates.
     pub(super) fn of(scene: &Scene) -> UnitSpace {
         let (centre, scale) = centre_and_extent(scene.vertices.iter().copied());
         let mut classes: [Option<Class>; CLASSES] = [None; CLASSES];

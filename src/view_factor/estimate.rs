@@ -12,19 +12,19 @@ use crate::trace::sampling::{mix, sobol_4d};
 /// shift of a Sobol sequence.
 pub(super) const REPLICATES: u32 = 16;
 
-/// This many times (G / rays)² is added to the variance for paths that no replicate has found, about what A. Agresti and B. A. Coull add
-/// to a binomial interval ("Approximate is Better than Exact", American Statistician 52(2), 1998).
+/// This many times (G / rays)² is added to the variance, for paths that no replicate has found. A. Agresti and B. A. Coull add about
+/// as much to a binomial interval ("Approximate is Better than Exact", American Statistician 52(2), 1998).
 pub(super) const DOUBT: f64 = 1.12;
 
-/// The same in units of (largest weight / rays)² where all paths agree, so that nothing is known of their spread. If n paths of n are
-/// free, no more than a share of 3.69 / n is blocked with 97.5 % confidence, since exp(-3.69) = 0.025 (C. J. Clopper and E. S. Pearson,
-/// Biometrika 26(4), 1934), and these may be the heaviest. That shall be within 1.96 standard errors. Of a panel that touches the ground
-/// a wall hides 16 % of the weight, but 9 % of the paths: with [`DOUBT`] alone 77 % of intervals held the right value at 16 paths, and
-/// 92 % at 32.
+/// If all paths agree, their spread is unknown. Then this many times (largest weight / rays)² is added instead. If all of n paths are
+/// free, at most a share of 3.69 / n is blocked with 97.5 % confidence, since exp(-3.69) = 0.025 (C. J. Clopper and E. S. Pearson,
+/// Biometrika 26(4), 1934). The blocked paths may be the heaviest, and their weight must lie within 1.96 standard errors. Measured on a
+/// panel that touches the ground, where a wall hides 16 % of the weight but 9 % of the paths: with [`DOUBT`] alone, 77 % of the
+/// intervals contained the right value at 16 paths, and 92 % at 32.
 const AGREED: f64 = (3.69 / 1.960) * (3.69 / 1.960);
 
-/// Sixteen replicates tell their variance by 15 degrees of freedom: 95 % of means lie within t = 2.131 of their standard errors, where it
-/// is 1.960 of those that are known. Variances are told larger by the square of that, so that 1.96 standard errors are an interval of 95 %.
+/// With sixteen replicates the variance has 15 degrees of freedom, so that 95 % of means lie within t = 2.131 standard errors instead of
+/// 1.960. Variances are multiplied by the square of the ratio. Then 1.96 standard errors are a 95 % interval.
 const STUDENT: f64 = (2.131 / 1.960) * (2.131 / 1.960);
 
 /// Number of points of a sequence before a new one begins.
@@ -109,7 +109,8 @@ impl Sample {
             free + share * (unoccluded - weight)
         };
         let all_agree = sums.iter().all(|&(weight, free)| free == weight) || self.is_blocked();
-        // Fewer than sixteen are cast where single pairs do not matter: of sums over many the variance itself is right.
+        // Fewer than sixteen replicates are cast where single pairs do not matter. The variance of a sum over many pairs is right
+        // without the addition.
         let matters = self.replicates == REPLICATES;
         let doubt =
             if all_agree && matters { AGREED.sqrt() * self.largest } else { DOUBT.sqrt() * unoccluded };
