@@ -131,7 +131,7 @@ pub struct Job {
 }
 
 impl Job {
-    /// Bytes for a number of front patches and of rays, where there are so many times as many patches as fronts.
+    /// Bytes for a number of front patches and of rays. `with_backs` is the number of all patches over that of front patches.
     fn bytes(&self, data: &Data, with_backs: f64) -> impl Fn(f64, f64) -> f64 {
         let (scene, estimator, options) = (data.lambertian(), self.cast.estimator, self.solve);
         move |fronts, rays| {

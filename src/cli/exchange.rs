@@ -17,7 +17,7 @@ use radiosity::{
 
 use super::{
     Common, Outcome, outputs, summary,
-    surfaces::{Known, SurfaceArgs, Told, find, read},
+    surfaces::{Known, SurfaceArgs, Warnings, find, read},
     to_stdout,
     watch::Watch,
 };
@@ -64,14 +64,14 @@ pub fn run(args: &ExchangeArgs) -> Result<Outcome> {
     args.common.start_threads()?;
 
     let watch = Watch::new(args.common.quiet);
-    let mut told = Told::new(&watch);
+    let mut warnings = Warnings::new(&watch);
     let by = args.surfaces.by.as_ref().unwrap_or(&By::Group);
-    let ((_, surfaces), _) = watch.stage("reading", || read(&args.surfaces, by, &files, &mut told))?;
+    let ((_, surfaces), _) = watch.stage("reading", || read(&args.surfaces, by, &files, &mut warnings))?;
     let names: Vec<String> = surfaces.list.iter().map(|surface| surface.name.clone()).collect();
     let conditions = Conditions::load(&args.conditions, &names)?;
     let (parts, surface_of) = surfaces.parts();
     let Known { found, enclosed, .. } =
-        find(&args.surfaces, args.common.limit(), DVec3::Y, &parts, &mut told)?;
+        find(&args.surfaces, args.common.limit(), DVec3::Y, &parts, &mut warnings)?;
     if let Some(i) = (0..found.len()).find(|&i| found.areas()[i] <= 0.0) {
         let Surface { name, line, .. } = &parts.list[i];
         let message = format!("a face of `{name}` is entirely hidden by other faces in its plane");
@@ -81,7 +81,7 @@ pub fn run(args: &ExchangeArgs) -> Result<Outcome> {
         Some(sky) => sky,
         None if enclosed => 0.0,
         None => {
-            told.warn(format!(
+            warnings.warn(format!(
                 "{}: surfaces see the outside, but the file has no line for the sky: 0 K is used; add a line like  sky = \
                  {{ temperature = 260 }}",
                 args.conditions.display()
@@ -111,7 +111,7 @@ pub fn run(args: &ExchangeArgs) -> Result<Outcome> {
         sky: outside,
         imbalance: exchanged.imbalance,
         view_factor_error: found.error,
-        warnings: told.warnings,
+        warnings: warnings.warnings,
         seconds: seconds(start.elapsed()),
     };
     pending.extend(report_file.map(|file| file.write(|out| report.write(out))).transpose()?);

@@ -64,14 +64,14 @@ pub fn trace(scene: &Scene, path: &Path, watch: &Watch) -> Result<Tracer> {
         let line = face.and_then(|face| scene.faces[face].line);
         (line, format!("face {} of `{}`", face.unwrap_or(t as usize), scene.material(t as usize).name))
     };
-    let told = |[one, other]: [u32; 2], width: f64, resolved: f64| {
+    let describe = |[one, other]: [u32; 2], width: f64, resolved: f64| {
         let [(line, one), (_, other)] = [one, other].map(face);
         (line, format!("{one} is {width:.3e} from {other}, and rays resolve {resolved:.3e} there"))
     };
     match tracer.check_gaps(scene) {
         Ok(None) => {}
         Ok(Some(gap)) => {
-            let (line, message) = told(gap.triangles, gap.width, gap.resolved);
+            let (line, message) = describe(gap.triangles, gap.width, gap.resolved);
             let line = line.map_or(String::new(), |line| format!(":{line}"));
             watch.warn(&format!(
                 "{}{line}: {message}: light between them may be off by {:.0} %",
@@ -81,7 +81,7 @@ pub fn trace(scene: &Scene, path: &Path, watch: &Watch) -> Result<Tracer> {
         }
         Err(error) => {
             let Error::UnresolvedGap { triangles, width, resolved } = error else { return Err(error) };
-            let (line, message) = told(triangles, width, resolved);
+            let (line, message) = describe(triangles, width, resolved);
             return Err(Error::input(path, line, message).with_hint(error.hint().unwrap_or_default()));
         }
     }

@@ -105,14 +105,14 @@ fn error(text: &str) -> std::result::Result<f64, String> {
 const MANY_BACKS: f64 = 0.01;
 
 /// Collects warnings: prints each, and keeps it for the report.
-pub struct Told<'a> {
+pub struct Warnings<'a> {
     pub watch: &'a Watch,
     pub warnings: Vec<String>,
 }
 
-impl<'a> Told<'a> {
-    pub fn new(watch: &'a Watch) -> Told<'a> {
-        Told { watch, warnings: Vec::new() }
+impl<'a> Warnings<'a> {
+    pub fn new(watch: &'a Watch) -> Warnings<'a> {
+        Warnings { watch, warnings: Vec::new() }
     }
 
     pub fn warn(&mut self, warning: String) {
@@ -207,7 +207,7 @@ pub fn read(
     args: &SurfaceArgs,
     by: &By,
     outputs: &[&OutputFile],
-    told: &mut Told,
+    warnings: &mut Warnings,
 ) -> Result<(Scene, Surfaces)> {
     let path = &args.scene;
     // View factors do not depend on the reflectance. Setting it avoids the warning about materials without one.
@@ -219,9 +219,9 @@ pub fn read(
     let obstacles = options::materials(&scene, path, "--obstruct", &args.obstruct)?;
     scene.cut_overlaps();
     outputs.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
-    scene.warnings.iter().for_each(|warning| told.warn(warning.clone()));
+    scene.warnings.iter().for_each(|warning| warnings.warn(warning.clone()));
     if scene.degenerate > 0 {
-        told.warn(format!("{}: left out {} triangles without area", path.display(), scene.degenerate));
+        warnings.warn(format!("{}: left out {} triangles without area", path.display(), scene.degenerate));
     }
     let (is_named, what) = match by {
         By::Group => {
@@ -244,20 +244,20 @@ pub fn read(
         return Err(Error::input(path, None, "every face is too small beside the whole scene"));
     }
     if surfaces.doubled > 0 {
-        told.warn(format!(
+        warnings.warn(format!(
             "{}: left out {} faces at the same place as earlier ones",
             path.display(),
             surfaces.doubled
         ));
     }
     if surfaces.tiny > 0 {
-        told.warn(format!(
+        warnings.warn(format!(
             "{}: left out {} triangles too small beside the scene",
             path.display(),
             surfaces.tiny
         ));
     }
-    told.odd(path, &surfaces);
+    warnings.odd(path, &surfaces);
     Ok((scene, surfaces))
 }
 
@@ -290,16 +290,16 @@ pub fn find(
     limit: Limit,
     up: DVec3,
     surfaces: &Surfaces,
-    told: &mut Told,
+    warnings: &mut Warnings,
 ) -> Result<Known> {
-    let watch = told.watch;
+    let watch = warnings.watch;
     limit.check_polygons(surfaces.polygons())?;
     let (seen, look) = watch.stage("looking", || Ok(look(&surfaces.list, &surfaces.obstacles, up)))?;
     let ((found, enclosed), view_factors) =
-        watch.stage("view factors", || compute(args, up, surfaces, &seen, told))?;
-    told.hidden(args, surfaces, &found);
-    told.overfull(args, surfaces, &found);
-    told.unclosed(args, surfaces, &found);
+        watch.stage("view factors", || compute(args, up, surfaces, &seen, warnings))?;
+    warnings.hidden(args, surfaces, &found);
+    warnings.overfull(args, surfaces, &found);
+    warnings.unclosed(args, surfaces, &found);
     Ok(Known { seen, found, enclosed, seconds: [look, view_factors] })
 }
 
@@ -309,9 +309,9 @@ fn compute(
     up: DVec3,
     surfaces: &Surfaces,
     seen: &[Sight],
-    told: &mut Told,
+    warnings: &mut Warnings,
 ) -> Result<(ViewFactors, bool)> {
-    let watch = told.watch;
+    let watch = warnings.watch;
     let run = |enclosed: bool| {
         let options = ViewFactorOptions::default()
             .with_error(args.error)
@@ -326,7 +326,7 @@ fn compute(
     let backs = all.backs as f64 / met as f64;
     // Obstacles count as backs, and they are intended.
     if backs > MANY_BACKS && surfaces.obstacles.is_empty() {
-        told.warn(format!(
+        warnings.warn(format!(
             "{scene}: {:.1} % of the rays hit backs, which are not surfaces; --side back turns all faces round, --side both \
              uses both sides",
             100.0 * backs
@@ -353,7 +353,7 @@ fn compute(
         return refused(i, message);
     }
     if lost > 0 {
-        told.warn(format!(
+        warnings.warn(format!(
             "{scene}: {lost} of {} rays left the room or hit backs, most from {}; --enclosed distributes their share",
             all.rays,
             open_faces(surfaces, seen)
@@ -369,7 +369,7 @@ fn compute(
         }
         // No ray was lost, but chance does not explain the deviation of a row sum.
         Err(Error::NotEnclosed { surface, sum }) => {
-            told.warn(format!(
+            warnings.warn(format!(
                 "{}: the view factors of `{}` sum to {sum:.6}, so no room is enclosed, though none of {} rays was lost",
                 place(args, surfaces, surface),
                 surfaces.list[surface].name,

@@ -23,7 +23,7 @@ use radiosity::{
 
 use super::{
     Common, Outcome, outputs, summary,
-    surfaces::{Known, SurfaceArgs, Told, find, name, read},
+    surfaces::{Known, SurfaceArgs, Warnings, find, name, read},
     to_stdout,
     watch::Watch,
 };
@@ -102,12 +102,12 @@ pub fn run(args: &ViewFactorsArgs) -> Result<Outcome> {
 
     let watch = Watch::new(args.common.quiet);
     let mut times = ViewFactorSeconds::default();
-    let mut told = Told::new(&watch);
+    let mut warnings = Warnings::new(&watch);
     let (scene, surfaces);
     ((scene, surfaces), times.load) =
-        watch.stage("reading", || read(&args.surfaces, by, &files, &mut told))?;
+        watch.stage("reading", || read(&args.surfaces, by, &files, &mut warnings))?;
     let Known { seen, found, enclosed, seconds: [looking, computing] } =
-        find(&args.surfaces, args.common.limit(), args.up.direction(), &surfaces, &mut told)?;
+        find(&args.surfaces, args.common.limit(), args.up.direction(), &surfaces, &mut warnings)?;
     (times.look, times.view_factors) = (looking, computing);
 
     watch.begin_writing();
@@ -133,7 +133,7 @@ pub fn run(args: &ViewFactorsArgs) -> Result<Outcome> {
         row_sum_deviation: found.row_sum_deviation().into(),
         reciprocity_deviation: found.reciprocity_deviation().into(),
         surfaces: SurfaceReport::all(&surfaces, &found),
-        warnings: told.warnings,
+        warnings: warnings.warnings,
         seconds: times,
         peak_bytes: peak_bytes(),
         options: ViewFactorOptionsReport {

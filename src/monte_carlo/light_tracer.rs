@@ -30,7 +30,7 @@ use crate::{
     },
 };
 
-/// After this many hits a particle counts as endless. At a reflectance of 0.9999 only one in e¹⁰⁰ has so many hits.
+/// After this many hits a particle counts as endless. At a reflectance of 0.9999 only one in e¹⁰⁰ has this many.
 const ENDLESS: u32 = 1_000_000;
 
 /// Camera rays per pixel for the sky behind the scene.

@@ -88,7 +88,7 @@ pub struct EnclosedReport {
     pub rays: u64,
     /// Number of rays that left the scene or met a back.
     pub lost: u64,
-    /// The faces that lose rays, those that lose the largest share first.
+    /// The faces that lose rays, in order of falling share.
     pub open_at: Vec<OpenFace>,
 }
 

@@ -24,7 +24,7 @@ impl Enclosure {
     }
 }
 
-/// The surfaces that lose rays, those that lose the largest share first.
+/// The surfaces that lose rays, in order of falling share.
 pub fn leaks(seen: &[Sight]) -> Vec<usize> {
     let mut leaks: Vec<usize> = (0..seen.len()).filter(|&i| seen[i].lost() > 0).collect();
     leaks.sort_by(|&i, &j| seen[j].lost_share().total_cmp(&seen[i].lost_share()));

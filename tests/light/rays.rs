@@ -280,9 +280,9 @@ fn plates_under_dome(radius: f64, is_turned: bool) -> Scene {
     scene(&[black(turn(lower)), black(turn(upper)), black(turn(flipped(icosphere(radius, 2))))])
 }
 
-/// Rays begin by the rounding of their own surface, not of the largest one: of those that leave the lower of two plates as many miss
-/// the upper one as the view factor of two squares says, and all of them end on the dome (Howell, *A Catalog of Radiation Heat
-/// Transfer Configuration Factors*, C-11).
+/// Rays begin above their surface by the rounding of that surface, not of the largest one. The share of the lower plate's rays that miss
+/// the upper plate follows from the view factor of two squares, and all these rays end on the dome (Howell, *A Catalog of Radiation
+/// Heat Transfer Configuration Factors*, C-11).
 #[test]
 fn rays_pass_between_plates_beneath_a_dome_of_kilometres() {
     const RAYS: u32 = 1 << 18;

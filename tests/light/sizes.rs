@@ -145,7 +145,7 @@ fn what_single_precision_cannot_hold_is_told() {
         }
         other => panic!("{other:?}"),
     };
-    let told = check(10.0 * resolved).unwrap().expect("it is told");
-    assert!((told.share() - 0.1).abs() < 0.01, "{told:?}");
+    let gap = check(10.0 * resolved).unwrap().expect("a narrow gap");
+    assert!((gap.share() - 0.1).abs() < 0.01, "{gap:?}");
     assert_eq!(check(60.0 * resolved).unwrap(), None);
 }

@@ -15,7 +15,7 @@ use crate::{
     tone::{luminance, rgb},
 };
 
-/// Points of a curve that shows a distribution; more could not be told apart.
+/// Points of a curve that shows a distribution; more could not be distinguished.
 const STEPS: usize = 200;
 
 fn series(
