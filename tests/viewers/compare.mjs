@@ -36,7 +36,7 @@ function shown(lights) {
             server.close();
             server.closeAllConnections();
             browser.once('exit', () => {
-                rmSync(profile, { recursive: true, force: true });
+                rmSync(profile, { recursive: true, force: true, maxRetries: 20, retryDelay: 100 });
                 action(value);
             });
             browser.kill();
