@@ -7,9 +7,8 @@
 // them. PICTURE.png receives what the viewer shows. The environment variable CHROMIUM names the browser.
 
 import { spawn } from 'node:child_process';
-import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
+import { mkdtempSync, readFileSync, writeFileSync } from 'node:fs';
 import { createServer } from 'node:http';
-import { tmpdir } from 'node:os';
 import { dirname, extname, join, normalize } from 'node:path';
 import { fileURLToPath } from 'node:url';
 
@@ -29,16 +28,14 @@ function shown(lights) {
     };
     const types = { '.js': 'text/javascript', '.html': 'text/html' };
     return new Promise((resolve, reject) => {
-        const profile = mkdtempSync(join(tmpdir(), 'viewers-'));
+        // Processes of the browser may still write there when it has ended, so whoever made this folder removes it.
+        const profile = mkdtempSync(join(process.cwd(), 'profile-'));
         let browser;
         const end = (action, value) => {
             clearTimeout(timer);
             server.close();
             server.closeAllConnections();
-            browser.once('exit', () => {
-                rmSync(profile, { recursive: true, force: true, maxRetries: 20, retryDelay: 100 });
-                action(value);
-            });
+            browser.once('exit', () => action(value));
             browser.kill();
         };
         const server = createServer((request, response) => {

@@ -7,7 +7,7 @@ here="$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)"
 program="$(realpath "${1:-$here/../../target/debug/radiosity}")"
 meshes="$here/../../meshes"
 work="$(mktemp -d)"
-trap 'rm -rf "$work"' EXIT
+trap 'rm -rf "$work" || { sleep 2; rm -rf "$work"; } || true' EXIT
 cp "$here"/*.mjs "$here"/*.js "$here"/*.html "$here"/package.json "$work"
 cd "$work"
 npm install --silent --no-audit --no-fund || exit 77
