@@ -38,9 +38,7 @@ pub fn errors(
         let triangle = &scene.triangles[patches.triangle(i)];
         let material = &scene.materials[triangle.material as usize].name;
         regions.entry(format!("material {material}")).or_default().push(i);
-        // The triangle comes from the last face that begins at or before it.
-        let after = scene.faces.partition_point(|face| face.first <= triangle.source);
-        let face = after.checked_sub(1).map(|face| &scene.faces[face]);
+        let face = scene.face_of_source(triangle.source).map(|face| &scene.faces[face]);
         let object = face.and_then(|face| scene.parts.get(face.part as usize)?.object.as_ref());
         if let Some(object) = object {
             regions.entry(format!("object {object}")).or_default().push(i);

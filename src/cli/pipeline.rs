@@ -60,7 +60,7 @@ pub fn trace(scene: &Scene, path: &Path, watch: &Watch) -> Result<Tracer> {
     let tracer = Tracer::new(scene);
     let face = |t: u32| {
         let triangle = &scene.triangles[t as usize];
-        let face = scene.faces.partition_point(|face| face.first <= triangle.source).checked_sub(1);
+        let face = scene.face_of_source(triangle.source);
         let line = face.and_then(|face| scene.faces[face].line);
         (line, format!("face {} of `{}`", face.unwrap_or(t as usize), scene.material(t as usize).name))
     };

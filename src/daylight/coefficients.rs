@@ -141,7 +141,7 @@ impl<'a> Daylight<'a> {
         let mut direct = vec![0f32; self.patches.len() * parts.count()];
         direct.par_chunks_mut(parts.count()).enumerate().with_min_len(16).for_each(|(i, row)| {
             let targets = set.of(i);
-            if set.is_hidden(i) || !targets.contains(&ESCAPED) {
+            if set.is_withdrawn(i) || !targets.contains(&ESCAPED) {
                 return;
             }
             let share = (PI / targets.len() as f64) as f32;

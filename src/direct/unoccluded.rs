@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use crate::{
     exact::{lambert, polygon_form_factor},
+    scene::longest_edge,
     slopes,
 };
 
@@ -52,9 +53,9 @@ pub(super) fn form_factor(patch: &Facing, lamp: &Facing) -> f64 {
     }
     let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
     let gap = distance(lamp, middle);
-    let size = longest(corners);
+    let size = longest_edge(corners);
     let in_front = heights.iter().chain(&rises).all(|&h| h >= 0.0);
-    if in_front && size.max(longest(lamp.corners)) < FAR * gap {
+    if in_front && size.max(longest_edge(lamp.corners)) < FAR * gap {
         return between_points(patch, lamp);
     }
     if size > NEAR * gap {
@@ -98,11 +99,6 @@ fn clip(corners: [DVec3; 3], heights: [f64; 3]) -> ([DVec3; 4], usize) {
     }
     (above, count)
 }
-
-fn longest([a, b, c]: [DVec3; 3]) -> f64 {
-    a.distance(b).max(b.distance(c)).max(c.distance(a))
-}
-
 /// Distance from a point to the lamp.
 fn distance(lamp: &Facing, point: DVec3) -> f64 {
     let [a, b, c] = lamp.corners;
@@ -144,7 +140,7 @@ fn between_points(patch: &Facing, lamp: &Facing) -> f64 {
 /// The mean form factor of a triangle to `above`, the part of the lamp in front of it.
 fn over_triangle(lamp: &Facing, above: &[DVec3], corners: [DVec3; 3], normal: DVec3) -> f64 {
     let [a, b, c] = corners;
-    let size = longest(corners) / distance(lamp, (a + b + c) / 3.0);
+    let size = longest_edge(corners) / distance(lamp, (a + b + c) / 3.0);
     let rule: &[_] = if size < FAR { &SECOND_DEGREE } else { &FIFTH_DEGREE };
     nodes(rule, corners).map(|(point, weight)| weight * lambert(point, normal, above)).sum()
 }
@@ -172,7 +168,7 @@ fn moments_of_part(
 ) -> [f64; 2] {
     let (lamp, above, normal) = seen;
     let [a, b, c] = corners;
-    let size = longest(corners) / distance(lamp, (a + b + c) / 3.0);
+    let size = longest_edge(corners) / distance(lamp, (a + b + c) / 3.0);
     if size > NEAR && cuts < MOST_CUTS_OF_MOMENTS {
         let (ab, bc, ca) = (a.midpoint(b), b.midpoint(c), c.midpoint(a));
         let middle = |p: usize, q: usize| [0, 1].map(|m| 0.5 * (basis[p][m] + basis[q][m]));

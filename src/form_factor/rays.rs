@@ -123,13 +123,8 @@ impl RaySet {
         (0..self.len()).into_par_iter().with_min_len(128).map(share).collect()
     }
 
-    /// Whether patch `i` is hidden by another face at the same place.
-    pub(crate) fn is_hidden(&self, i: usize) -> bool {
-        self.is_withdrawn(i)
-    }
-
     /// Whether all light was withdrawn from patch `i`.
-    pub(super) fn is_withdrawn(&self, i: usize) -> bool {
+    pub(crate) fn is_withdrawn(&self, i: usize) -> bool {
         self.withdrawn.binary_search(&i).is_ok()
     }
 

@@ -8,11 +8,11 @@ use super::{Lightmap, NONE};
 use crate::{
     monte_carlo::Camera,
     output::page::{
-        PageOptions,
+        self, PageOptions,
         document::{self, Array, Kind, Values},
         materials,
         numbers::{halves, shared_exponent, unit_of},
-        place::{self, Ball},
+        place::Ball,
     },
     scene::Scene,
 };
@@ -38,24 +38,19 @@ impl Lightmap {
         let unit = unit_of(self.irradiance.iter().flatten().map(|&e| f64::from(e)).chain(emitted));
         let ball = Ball::around(&scene.vertices);
         let mut arrays = self.facet_arrays(scene, unit, &ball);
-        for (page, texels) in self.irradiance.chunks(self.atlas.width * self.atlas.height).enumerate() {
+        for (k, texels) in self.irradiance.chunks(self.atlas.width * self.atlas.height).enumerate() {
             let bits = texels.iter().map(|e| shared_exponent(e.map(|e| f64::from(e) / unit))).collect();
-            arrays.push((format!("page_{page}"), Values::U32(bits)));
+            arrays.push((format!("page_{k}"), Values::U32(bits)));
         }
-        let sky = place::sky(scene, unit).map(|(sky, texels)| {
-            arrays.push(("sky".into(), texels));
-            sky
-        });
-        let (materials, textures) = materials::materials(scene, unit)?;
         let exposure = options.exposure.unwrap_or_else(|| self.exposure());
-        let about = json!({
-            "kind": "lightmap", "version": env!("CARGO_PKG_VERSION"), "title": options.title, "notes": options.notes,
-            "units": scene.units.names(), "channels": 3, "unit": unit, "white": exposure.white(),
-            "origin": ball.centre.to_array(), "radius": ball.radius, "camera": place::camera(camera),
-            "up": camera.up().to_array(), "materials": materials, "textures": textures,
-            "methods": [{"name": "lightmap", "layers": []}], "layers": [], "sky": sky,
-            "pages": self.atlas.pages, "width": self.atlas.width, "height": self.atlas.height,
-        });
+        let mut about = page::about((scene, camera), options, (unit, exposure), &ball, &mut arrays)?;
+        about["kind"] = "lightmap".into();
+        about["channels"] = 3.into();
+        about["methods"] = json!([{"name": "lightmap", "layers": []}]);
+        about["layers"] = json!([]);
+        about["pages"] = self.atlas.pages.into();
+        about["width"] = self.atlas.width.into();
+        about["height"] = self.atlas.height.into();
         document::write(out, Kind::View, options.title, &about, &arrays)
     }
 
@@ -106,10 +101,7 @@ impl Lightmap {
             })
             .collect();
         if !uv.is_empty() {
-            for (k, name) in ["reflectance_uv", "emission_uv"].into_iter().enumerate() {
-                let all = uv.iter().flat_map(|uv| uv[k]).flat_map(|p| p.to_array()).collect();
-                arrays.push((name.into(), Values::F32(single(all))));
-            }
+            arrays.extend(materials::coordinate_arrays(&uv));
         }
         arrays
     }

@@ -342,7 +342,8 @@ impl Outside {
 
 /// Weight by the power heuristic of light that a bounce hit with probability `density` and that next event estimation
 /// could have chosen with probability `chosen`, both per solid angle.
-fn weight_of_bounce(chosen: f64, density: f64) -> f64 {
+#[inline]
+pub(super) fn weight_of_bounce(chosen: f64, density: f64) -> f64 {
     // The density of a mirror is infinite.
     if density > 0.0 { 1.0 / (1.0 + (chosen / density).powi(2)) } else { 0.0 }
 }

@@ -9,6 +9,7 @@ use glam::{DVec3, Vec3A};
 
 use super::{
     Effort, Emitters, Estimate, Outside, Samples,
+    outside::weight_of_bounce,
     reflection::{Bounce, Surface, Surfaces},
     scattering::{Diffuse, Place, Scattering},
 };
@@ -399,7 +400,6 @@ impl<'a> PathTracer<'a> {
         let squared = f64::from(hit.t).powi(2) * f64::from(bounce.direction.length_squared());
         let cos_lamp = f64::from(bounce.direction.dot(normal).abs()).max(f64::MIN_POSITIVE);
         let chosen = self.emitters.density(hit.triangle, hit.barycentric) * squared / cos_lamp;
-        // The density of a mirror is infinite.
-        if bounce.density > 0.0 { 1.0 / (1.0 + (chosen / bounce.density).powi(2)) } else { 0.0 }
+        weight_of_bounce(chosen, bounce.density)
     }
 }

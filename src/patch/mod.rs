@@ -17,8 +17,8 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use crate::scene::Scene;
 pub use crate::scene::quadtree;
+use crate::scene::{Scene, longest_edge};
 pub(crate) use disjoint_sets::DisjointSets;
 use forest::Forest;
 
@@ -390,17 +390,12 @@ impl Patches {
 
 /// The largest edge that is allowed, and the level of each triangle.
 fn levels(scene: &Scene, subdivision: &Subdivision) -> (f64, Vec<u8>) {
-    let longest: Vec<f64> = (0..scene.triangles.len()).map(|t| longest_edge(scene, t)).collect();
+    let longest: Vec<f64> = (0..scene.triangles.len()).map(|t| longest_edge(scene.corners(t))).collect();
     let edge = match *subdivision {
         Subdivision::Edge(edge) => edge,
         Subdivision::Count(count) => edge_for_count(&longest, count),
     };
     (edge, longest.iter().map(|&l| level(l, edge)).collect())
-}
-
-fn longest_edge(scene: &Scene, t: usize) -> f64 {
-    let [a, b, c] = scene.corners(t);
-    (b - a).length().max((c - b).length()).max((a - c).length())
 }
 
 /// The lowest level at which an edge of length `longest` is cut to at most `edge`.

@@ -620,6 +620,11 @@ pub(crate) fn direction(v: DVec3) -> Option<DVec3> {
     (v / v.abs().max_element()).try_normalize()
 }
 
+/// The length of the longest edge of a triangle.
+pub(crate) fn longest_edge([a, b, c]: [DVec3; 3]) -> f64 {
+    a.distance(b).max(b.distance(c)).max(c.distance(a))
+}
+
 /// The centre of the bounding box of points and half of its longest side. They are the origin and the unit of unit
 /// space.
 pub(crate) fn centre_and_extent(points: impl Iterator<Item = DVec3>) -> (DVec3, f64) {

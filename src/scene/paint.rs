@@ -6,13 +6,16 @@ use super::{Scene, indexed::check_values};
 use crate::Result;
 
 impl Scene {
+    /// The face that a [`Triangle::source`](super::Triangle::source) is of, as an index into [`Scene::faces`]: the last one that
+    /// begins at or before it. `None` where the faces were not kept.
+    pub fn face_of_source(&self, source: u32) -> Option<usize> {
+        self.faces.partition_point(|face| face.first <= source).checked_sub(1)
+    }
+
     /// The face that each triangle is of, as an index into [`Scene::faces`]; [`Triangle::source`](super::Triangle::source)
     /// where the faces were not kept.
     pub fn face_of_triangles(&self) -> Vec<usize> {
-        let face = |source: u32| match self.faces.partition_point(|face| face.first <= source) {
-            0 => source as usize,
-            after => after - 1,
-        };
+        let face = |source: u32| self.face_of_source(source).unwrap_or(source as usize);
         self.triangles.iter().map(|triangle| face(triangle.source)).collect()
     }
 

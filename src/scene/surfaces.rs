@@ -233,10 +233,9 @@ fn is_flat(scene: &Scene, triangles: &[&Triangle], extent: f64) -> bool {
 /// disagree: one of the two shows its back. The list has the face of the two that agrees with fewer of its neighbours.
 fn turned(scene: &Scene) -> Vec<(usize, Option<usize>)> {
     let triangles = &scene.triangles[..scene.triangles.len() - scene.backs_of_lamps];
-    let face = |t: &Triangle| scene.faces.partition_point(|face| face.first <= t.source).saturating_sub(1);
     let mut edges: Vec<(u32, u32, bool, usize)> = Vec::with_capacity(3 * triangles.len());
     for triangle in triangles {
-        let own = if scene.faces.is_empty() { triangle.source as usize } else { face(triangle) };
+        let own = scene.face_of_source(triangle.source).unwrap_or(triangle.source as usize);
         for k in 0..3 {
             let (a, b) = (triangle.vertices[k], triangle.vertices[(k + 1) % 3]);
             edges.push((a.min(b), a.max(b), a > b, own));

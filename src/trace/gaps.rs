@@ -4,7 +4,10 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{Tracer, UnitTriangle};
-use crate::{Error, Result, scene::Scene};
+use crate::{
+    Error, Result,
+    scene::{Scene, longest_edge},
+};
 
 /// Faces whose planes meet at less than this cosine bound no gap.
 const PARALLEL: f64 = 0.5;
@@ -86,14 +89,10 @@ impl Tracer {
         let width = other.dot(others[0] - point) / other.dot(normal);
         let clearance = |of: &UnitTriangle| f64::from(of.side(true).clearance()) * self.scale();
         let resolved = clearance(&self.triangles[t]) + clearance(&self.triangles[met]) / cosine;
-        let smaller = longest(corners).min(longest(others));
+        let smaller = longest_edge(corners).min(longest_edge(others));
         let matters = width > NARROW * smaller || scene.emits(t) || scene.emits(met);
         let touches = width <= (TOUCHING.0 * 2.0 * self.scale()).min(TOUCHING.1 * smaller);
         let gap = Gap { triangles: [t as u32, met as u32], width, resolved };
         (matters && !touches && gap.share() > WIDE).then_some(gap)
     }
-}
-
-fn longest([a, b, c]: [DVec3; 3]) -> f64 {
-    a.distance(b).max(b.distance(c)).max(c.distance(a))
 }

@@ -6,7 +6,7 @@ use glam::DVec2;
 use image::{ExtendedColorType, ImageEncoder, RgbImage, codecs::png::PngEncoder, imageops};
 use serde_json::{Value, json};
 
-use super::document::base64_of;
+use super::document::{Array, Values, base64_of};
 use crate::scene::{Material, Scene, Texture, TextureMap};
 
 /// Texels of a side of an image in a page; larger ones are made smaller.
@@ -62,6 +62,15 @@ pub(crate) fn coordinates(scene: &Scene, t: usize, corners: [[f64; 3]; 3]) -> [[
         })
     };
     [of(&m.reflectance_map, own), of(&m.emission_map, scene.emission_texcoords.get(t).or(own))]
+}
+
+/// The arrays of [`coordinates`] of some triangles.
+pub(crate) fn coordinate_arrays(uv: &[[[DVec2; 3]; 2]]) -> [Array; 2] {
+    let array = |name: &str, k: usize| {
+        let all = uv.iter().flat_map(|uv| uv[k]).flat_map(|p| p.to_array()).map(|x| x as f32);
+        (name.into(), Values::F32(all.collect()))
+    };
+    [array("reflectance_uv", 0), array("emission_uv", 1)]
 }
 
 fn data_uri(texture: &Texture) -> io::Result<String> {

@@ -159,21 +159,35 @@ pub fn encode(
         arrays.push(("reflectance".into(), Values::F16(halves(patches.reflectance(), 1.0))));
         arrays.push(("emission".into(), Values::F16(halves(patches.emission(), unit))));
     }
+    let exposure =
+        options.exposure.unwrap_or_else(|| exposure::of_radiosity(patches, methods[0].light.radiosity));
+    let mut about = about((scene, camera), options, (unit, exposure), &ball, &mut arrays)?;
+    about["kind"] = "patches".into();
+    about["channels"] = patches.channels().into();
+    about["methods"] = listed.into();
+    about["layers"] = layers.into();
+    document::write(out, Kind::View, options.title, &about, &arrays)
+}
+
+/// What every page of a scene says: its title, units, exposure, materials, camera and sky. Adds the texels of the sky to `arrays`.
+pub(crate) fn about(
+    (scene, camera): (&Scene, &Camera),
+    options: &PageOptions,
+    (unit, exposure): (f64, Exposure),
+    ball: &Ball,
+    arrays: &mut Vec<Array>,
+) -> io::Result<Value> {
     let sky = place::sky(scene, unit).map(|(sky, texels)| {
         arrays.push(("sky".into(), texels));
         sky
     });
-    let exposure =
-        options.exposure.unwrap_or_else(|| exposure::of_radiosity(patches, methods[0].light.radiosity));
     let (materials, textures) = materials::materials(scene, unit)?;
-    let about = json!({
-        "kind": "patches", "version": env!("CARGO_PKG_VERSION"), "title": options.title, "notes": options.notes,
-        "units": scene.units.names(), "channels": patches.channels(), "unit": unit, "white": exposure.white(),
+    Ok(json!({
+        "version": env!("CARGO_PKG_VERSION"), "title": options.title, "notes": options.notes,
+        "units": scene.units.names(), "unit": unit, "white": exposure.white(),
         "origin": ball.centre.to_array(), "radius": ball.radius, "camera": place::camera(camera),
-        "up": camera.up().to_array(), "materials": materials, "textures": textures, "methods": listed,
-        "layers": layers, "sky": sky,
-    });
-    document::write(out, Kind::View, options.title, &about, &arrays)
+        "up": camera.up().to_array(), "materials": materials, "textures": textures, "sky": sky,
+    }))
 }
 
 /// Positions, faces, and what each patch is a part of.
@@ -204,11 +218,7 @@ fn mesh_arrays(scene: &Scene, patches: &Patches, mesh: &PatchMesh, ball: &Ball) 
             let place = |v: u32| barycentric(scene.corners(t), mesh.positions()[v as usize]);
             materials::coordinates(scene, t, mesh.face(f).map(place))
         };
-        let uv: Vec<_> = mapped.iter().map(of).collect();
-        for (k, name) in ["reflectance_uv", "emission_uv"].into_iter().enumerate() {
-            let all = uv.iter().flat_map(|uv| uv[k]).flat_map(|p| p.to_array()).map(|x| x as f32);
-            arrays.push((name.into(), Values::F32(all.collect())));
-        }
+        arrays.extend(materials::coordinate_arrays(&mapped.iter().map(of).collect::<Vec<_>>()));
     }
     arrays
 }

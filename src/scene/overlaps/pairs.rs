@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3, Vec3, Vec3A};
 use obvhs::aabb::Aabb;
 use rayon::prelude::*;
 
-use crate::scene::{Scene, centre_and_extent, cutting::Plane, near::overlapping};
+use crate::scene::{Scene, centre_and_extent, cutting::Plane, longest_edge, near::overlapping};
 
 /// Two triangles that overlap.
 pub(super) struct Pair {
@@ -83,8 +83,7 @@ impl Search<'_> {
     }
 
     fn longest(&self, t: u32) -> f64 {
-        let [a, b, c] = self.scene.corners(t as usize);
-        (b - a).length().max((c - b).length()).max((a - c).length())
+        longest_edge(self.scene.corners(t as usize))
     }
 
     /// The tolerance between a triangle and its copy.
