@@ -444,8 +444,8 @@ impl Kept {
     /// The fault in how a changed checkpoint is handled, if any.
     fn objection(&self, path: &Path, random: &mut Random) -> Option<String> {
         // In most cases the header stays.
-        let start = if random.below(4) > 0 { 48 } else { 0 };
-        let other = [self.bytes[48..].to_vec()];
+        let start = if random.below(4) > 0 { HEADER } else { 0 };
+        let other = [self.bytes[HEADER..].to_vec()];
         let mut bytes = [&self.bytes[..start], &mutate(&self.bytes[start..], &other, random)].concat();
         let repaired = random.below(2) == 0;
         if repaired {
@@ -480,10 +480,13 @@ impl Kept {
     }
 }
 
+/// Bytes of the header of a checkpoint.
+const HEADER: usize = 56;
+
 /// Corrects the checksums of a checkpoint, as far as its lengths lead.
 fn repair(bytes: &mut [u8]) {
     let check = |bytes: &[u8]| crc32fast::hash(bytes).to_le_bytes();
-    let mut at = 48;
+    let mut at = HEADER;
     while let Some(record) = bytes.get_mut(at..).filter(|rest| rest.len() >= 16) {
         let length = u64::from_le_bytes(std::array::from_fn(|k| record[k])) as usize;
         let sum = check(&record[..8]);

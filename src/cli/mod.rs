@@ -5,6 +5,7 @@
 
 mod bake;
 mod camera;
+mod checkpoint;
 mod daylight;
 mod exchange;
 mod forecast;

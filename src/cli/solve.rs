@@ -1,11 +1,6 @@
 //! `radiosity solve`: radiosity of every patch.
 
-use std::{
-    f64::consts::PI,
-    path::{Path, PathBuf},
-    sync::Arc,
-    time::Instant,
-};
+use std::{f64::consts::PI, path::PathBuf, time::Instant};
 
 use clap::{Args, ValueEnum};
 use radiosity::{
@@ -15,7 +10,7 @@ use radiosity::{
         solved::Solved,
     },
     energy::EnergyLedger,
-    form_factor::{Checkpoint, Estimator},
+    form_factor::Estimator,
     monte_carlo::{Camera, Film, RenderOptions},
     output::{
         exposure,
@@ -31,13 +26,15 @@ use radiosity::{
 };
 
 use super::{
-    Common, Outcome, forecast,
+    Common, Outcome,
+    checkpoint::{self, CheckpointArgs, Files},
+    forecast,
     options::{CastArgs, SceneArgs, below_one, percent, seconds_given, stops},
     outputs,
     page::{self, PageArgs},
     pipeline,
     sampling::{Answer, Sampled, Sampling},
-    summary, to_stderr, to_stdout,
+    summary, to_stdout,
     watch::Watch,
 };
 
@@ -96,10 +93,8 @@ pub struct SolveArgs {
     /// Sample for this number of seconds, and give the best answer by then
     #[arg(long, value_name = "SECONDS", value_parser = seconds_given, conflicts_with = "rays")]
     pub time: Option<f64>,
-    /// Keep the hits of all rays in this file. After an interruption, the same command continues from it and reaches
-    /// the same result. A run with more --rays or a lower --error can continue from it, too
-    #[arg(long, value_name = "FILE")]
-    checkpoint: Option<PathBuf>,
+    #[command(flatten)]
+    pub checkpoint: CheckpointArgs,
     /// Seed of the random numbers. The same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub seed: u64,
@@ -158,7 +153,7 @@ impl SolveArgs {
             (!matches!(self.solver, SolverName::Auto | SolverName::StochasticJacobi), "--solver"),
             (matches!(self.estimator, EstimatorName::OneWay), "--estimator"),
             (self.tolerance.is_some(), "--tolerance"),
-            (self.checkpoint.is_some(), "--checkpoint"),
+            (self.checkpoint.is_given(), "--checkpoint"),
         ]
         .into_iter()
         .find_map(|(given, name)| given.then_some(name))
@@ -181,6 +176,21 @@ impl SolveArgs {
 
     /// Refuses combinations of options that would fail only after the work.
     fn check(&self) -> Result<()> {
+        self.checkpoint.check()?;
+        let written = [
+            (self.output.is_some(), "-o"),
+            (self.picture.is_some(), "--picture"),
+            (self.page.page.is_some(), "--page"),
+            (self.report.is_some(), "--report"),
+            (self.error.is_some(), "--error"),
+            (self.time.is_some(), "--time"),
+        ];
+        if let Some((_, option)) = written.iter().find(|(given, _)| *given && self.checkpoint.cast_only) {
+            return Err(Error::Usage {
+                message: format!("{option} needs a solution, and --cast-only computes none"),
+                hint: Some(format!("leave {option} out here, and give it to the run that solves")),
+            });
+        }
         if matches!((self.solver, self.estimator), (SolverName::Cg, EstimatorName::OneWay)) {
             return Err(Error::Usage {
                 message: "--solver cg needs reciprocal form factors".into(),
@@ -222,40 +232,38 @@ impl Computed {
 
 /// Runs the command.
 pub fn run(args: &SolveArgs) -> Result<Outcome> {
-    let result = solve(args);
-    match &args.checkpoint {
-        Some(path) if matches!(result, Err(Error::Stopped)) && path.exists() => {
-            to_stderr(format_args!(
-                "{} holds the rays cast so far: the same command continues from there",
-                path.display()
-            ));
-        }
-        _ => {}
+    args.check()?;
+    let files = args.checkpoint.files(&args.scene.path)?;
+    let result = solve(args, files.as_ref());
+    if let (Err(Error::Stopped), Some(files)) = (&result, &files) {
+        files.say_stopped();
     }
     result
 }
 
-fn solve(args: &SolveArgs) -> Result<Outcome> {
+fn solve(args: &SolveArgs, checkpoint: Option<&Files>) -> Result<Outcome> {
     let start = Instant::now();
-    args.check()?;
     let mesh = args.output.as_ref().map(|path| outputs::mesh(path, &args.scene.path)).transpose()?;
     let picture = args.picture.as_ref().map(|path| outputs::picture(path, &args.scene.path)).transpose()?;
     let page = args.page.page.as_ref().map(|path| page::file(path, &args.scene.path)).transpose()?;
     let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
-    let checkpoint =
-        args.checkpoint.as_ref().map(|path| outputs::checkpoint(path, &args.scene.path)).transpose()?;
     let picture_file = picture.as_ref().map(|(file, _)| file);
     let files: Vec<_> =
-        [mesh.as_ref(), picture_file, page.as_ref(), report_file.as_ref(), checkpoint.as_ref()]
+        [mesh.as_ref(), picture_file, page.as_ref(), report_file.as_ref(), checkpoint.map(|c| &c.written)]
             .into_iter()
             .flatten()
             .collect();
     outputs::check_distinct(&files)?;
+    let read = checkpoint.map_or(&[][..], |checkpoint| &checkpoint.paths[1..]);
+    files.iter().try_for_each(|file| file.check_inputs(read))?;
     args.common.start_threads()?;
+    if let Some(checkpoint) = checkpoint.filter(|_| args.checkpoint.cast_only) {
+        return checkpoint::cast_only(args, checkpoint, &files);
+    }
 
     let watch = Watch::new(args.common.quiet);
     let mut times = Seconds::default();
-    let computed = compute(args, &files, &watch, start, &mut times)?;
+    let computed = compute(args, (&files, checkpoint), &watch, start, &mut times)?;
     let (patches, light) = (computed.answer.patches(), computed.answer.light());
     let exposure = exposure::of_radiosity(patches, light.radiosity).brighter(args.exposure);
     let (film, drawing) = watch.stage("picture", || computed.view(watch.progress()))?;
@@ -294,7 +302,7 @@ fn solve(args: &SolveArgs) -> Result<Outcome> {
 
 fn compute(
     args: &SolveArgs,
-    outputs: &[&OutputFile],
+    (outputs, files): (&[&OutputFile], Option<&Files>),
     watch: &Watch,
     start: Instant,
     times: &mut Seconds,
@@ -310,7 +318,7 @@ fn compute(
         });
     }
     let camera = args.picture.as_ref().map(|_| camera(&scene, &tracer, watch)).transpose()?;
-    let checkpoint = args.checkpoint.as_ref().map(|path| open(path, &scene, args, watch)).transpose()?;
+    let checkpoint = files.map(|files| files.open(&scene, args, watch)).transpose()?;
     // With --error or --time, the program chooses the number of patches.
     if args.cast.given_patches().is_some() || (args.error.is_none() && args.time.is_none()) {
         args.cast.too_few(&scene).iter().for_each(|warning| watch.warn(warning));
@@ -322,10 +330,13 @@ fn compute(
         tracer: &tracer,
         camera: camera.as_ref(),
         watch,
-        checkpoint,
+        checkpoint: checkpoint.clone(),
         with_backs,
     };
     let Sampled { answer, rounds, chosen, floor } = sampling.run(start, times)?;
+    if let (Some(files), Some(checkpoint), false) = (files, &checkpoint, args.common.quiet) {
+        files.say_added(checkpoint, watch);
+    }
     let known = answer.errors();
     let light = (answer.light().irradiance, answer.standard_error());
     let regions = regions::errors(&scene, answer.patches(), light.0, light.1);
@@ -428,22 +439,6 @@ fn report_of(args: &SolveArgs, computed: &Computed, exposure: Exposure) -> Solve
     report.error = computed.error.clone();
     report.rounds = rounds.iter().map(round_report).collect();
     report
-}
-
-/// Opens a checkpoint and prints the number of its rays.
-fn open(path: &Path, scene: &Scene, args: &SolveArgs, watch: &Watch) -> Result<Arc<Checkpoint>> {
-    let checkpoint = Checkpoint::open(path, scene, args.seed)?;
-    if checkpoint.torn() > 0 {
-        watch.warn(&format!(
-            "{}: removed the last {} bytes, which an interrupted run left incomplete",
-            path.display(),
-            checkpoint.torn()
-        ));
-    }
-    if checkpoint.found() > 0 && !args.common.quiet {
-        watch.say(&format!("{}: it holds {} rays of earlier runs", path.display(), checkpoint.found()));
-    }
-    Ok(Arc::new(checkpoint))
 }
 
 fn round_report(round: &Round) -> RoundReport {

@@ -55,6 +55,9 @@ pub(crate) struct ShadowRays {
 pub(crate) trait Keep: Sync {
     /// The stored rays among the `wanted` numbers of a patch, without gaps from the first on.
     fn known(&self, patch: usize, wanted: Range<u32>) -> Result<Vec<ShadowRay>>;
+    /// Whether to cast the rays of a patch that are not stored, in a stage of `new` rays. If not, notes that `missing` rays
+    /// are missing.
+    fn casts(&self, patch: usize, missing: u32, new: u64) -> bool;
     /// Stores rays of patches, given as (patch, number of the first ray, all rays from it on).
     fn keep(&self, rays: &[(usize, u32, &[ShadowRay])]) -> Result<()>;
 }
@@ -210,7 +213,8 @@ impl ShadowRays {
         }
         let mut rays = vec![ShadowRay::NONE; offsets[n]];
         (0..self.len()).for_each(|i| rays[offsets[i]..][..self.of(i).len()].copy_from_slice(self.of(i)));
-        progress.begin("casting shadow rays", (offsets[n] - self.rays.len()) as u64);
+        let stage = (offsets[n] - self.rays.len()) as u64;
+        progress.begin("casting shadow rays", stage);
         const BLOCK: usize = 32;
         let mut rest = &mut rays[..];
         let mut work = Vec::new();
@@ -233,6 +237,10 @@ impl ShadowRays {
                     let known = keep.known(i, had..own.len() as u32)?;
                     own[had as usize..][..known.len()].copy_from_slice(&known);
                     had += known.len() as u32;
+                    let missing = own.len() as u32 - had;
+                    if missing > 0 && !keep.casts(i, missing, stage) {
+                        continue;
+                    }
                 }
                 this.cast(
                     tracer,

@@ -53,7 +53,7 @@ pub(crate) use crate::{
     },
     parallel::{SHORT, magnitude, ordered_sum, together},
 };
-pub use checkpoint::Checkpoint;
+pub use checkpoint::{Checkpoint, Part};
 pub use compressed::CompressedRows;
 
 /// Sparse matrix by rows, 8 bytes a non-zero: single-precision values (sums run in double precision) and 32-bit
@@ -138,6 +138,44 @@ pub(crate) struct DirectPowers {
     pub(crate) leaks: bool,
 }
 
+/// How far [`FormFactors::cast_only`] came.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CastState {
+    /// All rays of all parts are in the files of the checkpoint.
+    Whole,
+    /// The rays of this part are in its file. Rays of other parts are missing.
+    PartCast,
+    /// The rays that this part can cast now are in its file. The others depend on rays of other parts that no file holds
+    /// yet.
+    Waiting,
+}
+
+/// What casting rays led to.
+enum Sampled {
+    Whole(Box<Cast>),
+    /// Rays of other parts are missing, in the `last` stage or in an earlier one.
+    Lacking {
+        last: bool,
+    },
+}
+
+/// All rays of a scene.
+struct Cast {
+    set: RaySet,
+    shadow: ShadowRays,
+    options: CastOptions,
+    /// A radiosity from fewer rays, or empty.
+    start: Vec<f32>,
+}
+
+impl Cast {
+    fn assembled(self, tracer: &Tracer, patches: &Patches) -> Assembled {
+        let Cast { set, shadow, options, start } = self;
+        let sky = SkyLight::of(&set, &shadow.lamps, tracer, patches, options.seed);
+        Assembled::new((set, shadow, sky), tracer, patches, &options, start)
+    }
+}
+
 /// A figure before and after a repair.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
@@ -197,7 +235,7 @@ impl FormFactors {
     /// [`Error::Input`](crate::Error::Input) when the file cannot be read or written. Its contents stay valid.
     ///
     /// # Panics
-    /// When the checkpoint belongs to another seed.
+    /// When the checkpoint belongs to another seed, or casts only a part of the rays.
     pub fn cast_checkpointed(
         scene: &Scene,
         tracer: &Tracer,
@@ -206,35 +244,77 @@ impl FormFactors {
         checkpoint: Option<Arc<Checkpoint>>,
         progress: &Progress,
     ) -> Result<FormFactors> {
-        together(|| {
-            let apart = options.estimator == Estimator::Pooled && options.shadow_share > 0.0;
-            let options = &options.for_lights(scene);
-            let rays = if options.looks_first() { allocation::PILOT * options.rays } else { options.rays };
-            let mut set = RaySet::none();
-            set.checkpoint = checkpoint.map(|file| Section::new(file, digest(patches), options.seed));
-            let emits = apart && patches.emission().iter().any(|&b| b > 0.0);
-            let mut share = allocation::even(options, rays, emits || scene.lights.need_shadow_rays());
-            set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
-            let shines = match emits {
-                true => brightness::above_what_is_seen(&set, patches),
-                false => vec![false; patches.fronts()],
-            };
-            let lamps = Lamps::new(tracer, patches, &scene.lights, |i| shines[i]);
-            if share.shadow > 0 && lamps.is_empty() {
-                // Without lamps all rays are hemisphere rays.
-                share = allocation::even(options, rays, false);
-                set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
-            }
-            let mut shadow = ShadowRays::none(lamps);
-            cast_shadow(&mut shadow, &set, tracer, patches, |_| share.shadow, options.seed, progress)?;
-            let sky = SkyLight::of(&set, &shadow.lamps, tracer, patches, options.seed);
-            let assembled = Assembled::new((set, shadow, sky), tracer, patches, options, Vec::new());
-            if options.looks_first() {
-                let samples = assembled.into_samples(patches);
-                return Self::continued(samples, scene, tracer, patches, options.rays, progress);
-            }
-            Ok(assembled.finish(patches))
+        together(|| match Self::sampled(scene, tracer, patches, options, checkpoint, progress)? {
+            Sampled::Whole(cast) => Ok(cast.assembled(tracer, patches).finish(patches)),
+            Sampled::Lacking { .. } => panic!("this checkpoint casts only a part of the rays"),
         })
+    }
+
+    /// Casts rays into a checkpoint and computes no form factors. If the checkpoint casts only a [`Part`] of the rays,
+    /// this goes as far as the rays of other parts in its files permit.
+    ///
+    /// # Errors
+    /// See [`FormFactors::cast_checkpointed`].
+    ///
+    /// # Panics
+    /// When the checkpoint belongs to another seed.
+    pub fn cast_only(
+        scene: &Scene,
+        tracer: &Tracer,
+        patches: &mut Patches,
+        options: &CastOptions,
+        checkpoint: Arc<Checkpoint>,
+        progress: &Progress,
+    ) -> Result<CastState> {
+        together(|| match Self::sampled(scene, tracer, patches, options, Some(checkpoint), progress)? {
+            Sampled::Whole(_) => Ok(CastState::Whole),
+            Sampled::Lacking { last: true } => Ok(CastState::PartCast),
+            Sampled::Lacking { last: false } => Ok(CastState::Waiting),
+        })
+    }
+
+    /// Casts all rays, or those of a part.
+    fn sampled(
+        scene: &Scene,
+        tracer: &Tracer,
+        patches: &mut Patches,
+        options: &CastOptions,
+        checkpoint: Option<Arc<Checkpoint>>,
+        progress: &Progress,
+    ) -> Result<Sampled> {
+        let apart = options.estimator == Estimator::Pooled && options.shadow_share > 0.0;
+        let options = &options.for_lights(scene);
+        let rays = if options.looks_first() { allocation::PILOT * options.rays } else { options.rays };
+        let mut set = RaySet::none();
+        set.checkpoint = checkpoint.map(|file| Section::new(file, digest(patches), options.seed));
+        let emits = apart && patches.emission().iter().any(|&b| b > 0.0);
+        let mut share = allocation::even(options, rays, emits || scene.lights.need_shadow_rays());
+        set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
+        // The choice of lamps depends on all hemisphere rays.
+        if set.is_lacking() {
+            return Ok(Sampled::Lacking { last: false });
+        }
+        let shines = match emits {
+            true => brightness::above_what_is_seen(&set, patches),
+            false => vec![false; patches.fronts()],
+        };
+        let lamps = Lamps::new(tracer, patches, &scene.lights, |i| shines[i]);
+        if share.shadow > 0 && lamps.is_empty() {
+            // Without lamps all rays are hemisphere rays.
+            share = allocation::even(options, rays, false);
+            set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
+        }
+        let mut shadow = ShadowRays::none(lamps);
+        cast_shadow(&mut shadow, &set, tracer, patches, |_| share.shadow, options.seed, progress)?;
+        if set.is_lacking() {
+            return Ok(Sampled::Lacking { last: !options.looks_first() });
+        }
+        let cast = Cast { set, shadow, options: *options, start: Vec::new() };
+        if options.looks_first() {
+            let samples = cast.assembled(tracer, patches).into_samples(patches);
+            return Self::continued(samples, scene, tracer, patches, options.rays, progress);
+        }
+        Ok(Sampled::Whole(Box::new(cast)))
     }
 
     /// Casts more rays with the original options, until the mean number of rays a patch is `rays`. The rays cast before
@@ -257,7 +337,10 @@ impl FormFactors {
         assert_eq!(samples.rays.len(), patches.len(), "the form factors belong to other patches");
         // Frees memory for the new matrix.
         drop(self.stored);
-        together(|| Self::continued(samples, scene, tracer, patches, rays, progress))
+        together(|| match Self::continued(samples, scene, tracer, patches, rays, progress)? {
+            Sampled::Whole(cast) => Ok(cast.assembled(tracer, patches).finish(patches)),
+            Sampled::Lacking { .. } => unreachable!("form factors come from all rays"),
+        })
     }
 
     /// Casts more rays where the samples show that they lower the error most.
@@ -268,7 +351,7 @@ impl FormFactors {
         patches: &mut Patches,
         rays: f64,
         progress: &Progress,
-    ) -> Result<FormFactors> {
+    ) -> Result<Sampled> {
         let options = samples.options;
         let shares = if options.looks_first() { samples.shares(patches, rays) } else { Vec::new() };
         let Samples { rays: mut set, mut shadow, radiosity, .. } = samples;
@@ -278,8 +361,10 @@ impl FormFactors {
         let share = |i: usize| shares.get(i).copied().unwrap_or(even);
         set.extend(scene, tracer, patches, |i| share(i).hemisphere, options.seed, progress)?;
         cast_shadow(&mut shadow, &set, tracer, patches, |i| share(i).shadow, options.seed, progress)?;
-        let sky = SkyLight::of(&set, &shadow.lamps, tracer, patches, options.seed);
-        Ok(Assembled::new((set, shadow, sky), tracer, patches, &options, start).finish(patches))
+        if set.is_lacking() {
+            return Ok(Sampled::Lacking { last: true });
+        }
+        Ok(Sampled::Whole(Box::new(Cast { set, shadow, options, start })))
     }
 
     /// Direct light of lamps and other lights, in multiples of `unit`, as `emission` is; `None` if there is none.
@@ -522,6 +607,7 @@ fn cast_shadow(
         section: section.of_kind(shadow.lamps.digest()),
         names: Names::new(patches),
         pieces,
+        rays: set.rays(),
     });
     shadow.extend(tracer, patches, wanted, seed, kept.as_ref().map(|kept| kept as &dyn Keep), progress)
 }
@@ -531,6 +617,8 @@ struct Kept<'a> {
     section: Section,
     names: Names<'a>,
     pieces: usize,
+    /// Number of hemisphere rays.
+    rays: u64,
 }
 
 impl Keep for Kept<'_> {
@@ -541,6 +629,14 @@ impl Keep for Kept<'_> {
             let (piece, weight) = (word(0), f32::from_bits(word(1)));
             ((piece as usize) < self.pieces && weight.is_finite()).then_some(ShadowRay { piece, weight })
         })
+    }
+
+    fn casts(&self, patch: usize, missing: u32, new: u64) -> bool {
+        let casts = self.section.casts(patch as u32, self.section.shares_out(new, self.rays + new));
+        if !casts {
+            self.section.lack(missing);
+        }
+        casts
     }
 
     fn keep(&self, rays: &[(usize, u32, &[ShadowRay])]) -> Result<()> {

@@ -59,6 +59,11 @@ impl RaySet {
         }
     }
 
+    /// Whether rays of other parts are missing.
+    pub(super) fn is_lacking(&self) -> bool {
+        self.checkpoint.as_ref().is_some_and(Section::is_lacking)
+    }
+
     /// The first or second half of every patch's rays; `None` if some patch has only one ray.
     pub(super) fn half(&self, half: usize) -> Option<RaySet> {
         let mut part = RaySet { withdrawn: self.withdrawn.clone(), ..RaySet::none() };

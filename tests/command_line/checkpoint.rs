@@ -10,7 +10,7 @@ use crate::common::program::{Here, stderr};
 use serde_json::Value;
 
 /// A cube with a lamp, and a plate in it whose back is seen.
-fn plate() -> Here {
+pub fn plate() -> Here {
     let obj = "mtllib scene.mtl\nusemtl wall\n\
         v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1\n\
         v 0.2 0.2 0.4\nv 0.7 0.2 0.5\nv 0.7 0.7 0.5\nv 0.2 0.7 0.4\n\
@@ -57,7 +57,7 @@ fn grows_to(here: &Here, name: &str, bytes: u64, child: &mut Child) -> bool {
 }
 
 /// The report without times and peak memory, which differ between runs.
-fn report(here: &Here) -> Value {
+pub fn report(here: &Here) -> Value {
     let mut report = here.json("r.json");
     for field in ["seconds", "peak_bytes"] {
         assert!(report.as_object_mut().unwrap().remove(field).is_some());

@@ -18,6 +18,8 @@ mod memory;
 #[cfg(unix)]
 mod outputs;
 mod page;
+#[cfg(unix)]
+mod parts;
 mod ply;
 mod probe;
 mod radiance;

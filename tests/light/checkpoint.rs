@@ -53,6 +53,14 @@ fn open(path: &Path, scene: &Scene) -> Arc<Checkpoint> {
     Arc::new(Checkpoint::open(path, scene, 5).unwrap())
 }
 
+/// Bytes of the header.
+const HEADER: usize = 56;
+
+/// Bytes of an incomplete last record.
+fn torn(file: &Checkpoint) -> u64 {
+    file.torn().iter().map(|(_, bytes)| bytes).sum()
+}
+
 /// A finished checkpoint of 64 patches in a directory of its own.
 fn finished(scene: &Scene) -> (tempfile::TempDir, std::path::PathBuf) {
     let dir = tempfile::tempdir().unwrap();
@@ -63,7 +71,7 @@ fn finished(scene: &Scene) -> (tempfile::TempDir, std::path::PathBuf) {
 
 /// The start of every record, and the end of the last.
 fn records(bytes: &[u8]) -> Vec<usize> {
-    let mut at = vec![48];
+    let mut at = vec![HEADER];
     while at[at.len() - 1] < bytes.len() {
         let start = at[at.len() - 1];
         let length = u64::from_le_bytes(bytes[start..start + 8].try_into().unwrap());
@@ -93,7 +101,7 @@ fn the_result_is_the_same_wherever_rays_come_from() {
         for (cut, threads) in [(0, 2), (1, 64), (starts.len() / 2, 1), (starts.len() - 2, 7)] {
             fs::write(&path, &bytes[..starts[cut]]).unwrap();
             let resumed = open(&path, &scene);
-            assert_eq!((resumed.found() == 0, resumed.torn()), (cut == 0, 0));
+            assert_eq!((resumed.found() == 0, torn(&resumed)), (cut == 0, 0));
             assert!(bits(&cast_with(&scene, 300, &options, Some(&resumed), threads)) == truth, "{cut}");
             assert_eq!(resumed.rays(), all);
         }
@@ -164,12 +172,12 @@ fn a_torn_tail_is_cut_off_at_any_byte() {
     for cut in last + 1..end {
         fs::write(&path, &bytes[..cut]).unwrap();
         let file = open(&path, &scene);
-        assert_eq!((file.torn(), file.found()), ((cut - last) as u64, before), "{cut}");
+        assert_eq!((torn(&file), file.found()), ((cut - last) as u64, before), "{cut}");
         assert_eq!(fs::metadata(&path).unwrap().len(), last as u64);
     }
-    for cut in 0..48 {
+    for cut in 0..HEADER {
         fs::write(&path, &bytes[..cut]).unwrap();
-        assert_eq!((open(&path, &scene).found(), fs::read(&path).unwrap()), (0, bytes[..48].to_vec()));
+        assert_eq!((open(&path, &scene).found(), fs::read(&path).unwrap()), (0, bytes[..HEADER].to_vec()));
     }
     let truth = bits(&cast_with(&scene, 64, &options(32.0), None, 2));
     for cut in [last + 1, last + 13, (last + end) / 2, end - 1] {
@@ -203,7 +211,7 @@ fn what_a_loss_of_power_leaves_is_cut_off() {
             }
             fs::write(&path, &left).unwrap();
             let file = open(&path, &scene);
-            assert_eq!((file.torn(), file.found()), ((size - start) as u64, found), "{cut} of {size}");
+            assert_eq!((torn(&file), file.found()), ((size - start) as u64, found), "{cut} of {size}");
             assert_eq!(fs::metadata(&path).unwrap().len(), start as u64);
         }
     }
@@ -221,7 +229,7 @@ fn damage_is_recognised_wherever_it_is() {
     let mut random = Random::new(3);
     let anywhere = (0..400).map(|_| (random.next() * bytes.len() as f64) as usize);
     let lengths = records(&bytes).into_iter().take(3).flat_map(|start| start..(start + 12).min(bytes.len()));
-    for at in (0..48).chain(lengths.collect::<Vec<_>>()).chain(anywhere) {
+    for at in (0..HEADER).chain(lengths.collect::<Vec<_>>()).chain(anywhere) {
         let mut damaged = bytes.clone();
         damaged[at] ^= 1 << (at % 8);
         fs::write(&path, &damaged).unwrap();
@@ -300,19 +308,10 @@ fn what_is_foreign_is_refused() {
     // A header of another version with a right checksum.
     let mut newer = bytes.clone();
     newer[20] ^= 1;
-    let check = crc32fast::hash(&newer[..44]);
-    newer[44..48].copy_from_slice(&check.to_le_bytes());
+    let check = crc32fast::hash(&newer[..HEADER - 4]);
+    newer[HEADER - 4..HEADER].copy_from_slice(&check.to_le_bytes());
     fs::write(&path, &newer).unwrap();
     refused(&path, &scene, 5, "another version");
-    // Rays whose predecessors are missing, and rays that are in the file twice.
-    let second = records(&bytes)[1];
-    for mixed in
-        [[&bytes[..48], &bytes[second..], &bytes[48..second]].concat(), [&bytes, &bytes[48..]].concat()]
-    {
-        fs::write(&path, mixed).unwrap();
-        refused(&path, &scene, 5, "damaged");
-    }
-
     let textured = load("textured");
     let of_texture = dir.path().join("textured.checkpoint");
     cast_with(&textured, 64, &options(16.0), Some(&open(&of_texture, &textured)), 2);
@@ -323,6 +322,30 @@ fn what_is_foreign_is_refused() {
     texels[0] ^= 1;
     *texture = radiosity::scene::Texture::new(width, height, texels);
     refused(&of_texture, &repainted, 5, "of another scene");
+}
+
+/// The order of the records does not matter, and rays that are in the file twice count once. Rays whose predecessors are
+/// missing are not used.
+#[test]
+fn records_may_come_in_any_order() {
+    let scene = furnished();
+    let (_dir, path) = finished(&scene);
+    let bytes = fs::read(&path).unwrap();
+    let truth = bits(&cast_with(&scene, 64, &options(32.0), None, 2));
+    let all = open(&path, &scene).found();
+    let second = records(&bytes)[1];
+    let (header, first, rest) = (&bytes[..HEADER], &bytes[HEADER..second], &bytes[second..]);
+    for (mixed, whole) in [
+        ([header, rest, first].concat(), true),
+        ([header, first, rest, rest].concat(), true),
+        ([header, rest].concat(), false),
+    ] {
+        fs::write(&path, mixed).unwrap();
+        let file = open(&path, &scene);
+        assert_eq!(file.found() == all, whole);
+        assert!(bits(&cast_with(&scene, 64, &options(32.0), Some(&file), 2)) == truth);
+        assert_eq!(file.rays(), all);
+    }
 }
 
 /// Two runs never write to one file. A run that kept no rays removes its file. A folder or a device is no checkpoint.

@@ -2,14 +2,16 @@
 
 use std::path::Path;
 
+use super::part::Part;
 use crate::{Error, Result, scene::Scene, trace::sampling::mix};
 
 /// Identifies the file. A transfer as text changes the line end.
 const MAGIC: &[u8; 16] = b"radiosity rays\r\n";
 /// Grows with each change of the format, of the rays that a seed gives, or of what is stored of them.
-const FORMAT: u32 = 5;
-/// Bytes of the header.
-pub(super) const HEADER: usize = 48;
+const FORMAT: u32 = 6;
+/// Bytes of the header, of which the last four are a checksum.
+pub(super) const HEADER: usize = 56;
+const CHECKED: usize = HEADER - 4;
 /// Bytes of a record before and after its body.
 pub(super) const BEFORE: usize = 12;
 pub(super) const AFTER: usize = 4;
@@ -23,7 +25,8 @@ pub(super) type Key = (u64, u32, u32);
 /// Rays of one patch in a record. They continue the previous piece of the patch.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Piece {
-    /// Position in the file.
+    /// The file of the checkpoint, and the position there.
+    pub(super) file: u32,
     pub(super) at: u64,
     pub(super) from: u32,
     pub(super) to: u32,
@@ -43,7 +46,7 @@ pub(super) fn damage(path: &Path, place: &str) -> Error {
         .with_hint("delete it to begin anew, or keep the checkpoint in another file")
 }
 
-pub(super) fn header(scene: &Scene, seed: u64) -> [u8; HEADER] {
+pub(super) fn header(scene: &Scene, seed: u64, part: Part) -> [u8; HEADER] {
     let mut bytes = [0; HEADER];
     bytes[..16].copy_from_slice(MAGIC);
     bytes[16..20].copy_from_slice(&FORMAT.to_le_bytes());
@@ -51,23 +54,31 @@ pub(super) fn header(scene: &Scene, seed: u64) -> [u8; HEADER] {
     for (k, word) in [version, digest(scene), seed].into_iter().enumerate() {
         bytes[20 + 8 * k..28 + 8 * k].copy_from_slice(&word.to_le_bytes());
     }
-    let check = crc32fast::hash(&bytes[..44]);
-    bytes[44..].copy_from_slice(&check.to_le_bytes());
+    for (k, word) in [part.number(), part.count()].into_iter().enumerate() {
+        bytes[44 + 4 * k..48 + 4 * k].copy_from_slice(&word.to_le_bytes());
+    }
+    let check = crc32fast::hash(&bytes[..CHECKED]);
+    bytes[CHECKED..].copy_from_slice(&check.to_le_bytes());
     bytes
 }
 
-/// Checks the header. The error describes what the file is instead.
-pub(super) fn check_header(path: &Path, found: &[u8], wanted: &[u8; HEADER]) -> Result<()> {
+/// Checks the header, and returns the part of the patches that the file belongs to. The error describes what the file
+/// is instead.
+pub(super) fn check_header(path: &Path, found: &[u8], wanted: &[u8; HEADER]) -> Result<Part> {
     let same = |range: std::ops::Range<usize>| found[range.clone()] == wanted[range];
     let other = |what: String, advice: &str| Err(Error::input(path, None, what).with_hint(advice));
     let name = "keep the checkpoint in another file, or delete this one";
-    if found.len() < HEADER || !same(0..16) {
+    if found.len() < 20 || !same(0..16) {
         return other("this file is not a checkpoint, and was left as it is".into(), name);
     }
-    if crc32fast::hash(&found[..44]).to_le_bytes() != found[44..48] {
+    // Headers of other formats may have other lengths.
+    if !same(16..20) {
+        return other("the checkpoint is of another version of the program".into(), name);
+    }
+    if found.len() < HEADER || crc32fast::hash(&found[..CHECKED]).to_le_bytes() != found[CHECKED..] {
         return Err(damage(path, "its start"));
     }
-    if !same(16..28) {
+    if !same(20..28) {
         return other("the checkpoint is of another version of the program".into(), name);
     }
     if !same(28..36) {
@@ -77,7 +88,8 @@ pub(super) fn check_header(path: &Path, found: &[u8], wanted: &[u8; HEADER]) -> 
         let seed = u64::from_le_bytes(std::array::from_fn(|k| found[36 + k]));
         return other(format!("the checkpoint is of seed {seed}"), &format!("use seed {seed}, or {name}"));
     }
-    Ok(())
+    let [number, count] = numbers(&found[44..CHECKED]);
+    Part::new(number, count).ok_or_else(|| damage(path, "its start"))
 }
 
 /// A digest of everything in the scene that affects rays.
@@ -146,8 +158,10 @@ pub(super) fn pieces(body: &[u8], at: u64) -> Option<Vec<(Key, Piece)>> {
     while !rest.is_empty() {
         let (start, tail) = rest.split_at_checked(4 * NUMBERS)?;
         let [patch, surface, from, to, size] = numbers(start);
-        to.checked_sub(from)?;
-        let piece = Piece { at: at + (body.len() - tail.len()) as u64, from, to, size };
+        if from >= to {
+            return None;
+        }
+        let piece = Piece { file: 0, at: at + (body.len() - tail.len()) as u64, from, to, size };
         rest = tail.get(piece.bytes()..)?;
         pieces.push(((u64::from_le_bytes(*digest), patch, surface), piece));
     }

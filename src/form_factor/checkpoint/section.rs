@@ -1,12 +1,20 @@
 //! Reads and writes the rays of one kind and one subdivision.
 
-use std::{io, ops::Range, sync::Arc};
+use std::{
+    ops::Range,
+    path::PathBuf,
+    sync::{Arc, atomic::Ordering::Relaxed},
+};
 
 use super::{
     Checkpoint,
     format::{Key, Piece, begin_record, damage, piece_start, seal_record},
 };
 use crate::{Error, Result, trace::sampling::mix};
+
+/// A stage of casting is not shared out if it adds at most one in this number to the rays of a part. It costs each part
+/// this share of its time, and spares it the wait for the others.
+const FEW: u64 = 8;
 
 /// The rays of one kind and one subdivision in a checkpoint.
 #[derive(Debug, Clone)]
@@ -53,25 +61,47 @@ impl Section {
         let Some(kept) = store.known.get(&(self.digest, patch, surface)) else { return Ok(Vec::new()) };
         let needed = |p: &&Piece| p.to > wanted.start && p.from < wanted.end;
         let needed: Vec<Piece> = kept.pieces.iter().filter(needed).copied().collect();
-        let read: Vec<_> = needed
-            .into_iter()
-            .map(|piece| Ok((piece, store.read(&piece)?)))
-            .collect::<io::Result<_>>()
-            .map_err(|e| Error::io(&checkpoint.path, e))?;
+        let read: Vec<_> =
+            needed.into_iter().map(|piece| Ok((piece, store.read(&piece)?))).collect::<Result<_>>()?;
+        let path = |piece: &Piece| store.files[piece.file as usize].0.clone();
+        let paths: Vec<PathBuf> = read.iter().map(|(piece, _)| path(piece)).collect();
         drop(store);
         let mut rays = Vec::with_capacity(wanted.len());
-        for (piece, bytes) in read {
-            let damaged = || damage(&checkpoint.path, &format!("byte {}", piece.at));
+        for ((piece, bytes), path) in read.into_iter().zip(paths) {
+            let damaged = || damage(&path, &format!("byte {}", piece.at));
             if piece.size as usize != S {
                 return Err(damaged());
             }
             for (index, &bytes) in (piece.from..).zip(bytes.as_chunks::<S>().0) {
-                if wanted.contains(&index) {
+                // Pieces of several files may overlap.
+                if index == wanted.start + rays.len() as u32 && index < wanted.end {
                     rays.push(decode(bytes).ok_or_else(damaged)?);
                 }
             }
         }
         Ok(rays)
+    }
+
+    /// Whether this run casts the rays of a patch if no file holds them. Stages with few rays are not shared out.
+    pub(in super::super) fn casts(&self, patch: u32, is_shared: bool) -> bool {
+        !is_shared || self.checkpoint.part.contains(patch)
+    }
+
+    /// Whether to share out a stage of casting with this number of `new` rays, of `all` rays so far. Rays that every part
+    /// casts for itself spare it the wait for the other parts.
+    pub(in super::super) fn shares_out(&self, new: u64, all: u64) -> bool {
+        let parts = u64::from(self.checkpoint.part.count());
+        parts > 1 && FEW * parts * new > all
+    }
+
+    /// Notes rays that another part has to cast.
+    pub(in super::super) fn lack(&self, rays: u32) {
+        self.checkpoint.lacking.fetch_add(rays.into(), Relaxed);
+    }
+
+    /// Whether rays of other parts are missing.
+    pub(in super::super) fn is_lacking(&self) -> bool {
+        self.checkpoint.lacking() > 0
     }
 
     /// Adds rays of a patch to a record. `from` is the number of the first ray.
@@ -90,7 +120,7 @@ impl Section {
             begin_record(bytes, self.digest);
         }
         let key = (self.digest, patch, surface);
-        let mut piece = Piece { at: 0, from, to: from + rays.len() as u32, size: S as u32 };
+        let mut piece = Piece { file: 0, at: 0, from, to: from + rays.len() as u32, size: S as u32 };
         bytes.extend(piece_start(key, &piece));
         piece.at = bytes.len() as u64;
         pieces.push((key, piece));
@@ -110,11 +140,11 @@ impl Section {
         let checkpoint = &*self.checkpoint;
         let mut store = checkpoint.store();
         let start = store.end;
-        let failed = |e| Error::io(&checkpoint.path, e);
+        let path = store.files[0].0.clone();
+        let failed = |e| Error::io(&path, e);
         store.append(&bytes).map_err(failed)?;
         for (key, piece) in pieces {
-            let follows = store.add(key, Piece { at: start + piece.at, ..piece });
-            assert!(follows, "rays are cast in order");
+            store.add(key, Piece { at: start + piece.at, ..piece });
         }
         let due = store.due().map_err(failed)?;
         // Other threads continue meanwhile.

@@ -4,7 +4,10 @@ use std::{ops::Range, time::Instant};
 
 use rayon::prelude::*;
 
-use super::{super::checkpoint::Record, BACK, ESCAPED, RaySet};
+use super::{
+    super::checkpoint::{RUN, Record},
+    BACK, ESCAPED, RaySet,
+};
 use crate::{
     Progress, Result,
     direct::footprint::Footprint,
@@ -14,12 +17,12 @@ use crate::{
 };
 
 /// Patches whose rays a thread casts together. They share a record in a checkpoint.
-const BLOCK: usize = 32;
+const BLOCK: usize = RUN as usize;
 
 impl RaySet {
     /// Casts rays until every patch has the `wanted` number. Rays cast before are kept. Backs that are hit become
     /// patches and cast rays too, until no new ones are found. The result depends on the seed alone, not on the number
-    /// of threads.
+    /// of threads. If the checkpoint is that of one part and rays of others are missing, the rays are incomplete.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -39,7 +42,10 @@ impl RaySet {
             let before = self.rays();
             let old = self.make_room(first..last, &wanted);
             progress.begin("casting rays", self.rays() - before);
-            self.cast(tracer, patches, first, &old, seed, progress)?;
+            self.cast(tracer, patches, first, (&old, self.rays() - before), seed, progress)?;
+            if self.is_lacking() {
+                return Ok(());
+            }
             let seen = backs_seen(patches, &self.targets);
             patches.add_backs(scene, &seen);
             first = last;
@@ -70,18 +76,19 @@ impl RaySet {
         old
     }
 
-    /// Casts the missing rays of the patches from `first` on. Rays in the checkpoint are read instead.
+    /// Casts the `new` rays of the patches from `first` on. Rays in the checkpoint are read instead.
     fn cast(
         &mut self,
         tracer: &Tracer,
         patches: &Patches,
         first: usize,
-        old: &[u32],
+        (old, new): (&[u32], u64),
         seed: u64,
         progress: &Progress,
     ) -> Result<()> {
         let RaySet { offsets, targets, checkpoint, .. } = self;
         let checkpoint = checkpoint.as_ref();
+        let is_shared = checkpoint.is_some_and(|section| section.shares_out(new, targets.len() as u64));
         let names = Names::new(patches);
         let mut rest = &mut targets[offsets[first]..];
         let mut blocks = Vec::new();
@@ -104,6 +111,10 @@ impl RaySet {
                     let known = checkpoint.known(key, had..all, present)?;
                     own[had as usize..][..known.len()].copy_from_slice(&known);
                     had += known.len() as u32;
+                    if had < all && !checkpoint.casts(i as u32, is_shared) {
+                        checkpoint.lack(all - had);
+                        continue;
+                    }
                 }
                 let from = Footprint::new(tracer, patches, i);
                 cast_patch(tracer, patches, &from, had..all, mix(&[seed, i as u64]), own);
