@@ -1,7 +1,7 @@
 //! Irradiance of texels by a final gather: rays from points spread over the covered part of each texel.
 //!
-//! A sample is a point, a shadow ray to a point of a lamp, and a hemisphere ray that reads the solved radiosity where
-//! it hits. Points are uniform on the pieces of surface in the texel. Rays start on the point's own triangle, so
+//! A sample is a point, a shadow ray to a point of a lamp, and a hemisphere ray. Where this ray hits, direct light is
+//! sampled in the same way, and the light that surfaces have reflected is read from the solution. Points are uniform on the pieces of surface in the texel. Rays start on the point's own triangle, so
 //! nothing is interpolated across a wall.
 //!
 //! Points inside a solid are buried and do not count: the mean is over the part of the surface that light can reach. A
@@ -19,7 +19,7 @@ use crate::{
     monte_carlo::{Receiver, Samples},
     output::final_gather::{FinalGather, Gathered},
     trace::{
-        Tracer,
+        Hit, Tracer,
         sampling::{mix, square_to_triangle},
     },
 };
@@ -141,16 +141,17 @@ pub fn hidden(
                 && (0..HIDDEN_POINTS).all(|s| {
                     let mut samples = Samples::new(s, seed);
                     let at = surface.receiver(tracer, sides, &mut samples);
-                    let found = source.gather(at, &mut samples);
-                    met_back(&found) && is_buried(source, tracer, at, mix(&[seed, s.into(), PROBE_SEED]))
+                    let (_, hit) = source.direct(at, &mut samples);
+                    met_back(hit.as_ref())
+                        && is_buried(source, tracer, at, mix(&[seed, s.into(), PROBE_SEED]))
                 })
         })
         .collect()
 }
 
 /// Whether the hemisphere ray hit the back of a face.
-fn met_back(found: &Gathered) -> bool {
-    found.hit.is_some_and(|hit| !hit.front)
+fn met_back(hit: Option<&Hit>) -> bool {
+    hit.is_some_and(|hit| !hit.front)
 }
 
 /// A sample of a texel.
@@ -165,7 +166,7 @@ struct Sample {
 /// For each sample of a texel, whether its point is inside a solid. The points that seem to be inside are most likely
 /// in one region, so if a walk from one of them finds light, none is inside a solid.
 fn buried(source: &FinalGather, tracer: &Tracer, samples: &[Sample]) -> Vec<bool> {
-    if !samples.iter().any(|sample| met_back(&sample.found)) {
+    if !samples.iter().any(|sample| met_back(sample.found.hit.as_ref())) {
         return vec![false; samples.len()];
     }
     let inside: Vec<bool> = samples.iter().map(|s| seems_inside(source, s.at, s.seed)).collect();
@@ -179,8 +180,11 @@ fn buried(source: &FinalGather, tracer: &Tracer, samples: &[Sample]) -> Vec<bool
 /// Whether a point seems to be inside a solid: all hemisphere rays but at most one hit backs of faces, and no emitter
 /// shines on the point. The backs need not be dark, because patches that reach under a wall carry some light there.
 fn seems_inside(source: &FinalGather, at: Receiver, seed: u64) -> bool {
-    let is_inside = |found: &Gathered| found.direct == [0.0; 3] && met_back(found);
-    let inside = (0..PROBES).filter(|&s| is_inside(&source.gather(at, &mut Samples::new(s, seed)))).count();
+    let is_inside = |s: &u32| {
+        let (direct, hit) = source.direct(at, &mut Samples::new(*s, seed));
+        direct == [0.0; 3] && met_back(hit.as_ref())
+    };
+    let inside = (0..PROBES).filter(is_inside).count();
     inside + 1 >= PROBES as usize
 }
 
@@ -195,9 +199,8 @@ fn is_buried(source: &FinalGather, tracer: &Tracer, at: Receiver, seed: u64) -> 
 fn is_dark(source: &FinalGather, tracer: &Tracer, mut at: Receiver, (walk, seed): (u32, u64)) -> bool {
     let mut samples = Samples::new(walk, seed);
     for _ in 0..STEPS {
-        let found = source.gather(at, &mut samples);
-        match found.hit {
-            Some(hit) if found.direct == [0.0; 3] => at = Receiver::of_hit(tracer, &hit),
+        match source.direct(at, &mut samples) {
+            ([0.0, 0.0, 0.0], Some(hit)) => at = Receiver::of_hit(tracer, &hit),
             _ => return false,
         }
     }

@@ -1,11 +1,12 @@
 //! Final gather: irradiance at a point from the radiosity solution, with the last bounce sampled by rays.
 //!
 //! E = E direct + π mean(ρ E' / π). Direct light is sampled as in the path tracer, by rays to points on emitters and by
-//! hemisphere rays that hit emitters. Reflected light comes from hemisphere rays with a cosine distribution, which read
-//! the solved irradiance E' of the patch that they hit. They do not read its emission, which is direct light. The
-//! integral hides the borders of patches, and shadows of direct light are as sharp as they should be (Reichert, "A
-//! Two-Pass Radiosity Method Driven by Lights and Viewer Position", 1992; Cohen and Wallace, "Radiosity and Realistic
-//! Image Synthesis", 1993, section 9.4).
+//! hemisphere rays that hit emitters. Reflected light comes from hemisphere rays with a cosine distribution. At their
+//! hits, the direct part of the irradiance E' is sampled in the same way. Only the part that other surfaces have
+//! reflected is read from the solution. So the shadows of direct light are sharp, and so is the light that is reflected
+//! once. A patch on both sides of a wall does not carry the light of lamps through the wall (Reichert, "A Two-Pass
+//! Radiosity Method Driven by Lights and Viewer Position", 1992; Cohen and Wallace, "Radiosity and Realistic Image
+//! Synthesis", 1993, section 9.4).
 
 use glam::{DVec3, Vec3A};
 
@@ -14,7 +15,7 @@ use crate::{
     monte_carlo::{Effort, Estimate, PathOptions, PathTracer, Receiver, Samples},
     patch::Patches,
     scene::Scene,
-    solve::{Light, Solution, linear::rise_at},
+    solve::{Solution, linear::rise_at},
     tone::rgb,
     trace::{
         Hit, Tracer,
@@ -40,9 +41,9 @@ pub struct FinalGather<'a> {
     scene: &'a Scene,
     tracer: &'a Tracer,
     patches: &'a Patches,
-    /// Irradiance of each patch, never negative.
-    irradiance: Vec<[f64; 3]>,
-    /// Slopes of the irradiance over each patch; empty for constant light.
+    /// The reflected part of the irradiance of each patch, never negative.
+    reflected: Vec<[f64; 3]>,
+    /// Slopes of this part over each patch; empty for constant light.
     slopes: Vec<[f64; 2]>,
     direct: PathTracer<'a>,
     rays: u32,
@@ -60,12 +61,12 @@ impl<'a> FinalGather<'a> {
         solution: &Solution,
         rays: u32,
     ) -> Self {
-        let irradiance = positive(&solution.irradiance, solution.channels);
-        assert_eq!(irradiance.len(), patches.len(), "the solution belongs to other patches");
+        let reflected = positive(&solution.reflected, solution.channels);
+        assert_eq!(reflected.len(), patches.len(), "the solution belongs to other patches");
         let options = PathOptions { max_bounces: Some(0), ..PathOptions::default() };
         let direct = PathTracer::new(scene, tracer, options);
-        let slopes = Light::from(solution).slopes.to_vec();
-        FinalGather { scene, tracer, patches, irradiance, slopes, direct, rays: rays.max(1) }
+        let slopes = solution.linear.as_ref().map_or_else(Vec::new, |linear| linear.reflected.clone());
+        FinalGather { scene, tracer, patches, reflected, slopes, direct, rays: rays.max(1) }
     }
 
     /// One sample of the irradiance of a point, W/m².
@@ -74,11 +75,12 @@ impl<'a> FinalGather<'a> {
         let origin = at.side.leave(at.position);
         let mut reflected = DVec3::ZERO;
         for ray in 0..self.rays {
-            let [x, y] = samples.branch(ray, self.rays).square();
+            let mut branch = samples.branch(ray, self.rays);
+            let [x, y] = branch.square();
             let direction = around(at.side.normal, square_to_cosine_hemisphere(x, y));
             if let Some(hit) = self.tracer.closest(origin, direction) {
                 // The sample is π times the radiance ρ E' / π.
-                reflected += self.reflected(&hit);
+                reflected += self.reflected(&hit, &mut branch);
             }
         }
         (direct + reflected / f64::from(self.rays)).to_array()
@@ -88,10 +90,16 @@ impl<'a> FinalGather<'a> {
     /// light.
     #[inline]
     pub fn gather(&self, at: Receiver, samples: &mut Samples) -> Gathered {
-        let (direct, hit) = self.direct.direct(at, samples);
+        let (direct, hit) = self.direct(at, samples);
         let Some(hit) = hit else { return Gathered { direct, ..Gathered::default() } };
-        let reflected = self.reflected(&hit).to_array();
+        let reflected = self.reflected(&hit, samples).to_array();
         Gathered { direct, reflected, hit: Some(hit) }
+    }
+
+    /// One sample of the direct irradiance of a point, and the hit of the hemisphere ray that was used for it.
+    #[inline]
+    pub(crate) fn direct(&self, at: Receiver, samples: &mut Samples) -> ([f64; 3], Option<Hit>) {
+        self.direct.direct(at, samples)
     }
 
     /// Irradiance of points, W/m². The standard errors are those of the final gather, without the error of the
@@ -117,19 +125,31 @@ impl<'a> FinalGather<'a> {
         outgoing(self.scene, &hit, irradiance.into())
     }
 
-    /// Reflected radiosity at a hit. Zero on backs that no ray of the solution hit.
+    /// One sample of the radiosity that a hit point reflects.
     #[inline]
-    fn reflected(&self, hit: &Hit) -> DVec3 {
+    fn reflected(&self, hit: &Hit, samples: &mut Samples) -> DVec3 {
+        let reflectance = DVec3::from(hit.reflectance(self.scene));
+        if reflectance == DVec3::ZERO {
+            return reflectance;
+        }
+        let (direct, _) = self.direct(Receiver::of_hit(self.tracer, hit), samples);
+        reflectance * (DVec3::from(direct) + self.reflected_before(hit))
+    }
+
+    /// The part of the irradiance of a hit point that surfaces have reflected. Zero on backs that no ray of the solution
+    /// hit.
+    #[inline]
+    fn reflected_before(&self, hit: &Hit) -> DVec3 {
         let Some(patch) = self.patches.at(hit.triangle, hit.barycentric, hit.front) else {
             return DVec3::ZERO;
         };
         let (patch, channels) = (patch as usize, self.patches.channels());
-        let mut irradiance = DVec3::from(self.irradiance[patch]);
+        let mut irradiance = DVec3::from(self.reflected[patch]);
         if !self.slopes.is_empty() {
             let there = self.patches.local(patch, hit.barycentric);
             irradiance += DVec3::from(rise_at(&self.slopes, patch, channels, there));
         }
-        DVec3::from(hit.reflectance(self.scene)) * irradiance.max(DVec3::ZERO)
+        irradiance.max(DVec3::ZERO)
     }
 }
 

@@ -155,6 +155,7 @@ mod tests {
             channels: 3,
             radiosity: vec![0.0; 6],
             irradiance,
+            reflected: vec![0.0; 6],
             solver: Solver::Direct,
             iterations: 0,
             residual: 0.0,

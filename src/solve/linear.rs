@@ -37,6 +37,8 @@ pub struct LinearLight {
     /// patch, the irradiance is the mean plus the first slope times b₀ - b₁ plus the second times b₀ + b₁ - 2 b₂. It is
     /// never negative.
     pub slopes: Vec<[f64; 2]>,
+    /// The slopes of [`Solution::reflected`], in the same form.
+    pub reflected: Vec<[f64; 2]>,
     /// Irradiance with constant light on each patch, W/m², interleaved channels.
     pub constant: Vec<f64>,
     /// Escaped power minus that of constant light, W, for each channel.
@@ -96,16 +98,26 @@ fn corrected<const C: usize>(
         values.as_chunks::<C>().0.iter().map(|values| values.map(|x| x / unit)).collect()
     };
     let (emission, irradiance) = (scaled(radiometry.emission), scaled(&constant.irradiance));
-    let mut carried = scaled(&constant.radiosity);
-    for i in (0..carried.len()).filter(|&i| form_factors.is_lamp(i)) {
-        carried[i] = std::array::from_fn(|c| carried[i][c] - emission[i][c]);
-    }
+    let without = |emitters: &dyn Fn(usize) -> bool| -> Vec<[f64; C]> {
+        let mut light = scaled(&constant.radiosity);
+        for i in (0..light.len()).filter(|&i| emitters(i)) {
+            light[i] = std::array::from_fn(|c| light[i][c] - emission[i][c]);
+        }
+        light
+    };
+    let carried = without(&|i| form_factors.is_lamp(i));
+    let slopes_of = |light: &[[f64; C]]| {
+        form_factors.carried_slopes(tracer, patches, light).expect("the form factors were sampled")
+    };
     let direct = form_factors.direct_slopes(tracer, patches, (&emission, unit));
-    let reflected = form_factors.carried_slopes(tracer, patches, &carried);
-    let (direct, reflected) = direct.zip(reflected).expect("the form factors were sampled");
-    let found: Vec<Measured<C>> = direct.iter().zip(&reflected).map(|(d, r)| d.plus(r)).collect();
-    let mut slopes: Vec<Slopes<C>> = found.iter().map(believed).collect();
-    drop((direct, reflected, found));
+    let direct = direct.expect("the form factors were sampled");
+    let arriving = slopes_of(&carried);
+    let mut slopes: Vec<Slopes<C>> =
+        direct.iter().zip(&arriving).map(|(d, r)| believed(&d.plus(r))).collect();
+    let is_dim = |i: usize| !form_factors.is_lamp(i) && emission[i] != [0.0; C];
+    let reflected = if (0..emission.len()).any(is_dim) { slopes_of(&without(&|_| true)) } else { arriving };
+    let mut reflected: Vec<Slopes<C>> = reflected.iter().map(believed).collect();
+    drop(direct);
     keep_positive(&mut slopes, &irradiance);
     let is_mapped: Vec<bool> = (0..patches.len()).map(|i| varies(scene, patches.triangle(i))).collect();
     let light = Varying { irradiance: &irradiance, slopes: &slopes, reflectance, is_mapped: &is_mapped };
@@ -120,15 +132,22 @@ fn corrected<const C: usize>(
     // The user's choice of solver is for the light itself. Corrections may be negative, which not all solvers support.
     let again = SolveOptions { solver: Solver::Auto, ..*options };
     let found = system.solve(Some(&constant.radiosity), &again, progress)?;
-    for (slopes, more) in slopes.iter_mut().zip(&shifted.slopes) {
-        *slopes = std::array::from_fn(|c| [0, 1].map(|m| unit * (slopes[c][m] + more[c][m])));
+    for slopes in [&mut slopes, &mut reflected] {
+        for (slopes, more) in slopes.iter_mut().zip(&shifted.slopes) {
+            *slopes = std::array::from_fn(|c| [0, 1].map(|m| unit * (slopes[c][m] + more[c][m])));
+        }
     }
+    let mut light = found.reflected;
+    light.iter_mut().zip(shifted.irradiance.as_flattened()).for_each(|(light, more)| *light += more);
     keep_positive(&mut slopes, found.irradiance.as_chunks().0);
+    keep_positive(&mut reflected, light.as_chunks().0);
     Ok(Solution {
+        reflected: light,
         solver: constant.solver,
         iterations: constant.iterations + found.iterations,
         linear: Some(Box::new(LinearLight {
             slopes: slopes.into_flattened(),
+            reflected: reflected.into_flattened(),
             constant: constant.irradiance,
             escaped: shifted.escaped.iter().map(|escaped| unit * escaped).collect(),
             deviations: shifted.deviations.into_flattened(),

@@ -129,6 +129,8 @@ pub struct Solution {
     pub radiosity: Vec<f64>,
     /// Irradiance E, W/m²: arriving light.
     pub irradiance: Vec<f64>,
+    /// The part of the irradiance that surfaces have reflected, W/m²: F (B - Be). The rest comes straight from lights.
+    pub reflected: Vec<f64>,
     /// The solver that ran; never [`Solver::Auto`].
     pub solver: Solver,
     /// Its number of iterations: sweeps, products with the matrix, or shots.
@@ -356,6 +358,7 @@ impl<'a, const C: usize> System<'a, C> {
         let is_light = |b: &[f64; C]| b.iter().all(|&b| b.is_finite() && b >= 0.0);
         debug_assert!(radiosity.iter().all(is_light), "radiosity is not negative");
         let error_bound = self.error_bound(&radiosity, &irradiance);
+        let reflected = self.reflected(&radiosity, &irradiance);
         let (mut radiosity, mut irradiance) = (radiosity, irradiance);
         for (i, direct) in self.direct.iter().flatten().enumerate() {
             let is_lamp = self.form_factors.is_lamp(i);
@@ -369,11 +372,25 @@ impl<'a, const C: usize> System<'a, C> {
             error_bound,
             radiosity: radiosity.into_flattened(),
             irradiance: irradiance.into_flattened(),
+            reflected: reflected.into_flattened(),
             solver,
             iterations,
             residual,
             linear: None,
         })
+    }
+
+    /// The part of F U that surfaces have reflected: all of it, unless form factors carry the light of emitters.
+    fn reflected(&self, radiosity: &[[f64; C]], irradiance: &[[f64; C]]) -> Vec<[f64; C]> {
+        let emits = |i: &usize| !self.form_factors.is_lamp(*i) && self.emission[*i].iter().any(|&e| e > 0.0);
+        if !(0..radiosity.len()).any(|i| emits(&i)) {
+            return irradiance.to_vec();
+        }
+        let mut reflected = radiosity.to_vec();
+        for i in (0..reflected.len()).filter(emits) {
+            (0..C).for_each(|c| reflected[i][c] = (reflected[i][c] - self.emission[i][c]).max(0.0));
+        }
+        self.irradiance(&reflected)
     }
 
     /// F U.

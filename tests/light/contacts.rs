@@ -3,8 +3,15 @@
 use crate::common::*;
 use glam::{DQuat, DVec3, dvec3};
 use radiosity::{
-    Progress, Scene, accuracy::solved::Solved, form_factor::CastOptions, patch::Subdivision, scene::Material,
-    solve::SolveOptions, trace::Tracer,
+    Progress, Scene,
+    accuracy::solved::Solved,
+    form_factor::CastOptions,
+    monte_carlo::{Effort, Receiver},
+    output::final_gather::FinalGather,
+    patch::Subdivision,
+    scene::Material,
+    solve::SolveOptions,
+    trace::Tracer,
 };
 
 const GROUND: u32 = 0;
@@ -38,6 +45,14 @@ struct Room {
 impl Room {
     /// The scene, with a lamp above the ground beside the room.
     fn scene(&self) -> Scene {
+        let mut scene = self.uncut();
+        scene.cut_overlaps();
+        scene.cut_contacts();
+        scene
+    }
+
+    /// The scene without cuts.
+    fn uncut(&self) -> Scene {
         let h = self.half;
         let at = |x: f64, z: f64| dvec3(x + 0.3, 0.0, z - 0.2);
         let ground = [[at(-h, -h), at(-h, h), at(h, h)], [at(-h, -h), at(h, h), at(h, -h)]];
@@ -62,10 +77,7 @@ impl Room {
         let material = |name, rho, emission| Material::new(name, [rho; 3], [emission; 3]);
         let materials =
             vec![material("ground", 0.3, 0.0), material("wall", 0.7, 0.0), material("lamp", 0.0, 50.0)];
-        let mut scene = Scene::new(&placed, materials);
-        scene.cut_overlaps();
-        scene.cut_contacts();
-        scene
+        Scene::new(&placed, materials)
     }
 
     /// The point before the rotation of the scene.
@@ -155,4 +167,24 @@ fn a_block_against_a_wall_keeps_the_light_out() {
     }
     assert!((flux / 100.0 - 0.1552).abs() < 0.001, "{}", flux / 100.0);
     assert_eq!(under, 0.0);
+}
+
+/// The final gather asks the lamps at the hits of its rays. Patches of the ground reach under the walls of a sealed room,
+/// because the ground is not cut here, and their irradiance is that of outside and inside together. Only the ground
+/// reflects, so that all light on it is direct. A point on a wall inside sees the dark ground: exactly zero. A point
+/// outside sees the lit one.
+#[test]
+fn the_final_gather_reads_no_direct_light_through_a_wall() {
+    let mut scene = Room { half: 20.0, thickness: 0.0, from: 0.0, rounded: false }.uncut();
+    assert_eq!(scene.set_material("wall", [0.0; 3], [0.0; 3]), 1);
+    let (tracer, progress) = (Tracer::new(&scene), Progress::new());
+    let (cast, options) = (CastOptions::default().with_rays(64.0), SolveOptions::default());
+    let solved = Solved::new(&scene, &tracer, &Subdivision::Count(500), &cast, &options, &progress).unwrap();
+    let gather = FinalGather::new(&scene, &tracer, &solved.patches, &solved.solution, 1);
+    let place = |x: f64, nx: f64| Receiver::free(&tracer, dvec3(x, 0.5, 0.3), dvec3(nx, 0.0, 0.0));
+    let places = [place(1.99, -1.0), place(-1.99, 1.0), place(2.01, 1.0)];
+    let effort = Effort::default().with_samples(4096);
+    let found = gather.irradiances(&places, &effort, &progress).unwrap();
+    assert_eq!([found[0].mean, found[1].mean], [[0.0; 3]; 2]);
+    assert!(found[2].mean[0] > 1.0, "{:?}", found[2]);
 }
