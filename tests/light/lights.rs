@@ -393,7 +393,7 @@ fn each_kind_passes_the_validation() {
             .with_subdivision(Subdivision::Count(250))
             .with_rays(256.0)
             .with_paths(256)
-            .with_particles(1 << 19);
+            .with_particles(1 << 18);
         let tracer = Tracer::new(&scene);
         let validation = Validation::of(&scene, &tracer, &options, &Progress::new()).unwrap();
         assert!(validation.objections().is_empty(), "{name}: {:?}", validation.objections());

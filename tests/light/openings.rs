@@ -236,9 +236,9 @@ fn a_lamp_cut_by_the_grille_below_it() {
     let wanted: f64 = pairs.map(|[p, q]| polygon_exchange_area(&p, &q)).sum();
     assert!((wanted - 0.199825).abs() < 1e-6, "{wanted}");
     let found: Vec<[f64; 3]> =
-        (0..4).map(|seed| measure(&whole(Estimator::Pooled, 256.0, seed, &scene), &[])).collect();
-    let escaped = found.iter().map(|f| f[0]).sum::<f64>() / 4.0;
-    let error = (found.iter().map(|f| f[1].powi(2)).sum::<f64>() / 16.0).sqrt();
+        (0..2).map(|seed| measure(&whole(Estimator::Pooled, 256.0, seed, &scene), &[])).collect();
+    let escaped = found.iter().map(|f| f[0]).sum::<f64>() / 2.0;
+    let error = (found.iter().map(|f| f[1].powi(2)).sum::<f64>() / 4.0).sqrt();
     println!("{escaped:.5} ± {error:.5} for {wanted:.5}");
     assert!((escaped - wanted).abs() <= 4.0 * error && error < 0.01 * wanted, "{escaped} ± {error}");
 }

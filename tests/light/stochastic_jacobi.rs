@@ -31,14 +31,16 @@ fn by_sweeps(scene: &Scene, patches: usize, rays: f64, seed: u64) -> (Patches, S
 fn by_matrix(scene: &Scene, patches: usize) -> (Patches, Vec<f64>) {
     let (tracer, progress) = (Tracer::new(scene), Progress::new());
     let mut patches = Patches::subdivide(scene, &Subdivision::Count(patches));
-    let cast = CastOptions::default().with_rays(8192.0);
+    let cast = CastOptions::default().with_rays(4096.0);
     let form_factors = FormFactors::cast(scene, &tracer, &mut patches, &cast, &progress).unwrap();
     let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress).unwrap();
     (patches, solution.irradiance)
 }
 
+const SEEDS: u64 = 2;
+
 /// 95 % intervals from 16 batches contain the matrix solution. Errors of neighbouring patches are correlated, so the
-/// share of a run scatters by some percent; over three seeds 90 % is required. The energy balances within five standard
+/// share of a run scatters by some percent; over two seeds 90 % is required. The energy balances within five standard
 /// errors.
 #[test]
 fn sweeps_agree_with_the_matrix_within_their_error_bars() {
@@ -46,7 +48,7 @@ fn sweeps_agree_with_the_matrix_within_their_error_bars() {
         let scene = if name == "corridor" { corridor() } else { crate::common::load(name) };
         let (patches, truth) = by_matrix(&scene, 300);
         let (mut inside, mut all, mut squares, mut off, mut mean) = (0, 0, 0.0, 0.0, 0.0);
-        for seed in 0..3 {
+        for seed in 0..SEEDS {
             let (same, found) = by_sweeps(&scene, 300, 256.0, seed);
             assert_eq!(same.fronts(), patches.fronts());
             for q in 0..patches.fronts() * found.channels {
@@ -63,7 +65,8 @@ fn sweeps_agree_with_the_matrix_within_their_error_bars() {
                 assert!(imbalance.abs() <= 5.0 * error + 1e-9, "{name}: {imbalance} with error {error}");
             }
         }
-        let area: f64 = 9.0 * (0..patches.fronts()).map(|i| patches.area(i)).sum::<f64>();
+        let values = SEEDS as f64 * truth.len() as f64 / patches.fronts() as f64;
+        let area: f64 = values * (0..patches.fronts()).map(|i| patches.area(i)).sum::<f64>();
         let share = inside as f64 / all as f64;
         println!(
             "{name}: {:.1} % in 95 % intervals; RMS error {:.2} %, estimated {:.2} %",

@@ -43,13 +43,13 @@ fn paths_and_particles_agree_on_every_side_of_every_triangle() {
         let tracer = Tracer::new(&scene);
         let n = scene.triangles.len();
         let progress = Progress::new();
-        let effort = Effort { samples: 1 << 14, replicates: 32, seed: 4 };
+        let effort = Effort { samples: 1 << 13, replicates: 32, seed: 4 };
         let by = |options| {
             let paths = PathTracer::new(&scene, &tracer, options);
             paths.mean_irradiances(&all_sides(&scene), &effort, &progress).unwrap()
         };
         let (plain, next) = (by(PLAIN), by(NEXT_EVENT));
-        let options = LightOptions { particles: 1 << 20, seed: 8, ..Default::default() };
+        let options = LightOptions { particles: 1 << 19, seed: 8, ..Default::default() };
         let side = |hit: &crate::trace::Hit| Some(hit.triangle as usize + if hit.front { 0 } else { n });
         let light = LightTracer::new(&scene, &tracer, options).trace(2 * n, side, &progress).unwrap();
         let mut squares = 0.0;
