@@ -34,6 +34,9 @@ const SHADOW_RAY: f64 = 8.0;
 const SWEPT: f64 = 480.0;
 /// For a patch without a matrix, per channel: sums, batches, light and error.
 const SWEPT_CHANNEL: f64 = 160.0;
+/// For a patch without a matrix, per channel: the light from outside the patches, in all sweeps, in a batch and in the
+/// present sweep.
+const SWEPT_OUTSIDE: f64 = 48.0;
 /// For the form factor of a patch to a piece of a lamp.
 const KNOWN_PIECE: f64 = 8.0;
 
@@ -67,8 +70,9 @@ pub fn most_rays(limit: f64, bytes: impl Fn(f64) -> f64) -> f64 {
 
 /// Peak number of bytes of a solution without a matrix. `patches` is the number of patches, backs included.
 pub fn without_matrix(scene: &Scene, patches: f64) -> f64 {
-    let of_patch =
-        SWEPT + SWEPT_CHANNEL * scene.channels() as f64 + KNOWN_PIECE * known_pieces(scene, patches);
+    let outside = if scene.lights.is_empty() { 0.0 } else { SWEPT_OUTSIDE };
+    let of_channels = (SWEPT_CHANNEL + outside) * scene.channels() as f64;
+    let of_patch = SWEPT + of_channels + KNOWN_PIECE * known_pieces(scene, patches);
     BASE + TRIANGLE * scene.triangles.len() as f64 + of_patch * patches
 }
 
@@ -77,8 +81,8 @@ pub fn of_linear_light(scene: &Scene, patches: f64) -> f64 {
     LINEAR * scene.channels() as f64 * patches
 }
 
-/// Number of pieces of lamps for which each patch stores the unblocked light. A piece is an emitting triangle, or a
-/// patch of a triangle with an emission texture. Zero if there are too many pieces.
+/// Number of pieces of lamps for which each patch stores the unblocked light. A piece is an emitting triangle, a patch of
+/// a triangle with an emission texture, or a light that is not a surface. Zero if there are too many pieces.
 fn known_pieces(scene: &Scene, patches: f64) -> f64 {
     let all: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
     let of_triangle = |t: usize| match scene.material(t).emission_map {
@@ -86,7 +90,7 @@ fn known_pieces(scene: &Scene, patches: f64) -> f64 {
         None => 1.0,
     };
     let pieces: f64 = (0..scene.triangles.len()).filter(|&t| scene.emits(t)).map(of_triangle).sum();
-    if pieces <= Constants::MOST_KNOWN as f64 { pieces } else { 0.0 }
+    if pieces <= Constants::MOST_KNOWN as f64 { pieces + scene.lights.list.len() as f64 } else { 0.0 }
 }
 
 /// Forecast number of bytes of a solution with all its errors, by purpose. It is an upper estimate. With evenly

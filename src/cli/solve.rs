@@ -308,15 +308,6 @@ fn compute(
     times: &mut Seconds,
 ) -> Result<Computed> {
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
-    if args.without_matrix() && !scene.lights.is_empty() {
-        return Err(Error::Usage {
-            message: format!(
-                "--solver {} does not support sun, sky or other lights that are not surfaces",
-                stochastic_jacobi::NAME
-            ),
-            hint: Some("use another solver".into()),
-        });
-    }
     let camera = args.picture.as_ref().map(|_| camera(&scene, &tracer, watch)).transpose()?;
     let checkpoint = files.map(|files| files.open(&scene, args, watch)).transpose()?;
     // With --error or --time, the program chooses the number of patches.

@@ -34,8 +34,7 @@ impl Sampling<'_> {
                 warning.iter().for_each(|warning| self.watch.warn(warning));
                 return Ok(!is_swept);
             }
-            // Sweeps do not support lights that are not surfaces.
-            Err(refusal) if is_swept || !self.scene.lights.is_empty() => return Err(refusal),
+            Err(refusal) if is_swept => return Err(refusal),
             Err(refusal) => refusal,
         };
         let bytes = without(work.patches, work.rays);
@@ -63,7 +62,6 @@ impl Sampling<'_> {
     pub fn goes_on_without_matrix(&self, plan: &Plan, rounds: &[Round], fronts: f64) -> bool {
         let goes_on = plan.starts_anew(rounds)
             && self.args.needs_matrix().is_none()
-            && self.scene.lights.is_empty()
             && self.args.common.limit().allows(self.bytes_without_matrix()(fronts, 0.0));
         if goes_on {
             self.watch.warn("a matrix with more rays does not fit into memory; starting again without one");

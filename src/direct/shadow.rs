@@ -34,6 +34,21 @@ pub(crate) struct ShadowRay {
     pub(crate) weight: f32,
 }
 
+/// A shadow ray that is not stored.
+pub(crate) struct Sample<const C: usize> {
+    /// The half of the rays that it is in.
+    pub(crate) half: usize,
+    /// Its irradiance if it is unblocked, by channel.
+    pub(crate) light: [f64; C],
+    /// The same summed over the channels, for the emission at which the lamps were made, if the unblocked light of its
+    /// piece is known exactly; otherwise 0.
+    pub(crate) known: f64,
+    /// Whether it is unblocked.
+    pub(crate) is_free: bool,
+    /// Whether its light enters the scene from outside the patches.
+    pub(crate) is_remote: bool,
+}
+
 impl ShadowRay {
     const NONE: ShadowRay = ShadowRay { piece: 0, weight: 0.0 };
 }
@@ -152,11 +167,12 @@ impl ShadowRays {
         }
     }
 
-    /// The unblocked irradiance of patch `i` from lamps for this emission, by channel; `None` if it is not known.
+    /// The unblocked irradiance of patch `i` for this emission from the pieces whose unblocked light is known exactly, by
+    /// channel; `None` if there are too many pieces.
     pub(crate) fn unblocked<const C: usize>(&self, i: usize, emission: &[[f64; C]]) -> Option<[f64; C]> {
         self.lamps.are_known().then(|| {
             let mut sum = [0.0; C];
-            for (piece, f) in self.lamps.pieces.iter().zip(self.unoccluded(i)) {
+            for (piece, f) in self.lamps.pieces.iter().zip(self.unoccluded(i)).filter(|(p, _)| p.is_known()) {
                 let sent = piece.sent(emission, 1.0);
                 (0..C).for_each(|c| sum[c] += f * sent[c]);
             }
@@ -164,22 +180,26 @@ impl ShadowRays {
         })
     }
 
-    /// Casts the shadow rays of patch `i` with these numbers without storing them. For each ray it calls `found` with
-    /// the half that it is in, its unblocked irradiance by channel, the sum of the channels for the emission at which
-    /// the lamps were made, and whether it is unblocked. Rays that face no lamp are left out.
+    /// Casts the shadow rays of patch `i` with these numbers without storing them, and calls `found` with each. Rays that
+    /// face no lamp are left out.
     pub(crate) fn each<const C: usize>(
         &self,
         (tracer, i, from): (&Tracer, usize, &Footprint),
         emission: &[[f64; C]],
         indices: Range<u32>,
         seed: u64,
-        mut found: impl FnMut(usize, [f64; C], f64, bool),
+        mut found: impl FnMut(&Sample<C>),
     ) {
         cast(tracer, &self.lamps, from, self.unoccluded(i), indices, seed, |index, ray| {
             let piece = &self.lamps.pieces[ray.piece as usize];
             let weight = f64::from(ray.weight.abs());
-            let light = piece.sent(emission, 1.0).map(|sent| weight * sent);
-            found(index as usize % HALVES, light, weight * piece.brightness, ray.weight > 0.0);
+            found(&Sample {
+                half: index as usize % HALVES,
+                light: piece.sent(emission, 1.0).map(|sent| weight * sent),
+                known: if piece.is_known() { weight * piece.brightness } else { 0.0 },
+                is_free: ray.weight > 0.0,
+                is_remote: piece.is_remote(),
+            });
         });
     }
 

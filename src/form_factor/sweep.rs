@@ -1,13 +1,15 @@
 //! One bounce of light without a matrix: rays are cast, bring the radiosity of the patches they hit, and are forgotten.
 //!
-//! Shadow rays bring the light of lamps, as everywhere (`direct`). Hemisphere rays bring the reflected light. Memory is
-//! proportional to the number of patches, not of rays.
+//! Shadow rays bring the light of lamps, sun and points, as everywhere (`direct`). Hemisphere rays bring the reflected
+//! light, and the light of the sky if they leave the scene. Memory is proportional to the number of patches, not of rays.
 
 use std::{
+    f64::consts::PI,
     ops::Range,
     sync::atomic::{AtomicU64, Ordering},
 };
 
+use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::{
@@ -39,12 +41,41 @@ pub(crate) struct Arrived<const C: usize> {
     pub(crate) shadow: [Shadow; 2],
 }
 
-/// The light of the shadow rays of one sequence, summed over all channels.
+/// The light from outside the patches that the rays of a sweep bring to a patch. Sweeps add up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Outside<const C: usize> {
+    /// The part of [`Arrived::lit`] from lights that are not surfaces.
+    pub(crate) lit: [f64; C],
+    /// Sum of π times the radiance of the sky over the hemisphere rays that left the scene.
+    pub(crate) sky: [f64; C],
+}
+
+impl<const C: usize> Outside<C> {
+    pub(crate) const NOTHING: Self = Outside { lit: [0.0; C], sky: [0.0; C] };
+
+    pub(crate) fn add(&mut self, other: &Self) {
+        for c in 0..C {
+            self.lit[c] += other.lit[c];
+            self.sky[c] += other.sky[c];
+        }
+    }
+}
+
+/// The rays of one sweep.
+pub(crate) struct Swept<const C: usize> {
+    /// The light that they bring to each patch.
+    pub(crate) arrived: Vec<Arrived<C>>,
+    /// The light from outside the patches; empty if there are no such lights.
+    pub(crate) outside: Vec<Outside<C>>,
+    pub(crate) tally: Tally,
+}
+
+/// The light of the shadow rays of one sequence to lamps whose unblocked light is known, summed over all channels.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Shadow {
-    /// Number of rays.
+    /// Number of all rays of the sequence.
     pub(crate) rays: f64,
-    /// Sum of the light of all rays as if none were blocked.
+    /// Sum of the light of the rays as if none were blocked.
     pub(crate) all: f64,
     /// Sum of the light of unblocked rays.
     pub(crate) free: f64,
@@ -101,6 +132,8 @@ pub struct Sweeper<'a> {
     tracer: &'a Tracer,
     patches: &'a Patches,
     shadow: ShadowRays,
+    /// Whether light enters from outside the patches.
+    has_outside: bool,
     areas: Vec<f64>,
     seed: u64,
 }
@@ -124,7 +157,8 @@ impl<'a> Sweeper<'a> {
         let mut shadow = ShadowRays::none(Lamps::new(tracer, patches, &scene.lights, |i| shines[i]));
         shadow.face(tracer, patches);
         let areas = (0..patches.len()).map(|i| patches.area(i)).collect();
-        Ok(Sweeper { tracer, patches, shadow, areas, seed })
+        let has_outside = shadow.lamps.has_remote() || shadow.lamps.sky.is_some();
+        Ok(Sweeper { tracer, patches, shadow, has_outside, areas, seed })
     }
 
     /// The patches, including the backs that rays saw.
@@ -142,6 +176,16 @@ impl<'a> Sweeper<'a> {
         &self.areas
     }
 
+    /// Whether light enters from outside the patches.
+    pub(crate) fn has_outside(&self) -> bool {
+        self.has_outside
+    }
+
+    /// The [`magnitude`](super::magnitude) of all light that is emitted or enters.
+    pub(crate) fn magnitude(&self) -> f64 {
+        self.shadow.lamps.magnitude(self.patches.emission())
+    }
+
     /// Whether there are lamps, which need shadow rays.
     pub(crate) fn has_lamps(&self) -> bool {
         !self.shadow.lamps.is_empty()
@@ -152,7 +196,7 @@ impl<'a> Sweeper<'a> {
         self.shadow.lamps.contains(i)
     }
 
-    /// The unblocked irradiance of patch `i` from lamps; `None` if it is not known.
+    /// The unblocked irradiance of patch `i` from the lamps for which it is known; `None` if there are too many lamps.
     pub(crate) fn unblocked<const C: usize>(&self, i: usize) -> Option<[f64; C]> {
         self.shadow.unblocked(i, self.patches.emission().as_chunks::<C>().0)
     }
@@ -174,7 +218,7 @@ impl<'a> Sweeper<'a> {
         let Some(unblocked) = unblocked else { return lit };
         let all: f64 = unblocked.iter().sum();
         if all == 0.0 {
-            return [0.0; C];
+            return lit;
         }
         let mut more = 0.0;
         for turn in 0..2 {
@@ -186,21 +230,34 @@ impl<'a> Sweeper<'a> {
         std::array::from_fn(|c| (lit[c] + more * (unblocked[c] / all)).max(0.0))
     }
 
-    /// Casts hemisphere rays from patch `i` and calls `met` with the patch that each ray hits. Counts hits of backs.
+    /// π times the radiance that a ray of this direction sees of the sky.
+    fn sky<const C: usize>(&self, direction: Vec3A) -> [f64; C] {
+        let seen = self.shadow.lamps.sky.as_ref().map(|sky| sky.radiance(direction.as_dvec3().normalize()));
+        std::array::from_fn(|c| seen.map_or(0.0, |radiance| PI * radiance[c]))
+    }
+
+    /// Casts hemisphere rays from patch `i` and calls `met` with the direction of each ray and its target: a patch, a
+    /// back that is not an unknown, or the outside. Counts hits of backs.
     fn cast(
         &self,
         (i, from): (usize, &Footprint),
         rays: Range<u32>,
         backs: &AtomicU64,
-        mut met: impl FnMut(Option<usize>),
+        mut met: impl FnMut(Vec3A, Target),
     ) {
         let mut behind = 0;
         let rays = from.hemisphere_rays(rays, self.seed_of(i));
-        self.tracer.closest_each(rays.map(|ray| ((), ray.origin, ray.direction)), |(), hit| {
-            behind += u64::from(hit.is_some_and(|hit| !hit.front));
-            let patch = hit.and_then(|hit| self.patches.at(hit.triangle, hit.barycentric, hit.front));
-            met(patch.map(|j| j as usize));
-        });
+        self.tracer.closest_each(
+            rays.map(|ray| (ray.direction, ray.origin, ray.direction)),
+            |direction, hit| {
+                behind += u64::from(hit.is_some_and(|hit| !hit.front));
+                let target = hit.map_or(Target::Outside, |hit| {
+                    let patch = self.patches.at(hit.triangle, hit.barycentric, hit.front);
+                    patch.map_or(Target::Nothing, |j| Target::Patch(j as usize))
+                });
+                met(direction, target);
+            },
+        );
         if behind > 0 {
             backs.fetch_add(behind, Ordering::Relaxed);
         }
@@ -210,33 +267,40 @@ impl<'a> Sweeper<'a> {
         mix(&[self.seed, i as u64])
     }
 
-    /// Targets of `N` hemisphere rays of every patch, from index `first` on: patches, or [`ESCAPED`].
+    /// Targets of `N` hemisphere rays of every patch, from index `first` on: patches, or [`ESCAPED`]. Also the irradiance
+    /// from the sky by these rays; empty if no light enters from outside.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
-    pub(crate) fn met<const N: usize>(
+    pub(crate) fn met<const N: usize, const C: usize>(
         &self,
         first: u32,
         progress: &Progress,
-    ) -> Result<(Vec<[u32; N]>, Tally)> {
+    ) -> Result<(Vec<[u32; N]>, Vec<[f64; C]>, Tally)> {
         let backs = AtomicU64::new(0);
         let cast = |i: usize| {
             progress.check()?;
-            let (mut met, mut ray) = ([ESCAPED; N], 0);
+            let (mut met, mut sky, mut ray) = ([ESCAPED; N], [0.0; C], 0);
             let from = Footprint::new(self.tracer, self.patches, i);
-            self.cast((i, &from), first..first + N as u32, &backs, |patch| {
-                met[ray] = patch.map_or(ESCAPED, |j| j as u32);
+            self.cast((i, &from), first..first + N as u32, &backs, |direction, target| {
+                match target {
+                    Target::Patch(j) => met[ray] = j as u32,
+                    Target::Outside if self.has_outside => {
+                        let seen = self.sky::<C>(direction);
+                        (0..C).for_each(|c| sky[c] += seen[c] / N as f64);
+                    }
+                    Target::Outside | Target::Nothing => {}
+                }
                 ray += 1;
             });
             progress.advance(N as u64);
-            Ok(met)
+            Ok((met, sky))
         };
-        let met: Vec<[u32; N]> =
-            (0..self.patches.len()).into_par_iter().with_min_len(64).map(cast).collect::<Result<_>>()?;
+        let (met, sky) = self.of_patches(cast)?;
         let all = met.as_flattened();
         let escaped = all.par_iter().filter(|&&j| j == ESCAPED).count() as u64;
         let tally = Tally { hemisphere: all.len() as u64, escaped, backs: backs.into_inner(), shadow: 0 };
-        Ok((met, tally))
+        Ok((met, sky, tally))
     }
 
     /// Casts the hemisphere and shadow rays with these indices from every patch, for patches with this radiosity.
@@ -249,7 +313,7 @@ impl<'a> Sweeper<'a> {
         hemisphere: Range<u32>,
         shadow: Range<u32>,
         progress: &Progress,
-    ) -> Result<(Vec<Arrived<C>>, Tally)> {
+    ) -> Result<Swept<C>> {
         let emission = self.patches.emission().as_chunks::<C>().0;
         let backs = AtomicU64::new(0);
         let cast = |i: usize| {
@@ -257,13 +321,20 @@ impl<'a> Sweeper<'a> {
                 progress.check()?;
             }
             let from = Footprint::new(self.tracer, self.patches, i);
-            let mut came = Arrived::NOTHING;
-            self.cast((i, &from), hemisphere.clone(), &backs, |patch| match patch {
-                None => came.escaped += 1.0,
-                Some(j) => {
+            let (mut came, mut outside) = (Arrived::NOTHING, Outside::NOTHING);
+            self.cast((i, &from), hemisphere.clone(), &backs, |direction, target| match target {
+                Target::Patch(j) => {
                     let lamp = self.is_lamp(j);
                     for c in 0..C {
                         came.met[c] += radiosity[j][c] - if lamp { emission[j][c] } else { 0.0 };
+                    }
+                }
+                Target::Nothing => came.escaped += 1.0,
+                Target::Outside => {
+                    came.escaped += 1.0;
+                    if self.has_outside {
+                        let seen = self.sky::<C>(direction);
+                        (0..C).for_each(|c| outside.sky[c] += seen[c]);
                     }
                 }
             });
@@ -273,19 +344,21 @@ impl<'a> Sweeper<'a> {
                     sum.rays = f64::from(number(shadow.end) - number(shadow.start));
                 }
                 let (at, seed) = ((self.tracer, i, &from), mix(&[self.seed_of(i), 1]));
-                self.shadow.each(at, emission, shadow.clone(), seed, |turn, light, all, free| {
-                    came.shadow[turn].all += all;
-                    if free {
-                        came.shadow[turn].free += all;
-                        (0..C).for_each(|c| came.lit[c] += light[c]);
+                self.shadow.each(at, emission, shadow.clone(), seed, |sample| {
+                    came.shadow[sample.half].all += sample.known;
+                    if sample.is_free {
+                        came.shadow[sample.half].free += sample.known;
+                        (0..C).for_each(|c| came.lit[c] += sample.light[c]);
+                        if sample.is_remote {
+                            (0..C).for_each(|c| outside.lit[c] += sample.light[c]);
+                        }
                     }
                 });
             }
-            Ok(came)
+            Ok((came, outside))
         };
         let n = self.patches.len();
-        let arrived: Vec<Arrived<C>> =
-            (0..n).into_par_iter().with_min_len(64).map(cast).collect::<Result<_>>()?;
+        let (arrived, outside) = self.of_patches(cast)?;
         let faced = |i: &usize| self.has_lamps() && self.shadow.is_faced(*i);
         let tally = Tally {
             hemisphere: n as u64 * u64::from(hemisphere.end - hemisphere.start),
@@ -294,6 +367,29 @@ impl<'a> Sweeper<'a> {
             backs: backs.into_inner(),
             shadow: (0..n).filter(faced).count() as u64 * u64::from(shadow.end - shadow.start),
         };
-        Ok((arrived, tally))
+        Ok(Swept { arrived, outside, tally })
     }
+
+    /// Two results for each patch. The second list is empty if no light enters from outside the patches.
+    fn of_patches<A: Send, B: Send>(
+        &self,
+        of_patch: impl Fn(usize) -> Result<(A, B)> + Send + Sync,
+    ) -> Result<(Vec<A>, Vec<B>)> {
+        let patches = (0..self.patches.len()).into_par_iter().with_min_len(64);
+        if self.has_outside {
+            let both: Vec<(A, B)> = patches.map(of_patch).collect::<Result<_>>()?;
+            return Ok(both.into_iter().unzip());
+        }
+        let first = patches.map(|i| of_patch(i).map(|(first, _)| first)).collect::<Result<_>>()?;
+        Ok((first, Vec::new()))
+    }
+}
+
+/// The target of a hemisphere ray.
+#[derive(Clone, Copy)]
+enum Target {
+    Patch(usize),
+    /// A back that is not an unknown.
+    Nothing,
+    Outside,
 }

@@ -127,7 +127,7 @@ pub struct EnergyReport {
     pub emitted: [f64; 3],
     /// Power from sky, sun and other lights that are not surfaces, as far as it hits a surface.
     pub entered: [f64; 3],
-    /// Standard error of the power that enters; `null` without a matrix.
+    /// Standard error of the power that enters; `null` if it is not known.
     pub entered_standard_error: Option<[f64; 3]>,
     /// Absorbed power.
     pub absorbed: [f64; 3],
@@ -393,8 +393,8 @@ impl EnergyReport {
         let (imbalance, error) = solution.worst_imbalance();
         EnergyReport {
             emitted: rgb(&solution.emitted),
-            entered: [0.0; 3],
-            entered_standard_error: None,
+            entered: rgb(&solution.entered),
+            entered_standard_error: Some(rgb(&solution.entered_error)),
             absorbed: rgb(&solution.absorbed),
             escaped: rgb(&solution.escaped),
             escaped_standard_error: None,

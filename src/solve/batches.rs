@@ -6,7 +6,7 @@ use nalgebra::{SVector, Vector2};
 use rayon::prelude::*;
 
 use crate::form_factor::{
-    magnitude, ordered_sum,
+    ordered_sum,
     siblings::with_mean,
     stratification::{half_differences, variance_of_all},
 };
@@ -30,19 +30,28 @@ pub(super) struct Batches<'a, const C: usize> {
     /// All light is divided by this unit, so that single precision and squares can hold it.
     unit: f64,
     irradiance: Vec<[[f32; BATCHES]; C]>,
+    /// Power that enters from outside the patches in each batch.
+    entered: [[f64; BATCHES]; C],
     /// Escaped power in each batch.
     escaped: [[f64; BATCHES]; C],
     filled: usize,
 }
 
 impl<'a, const C: usize> Batches<'a, C> {
-    pub(super) fn new(areas: &'a [f64], emission: &'a [[f64; C]], reflectance: &'a [[f64; C]]) -> Self {
+    /// No batches yet. `unit` is the magnitude of the light.
+    pub(super) fn new(
+        areas: &'a [f64],
+        emission: &'a [[f64; C]],
+        reflectance: &'a [[f64; C]],
+        unit: f64,
+    ) -> Self {
         Batches {
             areas,
             emission,
             reflectance,
-            unit: magnitude(emission.as_flattened()),
+            unit,
             irradiance: vec![[[0.0; BATCHES]; C]; areas.len()],
+            entered: [[0.0; BATCHES]; C],
             escaped: [[0.0; BATCHES]; C],
             filled: 0,
         }
@@ -52,14 +61,19 @@ impl<'a, const C: usize> Batches<'a, C> {
         self.filled == BATCHES
     }
 
-    /// Adds a batch, given the irradiance of each patch and the power that escaped from all.
-    pub(super) fn push(&mut self, arrived: impl Fn(usize) -> [f64; C] + Sync, escaped: [f64; C]) {
+    /// Adds a batch, given the irradiance of each patch, and the power that entered the scene and escaped from it.
+    pub(super) fn push(
+        &mut self,
+        arrived: impl Fn(usize) -> [f64; C] + Sync,
+        [entered, escaped]: [[f64; C]; 2],
+    ) {
         let (batch, unit) = (self.filled, self.unit);
         self.irradiance.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, of)| {
             for (of, arrived) in of.iter_mut().zip(arrived(i)) {
                 of[batch] = (arrived / unit) as f32;
             }
         });
+        self.entered.iter_mut().zip(entered).for_each(|(of, entered)| of[batch] = entered / unit);
         self.escaped.iter_mut().zip(escaped).for_each(|(of, escaped)| of[batch] = escaped / unit);
         self.filled += 1;
     }
@@ -68,7 +82,7 @@ impl<'a, const C: usize> Batches<'a, C> {
     pub(super) fn pair(&mut self) {
         self.filled /= 2;
         let filled = self.filled;
-        for of in &mut self.escaped {
+        for of in self.escaped.iter_mut().chain(&mut self.entered) {
             (0..filled).for_each(|k| of[k] = 0.5 * (of[2 * k] + of[2 * k + 1]));
         }
         self.irradiance.par_iter_mut().with_min_len(1024).for_each(|batches| {
@@ -88,7 +102,7 @@ impl<'a, const C: usize> Batches<'a, C> {
             let absorbed = ordered_sum(self.areas.len(), absorbed);
             let emitted =
                 ordered_sum(self.areas.len(), |i| self.areas[i] * (self.emission[i][c] / self.unit));
-            std::array::from_fn(|k| balancing(emitted, absorbed[k] + self.escaped[c][k]))
+            std::array::from_fn(|k| balancing(emitted + self.entered[c][k], absorbed[k] + self.escaped[c][k]))
         })
     }
 
@@ -116,9 +130,9 @@ impl<'a, const C: usize> Batches<'a, C> {
         if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
     }
 
-    /// Standard errors of the mean of all batches: of the irradiance of each patch, and of the relative energy
-    /// imbalance of each channel.
-    pub(super) fn errors(&self, siblings: &[Range<usize>]) -> (Vec<f64>, Vec<f64>) {
+    /// Standard errors of the mean of all batches: of the irradiance of each patch, of the relative energy imbalance of
+    /// each channel, and of the power that enters.
+    pub(super) fn errors(&self, siblings: &[Range<usize>]) -> [Vec<f64>; 3] {
         let scales = self.scales();
         let stratified = self.stratification(&scales);
         let variances = |i: usize| {
@@ -130,12 +144,16 @@ impl<'a, const C: usize> Batches<'a, C> {
         // Errors of light from shadow rays are carried into all later batches, so that they do not show in the spread.
         let error = |own: f64, mean: f64| self.unit * stratified * own.max(mean).sqrt();
         let standard_error = with_mean(siblings, &own, error);
-        // The arriving and escaping light of a batch is 1 / scale of the emitted light.
+        // The arriving and escaping light of a batch is 1 / scale of the emitted and entering light.
         let of_imbalance = scales.map(|scales| {
             let [_, error] = mean_and_error(&scales.map(|scale| 1.0 - 1.0 / scale)[..self.filled]);
             stratified * error
         });
-        (standard_error, of_imbalance.into())
+        let of_entered = self.entered.map(|entered| {
+            let [_, error] = mean_and_error(&entered[..self.filled]);
+            self.unit * stratified * error
+        });
+        [standard_error, of_imbalance.into(), of_entered.into()]
     }
 
     /// Ratio of the standard error of the mean of the batches to its value for independent batches.
@@ -178,9 +196,9 @@ impl<'a, const C: usize> Batches<'a, C> {
     }
 }
 
-/// The factor that brings a sum of powers to the emitted power.
-pub(super) fn balancing(emitted: f64, lost: f64) -> f64 {
-    if emitted > 0.0 && lost > 0.0 { emitted / lost } else { 1.0 }
+/// The factor that brings a sum of powers to the power that is emitted and enters.
+pub(super) fn balancing(sent: f64, lost: f64) -> f64 {
+    if sent > 0.0 && lost > 0.0 { sent / lost } else { 1.0 }
 }
 
 /// The mean of independent values, and its standard error.

@@ -27,18 +27,20 @@ const MOST: usize = 500;
 type Light<const C: usize> = Vec<[f64; C]>;
 
 /// Targets of few rays of every patch.
-pub(super) struct FewRays {
+pub(super) struct FewRays<const C: usize> {
     /// Targets of each patch's rays.
     met: Vec<[u32; RAYS as usize]>,
+    /// Irradiance of each patch from the sky; empty if no light enters from outside the patches.
+    pub(super) sky: Light<C>,
     /// Number of rays.
     pub(super) tally: Tally,
 }
 
-impl FewRays {
+impl<const C: usize> FewRays<C> {
     /// Casts hemisphere rays, from index `first` on.
     pub(super) fn cast(sweeper: &Sweeper<'_>, first: u32, progress: &Progress) -> Result<Self> {
-        let (met, tally) = sweeper.met(first, progress)?;
-        Ok(FewRays { met, tally })
+        let (met, sky, tally) = sweeper.met(first, progress)?;
+        Ok(FewRays { met, sky, tally })
     }
 
     /// Share of the rays of patch `i` that escape.
@@ -47,7 +49,7 @@ impl FewRays {
     }
 
     /// Irradiance of each patch from the light that all patches send.
-    pub(super) fn gather<const C: usize>(&self, sent: &[[f64; C]]) -> Light<C> {
+    pub(super) fn gather(&self, sent: &[[f64; C]]) -> Light<C> {
         let gathered = |met: &[u32; _]| {
             let patches = met.iter().filter(|j| **j != ESCAPED);
             let sum: SVector<f64, C> = patches.map(|&j| SVector::from(sent[j as usize])).sum();
@@ -57,7 +59,7 @@ impl FewRays {
     }
 
     /// The irradiance e = first + F (ρ e), or `None` if the iterations do not converge.
-    pub(super) fn solve<const C: usize>(
+    pub(super) fn solve(
         &self,
         first: &[[f64; C]],
         reflectance: &[[f64; C]],

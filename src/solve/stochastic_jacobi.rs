@@ -9,6 +9,9 @@
 //! estimates the standard error. The dependence between batches is estimated from runs of batches over all patches.
 //! Drift from the first half to the last counts as error. Noise that lasts longer than all sweeps together cannot be
 //! detected.
+//!
+//! Light from sky, sun and points enters as in the solution with a matrix: hemisphere rays that leave the scene see the
+//! sky, and shadow rays go to the other lights.
 
 use std::ops::Range;
 
@@ -24,7 +27,7 @@ use crate::{
     Error, Progress, Result,
     form_factor::{
         ordered_sum,
-        sweep::{Arrived, Sweeper, Tally},
+        sweep::{Arrived, Outside, Sweeper, Swept, Tally},
     },
 };
 
@@ -100,12 +103,16 @@ pub struct StochasticSolution {
     pub reached: Reached,
     /// Σ A Be, W.
     pub emitted: Vec<f64>,
+    /// Power from sky, sun and other lights that are not surfaces, as far as it hits a surface, W.
+    pub entered: Vec<f64>,
+    /// Standard error of the power that enters, W.
+    pub entered_error: Vec<f64>,
     /// Σ A (1 - ρ) E, W.
     pub absorbed: Vec<f64>,
     /// Power that left the scene, W.
     pub escaped: Vec<f64>,
-    /// (emitted - absorbed - escaped) / emitted of each channel as the rays estimate it, before all arriving and
-    /// escaping light is scaled to balance.
+    /// (emitted + entered - absorbed - escaped) / (emitted + entered) of each channel as the rays estimate it, before
+    /// all arriving and escaping light is scaled to balance.
     pub imbalance: Vec<f64>,
     /// Standard error of the imbalance.
     pub imbalance_error: Vec<f64>,
@@ -127,10 +134,11 @@ impl StochasticSolution {
         both.fold((0.0, 0.0), |worst: (f64, f64), one| if one.0.abs() > worst.0.abs() { one } else { worst })
     }
 
-    /// (emitted - absorbed - escaped) / emitted of the worst channel, after balancing.
+    /// (emitted + entered - absorbed - escaped) / (emitted + entered) of the worst channel, after balancing.
     pub fn balanced_to(&self) -> f64 {
-        let powers = self.emitted.iter().zip(&self.absorbed).zip(&self.escaped);
-        let left = powers.filter(|((emitted, _), _)| **emitted > 0.0).map(|((b, a), e)| (b - a - e) / b);
+        let sent = self.emitted.iter().zip(&self.entered).map(|(emitted, entered)| emitted + entered);
+        let powers = sent.zip(&self.absorbed).zip(&self.escaped);
+        let left = powers.filter(|((sent, _), _)| *sent > 0.0).map(|((b, a), e)| (b - a - e) / b);
         left.fold(0.0, |worst: f64, x| if x.abs() > worst.abs() { x } else { worst })
     }
 }
@@ -185,6 +193,10 @@ fn iterate(
     }
 }
 
+/// Indices into [`Iteration::outside`].
+const WHOLE: usize = 0;
+const BATCH: usize = 1;
+
 struct Iteration<'a, const C: usize> {
     sweeper: &'a Sweeper<'a>,
     emission: &'a [[f64; C]],
@@ -198,6 +210,10 @@ struct Iteration<'a, const C: usize> {
     whole: Vec<Arrived<C>>,
     /// Light that rays brought in the present batch.
     batch: Vec<Arrived<C>>,
+    /// The part of `whole` and of `batch` from outside the patches; empty if there is none.
+    outside: [Vec<Outside<C>>; 2],
+    /// Number of hemisphere rays of each patch in `whole`.
+    counted: f64,
     batches: Batches<'a, C>,
     tally: Tally,
     sweeps: u32,
@@ -207,6 +223,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
     fn new(sweeper: &'a Sweeper<'a>, radiometry: Radiometry<'a>) -> Self {
         let (emission, n) = (radiometry.emission.as_chunks::<C>().0, sweeper.areas().len());
         let reflectance = radiometry.reflectance.as_chunks().0;
+        let outside = vec![Outside::NOTHING; if sweeper.has_outside() { n } else { 0 }];
         Iteration {
             sweeper,
             emission,
@@ -216,7 +233,9 @@ impl<'a, const C: usize> Iteration<'a, C> {
             unblocked: (0..n).into_par_iter().with_min_len(64).map(|i| sweeper.unblocked(i)).collect(),
             whole: vec![Arrived::NOTHING; n],
             batch: vec![Arrived::NOTHING; n],
-            batches: Batches::new(sweeper.areas(), emission, reflectance),
+            outside: [outside.clone(), outside],
+            counted: 0.0,
+            batches: Batches::new(sweeper.areas(), emission, reflectance, sweeper.magnitude()),
             tally: Tally::default(),
             sweeps: 0,
         }
@@ -239,9 +258,6 @@ impl<'a, const C: usize> Iteration<'a, C> {
         progress.begin("stochastic Jacobi", steps(u64::from(RAYS) + BATCHES as u64 * sweeps));
 
         self.start(progress)?;
-        // Only hemisphere rays before the first sweep are dropped. Shadow rays do not depend on the light of other
-        // patches and all count.
-        self.whole.iter_mut().for_each(|whole| (whole.met, whole.escaped) = ([0.0; C], 0.0));
         let (mut counted, mut first) = (0, true);
         loop {
             self.fill_batch(counted..counted + sweeps, rays, progress)?;
@@ -254,7 +270,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
             let next = if self.batches.are_full() { 2 * sweeps } else { sweeps } as f64 / counted as f64;
             let reached = Reached { rays: so_far, error: self.batches.error(), next };
             if !more(&reached) {
-                return Ok(self.finish((counted * u64::from(rays[0])) as f64, reached));
+                return Ok(self.finish(reached));
             }
             if self.batches.are_full() {
                 self.batches.pair();
@@ -268,18 +284,22 @@ impl<'a, const C: usize> Iteration<'a, C> {
     fn fill_batch(&mut self, numbers: Range<u64>, rays: [u32; 2], progress: &Progress) -> Result<()> {
         let count = (numbers.end - numbers.start) as f64 * f64::from(rays[0]);
         self.batch.fill(Arrived::NOTHING);
+        self.outside[BATCH].fill(Outside::NOTHING);
         let mut escaped = SVector::<f64, C>::zeros();
         for number in numbers {
             // Sequences start again before they reach the far part.
             let first = rays.map(|rays| (number * u64::from(rays) % u64::from(FAR)) as u32);
             escaped += self.sweep(first, rays, progress)? / count;
         }
-        let (sweeper, whole, came, unblocked) = (self.sweeper, &self.whole, &self.batch, &self.unblocked);
+        let (whole, batch) = (&self.whole, &self.batch);
+        let direct = |i: usize| self.sweeper.direct(&self.unblocked[i], &batch[i], &whole[i]);
+        let entered = entered(self.sweeper.areas(), &self.outside[BATCH], batch, count, &direct);
+        let (sky, of_batch) = (&self.outside[BATCH], &self.batch);
         let arrived = |i: usize| {
-            let direct = sweeper.direct(&unblocked[i], &came[i], &whole[i]);
-            std::array::from_fn(|c| direct[c] + came[i].met[c] / count)
+            let (direct, sky) = (direct(i), sky_of(sky, i, count));
+            std::array::from_fn(|c| direct[c] + sky[c] + of_batch[i].met[c] / count)
         };
-        self.batches.push(arrived, escaped.into());
+        self.batches.push(arrived, [entered, escaped.into()]);
         Ok(())
     }
 
@@ -287,9 +307,15 @@ impl<'a, const C: usize> Iteration<'a, C> {
     /// Returns the power that escaped, times the number of hemisphere rays.
     fn sweep(&mut self, first: [u32; 2], rays: [u32; 2], progress: &Progress) -> Result<SVector<f64, C>> {
         let [hemisphere, shadow] = [0, 1].map(|k| first[k]..first[k] + rays[k]);
-        let (came, tally) = self.sweeper.sweep(&self.radiosity, hemisphere, shadow, progress)?;
+        let Swept { arrived: came, outside, tally } =
+            self.sweeper.sweep(&self.radiosity, hemisphere, shadow, progress)?;
         self.tally.add(tally);
         self.sweeps += 1;
+        self.counted += f64::from(rays[0]);
+        for sums in &mut self.outside {
+            sums.iter_mut().zip(&outside).for_each(|(sum, came)| sum.add(came));
+        }
+        let (sky, counted) = (&self.outside[WHOLE], self.counted);
         let (sweeper, areas, unblocked) = (self.sweeper, self.sweeper.areas(), &self.unblocked);
         // Escaping power uses the light before the sweep.
         let left = |i: usize| areas[i] * came[i].escaped * SVector::from(self.radiosity[i]);
@@ -299,10 +325,11 @@ impl<'a, const C: usize> Iteration<'a, C> {
             |(i, ((((radiosity, indirect), whole), batch), came))| {
                 whole.add(came);
                 batch.add(came);
-                let direct = sweeper.direct(&unblocked[i], whole, whole);
+                let (direct, sky) = (sweeper.direct(&unblocked[i], whole, whole), sky_of(sky, i, counted));
                 for c in 0..C {
                     indirect[c] += NEWEST * (came.met[c] / f64::from(rays[0]) - indirect[c]);
-                    radiosity[c] = self.emission[i][c] + self.reflectance[i][c] * (direct[c] + indirect[c]);
+                    let light = direct[c] + sky[c] + indirect[c];
+                    radiosity[c] = self.emission[i][c] + self.reflectance[i][c] * light;
                 }
             },
         );
@@ -315,20 +342,22 @@ impl<'a, const C: usize> Iteration<'a, C> {
     fn start(&mut self, progress: &Progress) -> Result<()> {
         let (sweeper, n) = (self.sweeper, self.emission.len());
         if sweeper.has_lamps() {
-            let (came, tally) = sweeper.sweep(self.emission, 0..0, FAR..FAR + FIRST_SHADOW, progress)?;
-            self.tally.add(tally);
-            self.whole = came;
+            let swept = sweeper.sweep(self.emission, 0..0, FAR..FAR + FIRST_SHADOW, progress)?;
+            self.tally.add(swept.tally);
+            (self.whole, self.outside[WHOLE]) = (swept.arrived, swept.outside);
         }
         let few = FewRays::cast(sweeper, FAR, progress)?;
         self.tally.add(few.tally);
-        // Direct light: from lamps by shadow rays, and from other emitters by hemisphere rays.
+        // Direct light: from lamps by shadow rays, and from other emitters and the sky by hemisphere rays.
         let direct = |i: usize| sweeper.direct(&self.unblocked[i], &self.whole[i], &self.whole[i]);
         let direct: Vec<[f64; C]> = (0..n).map(direct).collect();
         let dim: Vec<[f64; C]> =
             (0..n).map(|i| if sweeper.is_lamp(i) { [0.0; C] } else { self.emission[i] }).collect();
         let mut arriving = few.gather(&dim);
-        for (arriving, direct) in arriving.iter_mut().zip(&direct) {
-            (0..C).for_each(|c| arriving[c] += direct[c]);
+        let sky = |i: usize| few.sky.get(i).copied().unwrap_or([0.0; C]);
+        for (i, arriving) in arriving.iter_mut().enumerate() {
+            let sky = sky(i);
+            (0..C).for_each(|c| arriving[c] += direct[i][c] + sky[c]);
         }
         let light = few.solve(&arriving, self.reflectance, progress)?;
         let light = light.as_ref().unwrap_or(&arriving);
@@ -336,9 +365,10 @@ impl<'a, const C: usize> Iteration<'a, C> {
             return Err(Error::NoEquilibrium);
         }
         for i in 0..n {
+            let sky = sky(i);
             for c in 0..C {
                 let light = light[i][c].max(0.0);
-                self.indirect[i][c] = light - direct[i][c];
+                self.indirect[i][c] = light - direct[i][c] - sky[c];
                 self.radiosity[i][c] = self.emission[i][c] + self.reflectance[i][c] * light;
             }
         }
@@ -346,7 +376,7 @@ impl<'a, const C: usize> Iteration<'a, C> {
     }
 
     /// Whether light is reflected, but no surface absorbs any and none escapes, as far as few rays show.
-    fn is_caught(&self, light: &[[f64; C]], few: &FewRays) -> bool {
+    fn is_caught(&self, light: &[[f64; C]], few: &FewRays<C>) -> bool {
         (0..C).any(|c| {
             let powers = |i: usize| {
                 let (rho, all) = (self.reflectance[i][c], self.sweeper.areas()[i] * light[i][c].max(0.0));
@@ -363,19 +393,20 @@ impl<'a, const C: usize> Iteration<'a, C> {
         ordered_sum(areas.len(), |i| areas[i] * self.emission[i][c])
     }
 
-    fn finish(self, counted: f64, reached: Reached) -> StochasticSolution {
+    fn finish(self, reached: Reached) -> StochasticSolution {
+        let (n, areas, counted) = (self.radiosity.len(), self.sweeper.areas(), self.counted);
         // Ratios of total sums have less bias than ratios of batches.
+        let direct = |i: usize| self.sweeper.direct(&self.unblocked[i], &self.whole[i], &self.whole[i]);
         let sampled = |i: usize| {
-            let whole = &self.whole[i];
-            let direct = self.sweeper.direct(&self.unblocked[i], whole, whole);
-            std::array::from_fn::<f64, C, _>(|c| direct[c] + whole.met[c] / counted)
+            let (direct, sky) = (direct(i), sky_of(&self.outside[WHOLE], i, counted));
+            std::array::from_fn::<f64, C, _>(|c| direct[c] + sky[c] + self.whole[i].met[c] / counted)
         };
-        let (n, areas) = (self.radiosity.len(), self.sweeper.areas());
+        let entered = entered(areas, &self.outside[WHOLE], &self.whole, counted, &direct);
         let mut irradiance: Vec<[f64; C]> = (0..n).map(sampled).collect();
         let (mut emitted, mut absorbed, mut escaped) = (vec![], vec![], vec![]);
         let mut imbalance = vec![];
         for c in 0..C {
-            let sent = self.emitted(c);
+            let sent = self.emitted(c) + entered[c];
             // Escaping power is estimated from all rays and the mean light. A sum over sweeps is too large: within a
             // sequence, rays that follow many hits of bright patches are more likely to escape.
             let lost = |i: usize| {
@@ -388,11 +419,11 @@ impl<'a, const C: usize> Iteration<'a, C> {
             irradiance.iter_mut().for_each(|e| e[c] *= scale);
             let relative = |power: f64| if sent > 0.0 { power / sent } else { 0.0 };
             imbalance.push(relative(sent - kept - left));
-            emitted.push(sent);
+            emitted.push(self.emitted(c));
             absorbed.push(scale * kept);
             escaped.push(scale * left);
         }
-        let (standard_error, imbalance_error) = self.batches.errors(&self.sweeper.siblings());
+        let [standard_error, imbalance_error, entered_error] = self.batches.errors(&self.sweeper.siblings());
         let radiosity = irradiance.iter().zip(self.emission).zip(self.reflectance);
         StochasticSolution {
             channels: C,
@@ -403,10 +434,34 @@ impl<'a, const C: usize> Iteration<'a, C> {
             tally: self.tally,
             reached,
             emitted,
+            entered: entered.into(),
+            entered_error,
             absorbed,
             escaped,
             imbalance,
             imbalance_error,
         }
     }
+}
+
+/// The irradiance of patch `i` from the sky by `count` hemisphere rays.
+fn sky_of<const C: usize>(outside: &[Outside<C>], i: usize, count: f64) -> [f64; C] {
+    outside.get(i).map_or([0.0; C], |outside| outside.sky.map(|sky| sky / count))
+}
+
+/// The power that enters from outside the patches and hits a surface: the light of the sky by `count` hemisphere rays, and
+/// the share of direct light that shadow rays to other lights brought.
+fn entered<const C: usize>(
+    areas: &[f64],
+    outside: &[Outside<C>],
+    came: &[Arrived<C>],
+    count: f64,
+    direct: &(impl Fn(usize) -> [f64; C] + Sync),
+) -> [f64; C] {
+    let power = |i: usize| -> SVector<f64, C> {
+        let (direct, sky) = (direct(i), sky_of(outside, i, count));
+        let share = |c: usize| if came[i].lit[c] > 0.0 { outside[i].lit[c] / came[i].lit[c] } else { 0.0 };
+        SVector::from_fn(|c, _| areas[i] * (sky[c] + direct[c] * share(c)))
+    };
+    ordered_sum(outside.len(), power).into()
 }

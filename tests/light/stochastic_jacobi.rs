@@ -4,8 +4,10 @@ use glam::DVec3;
 use radiosity::{
     Progress, Scene,
     accuracy::error_bars::T_QUANTILE,
+    energy::EnergyLedger,
     form_factor::{CastOptions, FormFactors, sweep::Sweeper},
     patch::{Patches, Subdivision},
+    scene::light::{Distant, Light, LightKind, PointLight, SUN_DIAMETER, Sky, SkyModel, Up},
     solve::{
         SolveOptions, solve,
         stochastic_jacobi::{self, Reached, StochasticOptions, StochasticSolution},
@@ -44,8 +46,12 @@ const SEEDS: u64 = 2;
 /// errors.
 #[test]
 fn sweeps_agree_with_the_matrix_within_their_error_bars() {
-    for name in ["cornell-box", "door-ajar", "corridor"] {
-        let scene = if name == "corridor" { corridor() } else { crate::common::load(name) };
+    for name in ["cornell-box", "door-ajar", "corridor", "court"] {
+        let scene = match name {
+            "corridor" => corridor(),
+            "court" => court(),
+            _ => crate::common::load(name),
+        };
         let (patches, truth) = by_matrix(&scene, 300);
         let (mut inside, mut all, mut squares, mut off, mut mean) = (0, 0, 0.0, 0.0, 0.0);
         for seed in 0..SEEDS {
@@ -76,6 +82,58 @@ fn sweeps_agree_with_the_matrix_within_their_error_bars() {
         );
         assert!(share >= 0.9, "{name}: {share}");
     }
+}
+
+/// A court under an overcast sky with a blue tinge, a low sun, a bulb and a lamp. Walls of 2 m hide parts of the sky and
+/// of the sun from the floor. No surface sees the back of the lamp.
+fn court() -> Scene {
+    let [left, right, front, back, floor, _] =
+        crate::common::room_faces(DVec3::ZERO, DVec3::new(4.0, 3.0, 2.0));
+    let lamp = crate::common::rectangle(DVec3::new(1.0, 1.0, 2.0), DVec3::Y, DVec3::X);
+    let mut scene = crate::common::scene(&[
+        crate::common::part([left, right, front, back].concat(), 0.7, 0.0),
+        crate::common::part(floor, 0.4, 0.0),
+        crate::common::part(lamp, 0.0, 20.0),
+    ]);
+    let towards = Up::Z.direction(2.5, 0.7);
+    let sun = Distant::new(towards, [90.0, 80.0, 60.0], SUN_DIAMETER.to_radians());
+    let bulb = PointLight::isotropic(DVec3::new(3.0, 2.0, 0.7), [4.0; 3]);
+    scene.lights.list.push(Light::new("sun", LightKind::Distant(sun)));
+    scene.lights.list.push(Light::new("bulb", LightKind::Point(bulb)));
+    scene.lights.sky = Some(Sky::with_irradiance(SkyModel::Overcast, Up::Z, [40.0, 45.0, 60.0]));
+    scene
+}
+
+/// Power that enters without a matrix is the power that enters with one, within their standard errors, and the ledger
+/// closes: emitted + entered = absorbed + escaped. In the open, sun and bulb enter without noise.
+#[test]
+fn the_ledger_counts_the_light_that_enters() {
+    let scene = court();
+    let (tracer, progress) = (Tracer::new(&scene), Progress::new());
+    let mut patches = Patches::subdivide(&scene, &Subdivision::Count(300));
+    let cast = CastOptions::default().with_rays(2048.0);
+    let form_factors = FormFactors::cast(&scene, &tracer, &mut patches, &cast, &progress).unwrap();
+    let solution = solve(&form_factors, &patches, &SolveOptions::default(), &progress).unwrap();
+    let ledger = EnergyLedger::of(&form_factors, &patches, &solution);
+    let (_, found) = by_sweeps(&scene, 300, 256.0, 3);
+    for c in 0..3 {
+        let (entered, error) = (found.entered[c], found.entered_error[c]);
+        let wanted = ledger.entered[c];
+        assert!(
+            (entered - wanted).abs() < 4.0 * error && error < 0.01 * wanted,
+            "{entered} ± {error}: {wanted}"
+        );
+        let sent = found.emitted[c] + entered;
+        assert!((sent - found.absorbed[c] - found.escaped[c]).abs() < 1e-9 * sent);
+    }
+    assert!(found.is_balanced());
+
+    let mut open =
+        crate::common::scene(&[crate::common::part(crate::common::level_square(2.0, 0.0, true), 0.5, 0.0)]);
+    open.lights.list = scene.lights.list[..1].to_vec();
+    let (_, found) = by_sweeps(&open, 32, 64.0, 1);
+    let wanted = 4.0 * 90.0 * 0.7f64.sin();
+    assert!((found.entered[0] / wanted - 1.0).abs() < 1e-6, "{} for {wanted}", found.entered[0]);
 }
 
 /// White walls between black ends, lit at one end. Light takes tens of bounces to the dark end. The first sweeps lack
