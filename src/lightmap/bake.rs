@@ -133,7 +133,7 @@ impl Cells {
     /// Cells with exact means, all of them open.
     fn exact(means: Vec<[f32; 3]>) -> Cells {
         let reflected: Vec<Noisy> =
-            means.into_iter().map(|mean| Noisy { mean, variance: [0.0; 3] }).collect();
+            means.into_iter().map(|mean| Noisy { mean, ..Noisy::default() }).collect();
         let n = reflected.len();
         Cells { direct: vec![Noisy::default(); n], reflected, open: vec![1.0; n], sampled: false }
     }

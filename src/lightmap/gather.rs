@@ -44,6 +44,9 @@ pub struct Noisy {
     pub mean: [f32; 3],
     /// Squared standard error of the mean.
     pub variance: [f32; 3],
+    /// Half the difference between the means of the first and the last half of the replicates. Its expectation is 0, and
+    /// its variance is that of the mean.
+    pub half: [f32; 3],
 }
 
 /// The gathered irradiance of a texel.
@@ -273,13 +276,16 @@ fn texel(replicates: &[Replicate], each: u32) -> Texel {
         let mean = replicates.iter().map(part).sum::<DVec3>() / n;
         // First-order variance of a ratio estimator: both the sum and the count vary from replicate to replicate.
         let k = replicates.len() as f64;
-        let squares: DVec3 = replicates
-            .iter()
-            .map(|r| part(r) - mean * f64::from(r.count))
-            .map(|deviation| deviation * deviation)
-            .sum();
+        let deviation = |r: &Replicate| part(r) - mean * f64::from(r.count);
+        let squares: DVec3 = replicates.iter().map(|r| deviation(r) * deviation(r)).sum();
         let variance = squares * (k / (k - 1.0)) / (n * n);
-        Noisy { mean: mean.as_vec3().to_array(), variance: variance.as_vec3().to_array() }
+        let [first, last] = [0, 1].map(|half| {
+            let of_half = replicates.iter().skip(half * replicates.len() / 2).take(replicates.len() / 2);
+            of_half.map(deviation).sum::<DVec3>()
+        });
+        let [mean, variance, half] =
+            [mean, variance, (first - last) / n].map(|values| values.as_vec3().to_array());
+        Noisy { mean, variance, half }
     };
     Texel {
         direct: noisy(|r| r.direct),
