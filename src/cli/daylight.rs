@@ -97,6 +97,8 @@ pub fn run(args: &DaylightArgs) -> Result<Outcome> {
     args.common.start_threads()?;
 
     let watch = Watch::new(args.common.quiet);
+    let warning = args.epw.as_ref().zip(weather.as_ref()).and_then(|(path, weather)| weather.warning(path));
+    warning.iter().for_each(|warning| watch.warn(warning));
     let mut times = Seconds::default();
     let (mut scene, load) = watch.stage("reading", || pipeline::read(&args.scene, &files, &watch))?;
     times.load = load;
@@ -150,20 +152,17 @@ pub fn run(args: &DaylightArgs) -> Result<Outcome> {
         pending.push(plots.write(|out| charts.write(out))?);
     }
     times.total = seconds(start.elapsed());
-    let mean = |values: &mut dyn Iterator<Item = f64>| {
-        let (sum, many) = values.fold((0.0, 0.0), |(sum, many), x| (sum + x, many + 1.0));
-        sum / f64::max(many, 1.0)
-    };
     let report = DaylightReport {
         version: env!("CARGO_PKG_VERSION"),
         scene: args.scene.path.display().to_string(),
         patches: patches.len(),
         places: places.len(),
         parts: options.parts.count(),
-        mean_daylight_factor: mean(&mut factors.iter().copied()),
+        mean_daylight_factor: factors.iter().sum::<f64>() / factors.len().max(1) as f64,
         hours: year.as_ref().map(|year| year.labels.len()),
+        missing_hours: year.as_ref().map(|year| year.is_missing.iter().filter(|missing| **missing).count()),
         spatial_daylight_autonomy: year.as_ref().map(|year| year.spatial_autonomy),
-        mean_illuminance: year.as_ref().map(|year| mean(&mut year.illuminance.iter().map(|&e| f64::from(e)))),
+        mean_illuminance: year.as_ref().map(Year::mean),
         seed: args.seed,
         seconds: times,
         peak_bytes: peak_bytes(),
@@ -209,7 +208,11 @@ fn summary_of(report: &DaylightReport, written: &str) -> String {
     if let (Some(hours), Some(autonomy), Some(mean)) =
         (report.hours, report.spatial_daylight_autonomy, report.mean_illuminance)
     {
-        row("year", format!("{hours} hours, {mean:.0} lx in the mean"));
+        let without = match report.missing_hours {
+            Some(missing @ 1..) => format!(", {missing} of them without irradiance and not counted"),
+            _ => String::new(),
+        };
+        row("year", format!("{hours} hours{without}; {mean:.0} lx in the mean"));
         row(
             "autonomy",
             format!("{:.1} % of the places have 300 lx in half of the hours from 8 to 18", 100.0 * autonomy),

@@ -26,9 +26,11 @@ pub const OCCUPIED: [u32; 2] = [9, 18];
 pub struct Year {
     /// Month, day and label of each hour.
     pub labels: Vec<[u32; 3]>,
-    /// Illuminance in lx, hour by hour, with an entry per place.
+    /// Illuminance in lx, hour by hour, with an entry per place. It is 0 in hours without irradiance in the weather file.
     pub illuminance: Vec<f32>,
-    /// Daylight autonomy of each place: the share of occupied hours with [`ENOUGH_LIGHT`].
+    /// For each hour, whether the weather file lacks its irradiance although the sun is up.
+    pub is_missing: Vec<bool>,
+    /// Daylight autonomy of each place: the share of occupied hours with [`ENOUGH_LIGHT`]. Missing hours do not count.
     pub autonomy: Vec<f64>,
     /// Spatial daylight autonomy: the share of places whose daylight autonomy is at least [`ENOUGH_HOURS`].
     pub spatial_autonomy: f64,
@@ -58,7 +60,7 @@ fn radiances(parts: SkyParts, up: Up, sky: &Sky, irradiance: f64) -> Vec<f64> {
 /// of the sky's parts (cd/m²). `None` without light.
 fn hour_of(hour: &Hour, parts: SkyParts, up: Up) -> Option<(DVec3, f64, Vec<f64>)> {
     let (azimuth, altitude) = hour.sun?;
-    if hour.direct + hour.diffuse <= 0.0 {
+    if hour.is_missing || hour.direct + hour.diffuse <= 0.0 {
         return None;
     }
     let towards = up.direction(azimuth, altitude);
@@ -73,6 +75,14 @@ fn hour_of(hour: &Hour, parts: SkyParts, up: Up) -> Option<(DVec3, f64, Vec<f64>
 }
 
 impl Year {
+    /// Mean illuminance of all places in all hours whose irradiance is known, lx.
+    pub fn mean(&self) -> f64 {
+        let known = self.is_missing.iter().filter(|missing| !**missing).count();
+        let places = self.illuminance.len() / self.is_missing.len().max(1);
+        let sum: f64 = self.illuminance.iter().map(|&e| f64::from(e)).sum();
+        sum / (known * places).max(1) as f64
+    }
+
     /// Computes the hours of a weather file. If `points` are given, which are the places of the coefficients, a ray to
     /// the sun decides whether its direct light reaches each point. Otherwise the coefficients are those of patches,
     /// and the light of the sun is added to its part of the sky.
@@ -105,7 +115,8 @@ impl Year {
             (0..coefficients.places).map(of_place).collect()
         };
         let hours: Vec<Vec<f32>> = weather.hours.par_iter().map(of_hour).collect();
-        let is_occupied = |hour: &Hour| (OCCUPIED[0]..=OCCUPIED[1]).contains(&hour.label[2]);
+        let is_occupied =
+            |hour: &Hour| (OCCUPIED[0]..=OCCUPIED[1]).contains(&hour.label[2]) && !hour.is_missing;
         let occupied: Vec<&Vec<f32>> =
             hours.iter().zip(&weather.hours).filter(|(_, hour)| is_occupied(hour)).map(|(e, _)| e).collect();
         let autonomy: Vec<f64> = (0..coefficients.places)
@@ -118,6 +129,7 @@ impl Year {
         Year {
             labels: weather.hours.iter().map(|hour| hour.label).collect(),
             illuminance: hours.concat(),
+            is_missing: weather.hours.iter().map(|hour| hour.is_missing).collect(),
             spatial_autonomy: enough as f64 / autonomy.len().max(1) as f64,
             autonomy,
         }

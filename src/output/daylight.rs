@@ -93,6 +93,9 @@ pub struct DaylightReport {
     pub mean_daylight_factor: f64,
     /// Number of hours in the weather file; `null` without one.
     pub hours: Option<usize>,
+    /// Number of hours whose irradiance is missing in the weather file although the sun is up; `null` without one. They do
+    /// not count in the figures below.
+    pub missing_hours: Option<usize>,
     /// Share of places with at least 300 lx in at least half of the hours from 8 to 18; `null` without a weather file.
     pub spatial_daylight_autonomy: Option<f64>,
     /// Mean illuminance of all places and hours, lx; `null` without a weather file.

@@ -273,6 +273,10 @@ pub fn daylight(file: &str, places: &[Place], factors: &[f64], year: Option<&Yea
             "{:.1} % of the places have 300 lx in half of the hours from 8 to 18.",
             100.0 * year.spatial_autonomy
         ));
+        let missing = year.is_missing.iter().filter(|missing| **missing).count();
+        if missing > 0 {
+            notes.push(format!("{missing} hours have no irradiance in the weather file, and are left out."));
+        }
         charts.push(hours(year));
         let autonomy: Vec<f64> = year.autonomy.iter().map(|share| 100.0 * share).collect();
         let title = "Daylight autonomy: hours with 300 lx";
@@ -330,7 +334,8 @@ fn hours(year: &Year) -> Chart {
     ];
     let places = year.autonomy.len().max(1);
     let mut sums: BTreeMap<(u32, u32), (f64, u32)> = BTreeMap::new();
-    for (&[month, _, label], lx) in year.labels.iter().zip(year.illuminance.chunks(places)) {
+    let hours = year.labels.iter().zip(year.illuminance.chunks(places)).zip(&year.is_missing);
+    for ((&[month, _, label], lx), _) in hours.filter(|(_, missing)| !**missing) {
         let (sum, count) = sums.entry((month, label)).or_default();
         *sum += lx.iter().map(|&e| f64::from(e)).sum::<f64>() / places as f64;
         *count += 1;

@@ -20,7 +20,7 @@ const DEW_POINT: usize = 7;
 const USUAL_DEW_POINT: f64 = 10.0;
 /// Largest number of hours in a file.
 const MOST_HOURS: usize = 100_000;
-/// Irradiances from this value on mean that the value is missing.
+/// Irradiances from this value on mean that the value is missing. So do negative ones.
 const MISSING: f64 = 9999.0;
 /// Number of moments in an hour for which the program computes whether the sun is up.
 const PARTS: usize = 60;
@@ -31,10 +31,14 @@ const PARTS: usize = 60;
 pub struct Hour {
     /// Month, day of the month, and the label of the hour, from 1 to 24.
     pub label: [u32; 3],
-    /// Direct normal irradiance, W/m².
+    /// Direct normal irradiance, W/m²; 0 if it is missing.
     pub direct: f64,
-    /// Diffuse horizontal irradiance, W/m².
+    /// Diffuse horizontal irradiance, W/m²; 0 if it is missing.
     pub diffuse: f64,
+    /// Whether the file lacks one of the two, and the sun is up.
+    pub is_missing: bool,
+    /// Line of the file, from 1.
+    pub line: usize,
     /// Dew point, °C.
     pub dew_point: f64,
     /// Azimuth and altitude of the sun in radians, if it is up in any part of the hour.
@@ -56,6 +60,19 @@ pub struct Weather {
 }
 
 impl Weather {
+    /// A warning if irradiance is missing while the sun is up.
+    pub fn warning(&self, path: &Path) -> Option<String> {
+        let mut missing = self.hours.iter().filter(|hour| hour.is_missing);
+        let first = missing.next()?;
+        let (count, day) = (1 + missing.count(), self.hours.iter().filter(|hour| hour.sun.is_some()).count());
+        Some(format!(
+            "{}:{}: irradiance is missing in {count} of the {day} hours with the sun up: illuminance is 0 there, and means and \
+             autonomy leave these hours out",
+            path.display(),
+            first.line
+        ))
+    }
+
     /// Reads an EPW file.
     ///
     /// # Errors
@@ -92,7 +109,8 @@ fn parse(text: &str) -> std::result::Result<Weather, Wrong> {
         if hours.len() == MOST_HOURS {
             return Err((k + 1, format!("more than {MOST_HOURS} hours")));
         }
-        hours.push(hour(line, place, offset).map_err(|message| (k + 1, message))?);
+        let hour = hour(line, place, offset).map_err(|message| (k + 1, message))?;
+        hours.push(Hour { line: k + 1, ..hour });
     }
     if hours.is_empty() {
         return Err((lines.len(), "no hours after the eight lines of headers".into()));
@@ -111,7 +129,7 @@ fn hour(line: &str, place: Place, offset: f64) -> std::result::Result<Hour, Stri
     let light = |column: usize, what: &str| {
         let value = words.get(column).and_then(|word| word.parse::<f64>().ok());
         let value = value.ok_or_else(|| format!("column {}, {what}, is not a number", column + 1))?;
-        Ok::<f64, String>(if (0.0..MISSING).contains(&value) { value } else { 0.0 })
+        Ok::<Option<f64>, String>(Some(value).filter(|value| (0.0..MISSING).contains(value)))
     };
     let (direct, diffuse) = (
         light(DIRECT, "the direct normal irradiance")?,
@@ -152,8 +170,10 @@ fn hour(line: &str, place: Place, offset: f64) -> std::result::Result<Hour, Stri
         .filter(|&(_, altitude)| altitude > 0.0);
     Ok(Hour {
         label: [month, day, label],
-        direct,
-        diffuse,
+        direct: direct.unwrap_or(0.0),
+        diffuse: diffuse.unwrap_or(0.0),
+        is_missing: sun.is_some() && (direct.is_none() || diffuse.is_none()),
+        line: 0,
         dew_point,
         sun,
         eccentricity: moment.eccentricity(),
@@ -203,9 +223,16 @@ mod tests {
     }
 
     #[test]
-    fn missing_light_is_zero_and_wrong_lines_are_named() {
-        let weather = parse(&file(&[(1, 1, 12, "9999", "-3")])).unwrap();
-        assert_eq!((weather.hours[0].direct, weather.hours[0].diffuse), (0.0, 0.0));
+    fn missing_light_is_counted_and_wrong_lines_are_named() {
+        let day = [("9999", "9"), ("5", "-9999"), ("5", "9"), ("nan", "9")].map(|(d, s)| (1, 1, 12, d, s));
+        let night = [(1, 1, 1, "9999", "9999")];
+        let weather = parse(&file(&[&day[..], &night].concat())).unwrap();
+        let missing: Vec<bool> = weather.hours.iter().map(|hour| hour.is_missing).collect();
+        assert_eq!(missing, [true, true, false, true, false]);
+        assert_eq!((weather.hours[0].direct, weather.hours[1].diffuse), (0.0, 0.0));
+        let warning = weather.warning(Path::new("a.epw")).unwrap();
+        assert!(warning.starts_with("a.epw:9: irradiance is missing in 3 of the 4 hours"), "{warning}");
+        assert_eq!(parse(&file(&[(1, 1, 1, "9999", "0"), day[2]])).unwrap().warning(Path::new("")), None);
         for (text, line) in [
             (String::new(), 1),
             ("LOCATION,x\n".into(), 1),
