@@ -16,10 +16,15 @@
 use rayon::prelude::*;
 
 use super::{
-    Constants, REPLICATES, part,
+    Constants, REPLICATES,
+    lamps::Piece,
+    part,
     shadow::{HALVES, ShadowRays},
 };
-use crate::parallel::{SHORT, ordered_sum};
+use crate::{
+    parallel::{SHORT, ordered_sum},
+    scene::light::LightGroup,
+};
 
 /// Deviation of the irradiance of a patch in each replicate from the mean of all, by channel.
 pub(crate) type Deviation<const C: usize> = [[f32; REPLICATES]; C];
@@ -85,6 +90,17 @@ impl ShadowRays {
             light.add(&irradiance, &deviations, areas);
         }
         light
+    }
+
+    /// The irradiance of all patches from one group of lights that are not surfaces, without the light of the sky that
+    /// hemisphere rays see.
+    pub(crate) fn from_group<const C: usize>(&self, group: LightGroup, patches: usize) -> Vec<[f64; C]> {
+        let sent = |piece: &Piece| match piece.group() == Some(group) {
+            true => piece.sent(&[], 1.0),
+            false => [0.0; C],
+        };
+        let sent: Vec<[f64; C]> = self.lamps.pieces.iter().map(sent).collect();
+        self.arriving(&sent, patches, true).0
     }
 
     /// Irradiance of all patches and the deviations of its replicates: from surfaces, or from other lights.

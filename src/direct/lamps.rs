@@ -19,7 +19,7 @@ use super::{
 use crate::{
     parallel::magnitude,
     patch::Patches,
-    scene::light::{Lights, Sky},
+    scene::light::{LightGroup, Lights, Sky},
     trace::{
         Tracer, UnitTriangle,
         sampling::{mix, square_to_triangle},
@@ -145,6 +145,14 @@ impl Piece {
     #[inline]
     pub(super) fn is_remote(&self) -> bool {
         matches!(self.source, Source::Remote(..))
+    }
+
+    /// The group of its light; `None` for a surface.
+    pub(super) fn group(&self) -> Option<LightGroup> {
+        match &self.source {
+            Source::Surface(_) => None,
+            Source::Remote(remote, _) => Some(remote.group()),
+        }
     }
 
     /// Whether its unblocked light at a patch is known exactly.
@@ -373,7 +381,7 @@ impl Lamps {
     }
 
     /// Whether lights outside the patches are among the [pieces](Piece::is_remote).
-    pub(super) fn has_remote(&self) -> bool {
+    pub(crate) fn has_remote(&self) -> bool {
         self.pieces.len() > self.surfaces
     }
 

@@ -34,7 +34,7 @@ use crate::{
     Progress, Result,
     direct::{Keep, Lamps, ShadowRay, ShadowRays},
     patch::Patches,
-    scene::Scene,
+    scene::{Scene, light::LightGroup},
     trace::{Tracer, sampling::mix},
 };
 use assembly::Assembled;
@@ -381,6 +381,16 @@ impl FormFactors {
             .chain(light.entered_deviations.as_flattened_mut());
         powers.chain(deviations).for_each(|x| *x *= area);
         Some(light)
+    }
+
+    /// The direct irradiance from one group of lights that are not surfaces; `channels` (1 or 3) interleaved values a
+    /// patch.
+    pub(crate) fn direct_from(&self, group: LightGroup, channels: usize) -> Vec<f64> {
+        let Some(samples) = &self.samples else { return vec![0.0; channels * self.areas.len()] };
+        match channels {
+            1 => samples.direct_from::<1>(group).into_flattened(),
+            _ => samples.direct_from::<3>(group).into_flattened(),
+        }
     }
 
     /// The [`magnitude`] of all light that is emitted or enters the scene.

@@ -1,7 +1,7 @@
 //! The light of each lamp alone.
 //!
-//! Light is linear in what is emitted. So the same form factors give the light of each emitting material, and the parts sum to the
-//! whole.
+//! Light is linear in what is emitted. So the same form factors give the light of each emitting material and of each group of lights
+//! that are no surfaces, and the parts sum to the whole.
 
 use super::{Radiometry, Solution, SolveOptions, solve};
 use crate::{Progress, Result, form_factor::FormFactors, patch::Patches, scene::Scene};
@@ -12,14 +12,15 @@ use crate::{Progress, Result, form_factor::FormFactors, patch::Patches, scene::S
 pub struct LampLight {
     /// The name of the material, or what the part holds.
     pub name: String,
-    /// The materials that emit it; none where it comes from lights that are no surfaces.
+    /// The materials that emit it; empty for lights that are no surfaces.
     pub materials: Vec<u32>,
     /// Irradiance, W/m²; interleaved channels.
     pub irradiance: Vec<f64>,
 }
 
 /// Splits a solution with constant light into at most `most` parts: one for each emitting material, brightest first, then the other
-/// materials together; and one for all lights that are no surfaces. Empty where there is one part only.
+/// materials together; and one each for distant lights, for points with luminaires, and for the sky. With room for one part for all of
+/// these lights only, they share it. Empty if there is one part only.
 ///
 /// Each part costs a solution of the linear system, and no rays. The last part is what the others leave of `whole`.
 ///
@@ -36,9 +37,14 @@ pub fn by_lamp(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<Vec<LampLight>> {
-    let outside = !scene.lights.is_empty();
-    let groups = groups(scene, patches, most.saturating_sub(usize::from(outside)));
-    if groups.len() + usize::from(outside) < 2 {
+    let mut outside = scene.lights.groups();
+    let emitting = groups(scene, patches, 1).len();
+    if outside.len() + emitting > most.max(1) {
+        outside.truncate(1);
+        outside.iter_mut().for_each(|(_, name)| *name = all_of(scene));
+    }
+    let groups = groups(scene, patches, most.saturating_sub(outside.len()));
+    if groups.len() + outside.len() < 2 {
         return Ok(Vec::new());
     }
     let of_materials = |materials: &[u32]| -> Result<Vec<f64>> {
@@ -47,7 +53,7 @@ pub fn by_lamp(
         solve(form_factors, radiometry, options, progress).map(|solution| solution.irradiance)
     };
     // Lights that are no surfaces shine in every solution.
-    let from_outside = if outside { Some(of_materials(&[])?) } else { None };
+    let from_outside = if outside.is_empty() { None } else { Some(of_materials(&[])?) };
     let mut rest = whole.irradiance.clone();
     let take = |from: &mut [f64], part: &[f64]| from.iter_mut().zip(part).for_each(|(x, part)| *x -= part);
     let mut parts: Vec<LampLight> = Vec::new();
@@ -66,14 +72,36 @@ pub fn by_lamp(
         };
         parts.push(LampLight { name, materials, irradiance });
     }
-    if let Some(irradiance) = from_outside {
-        let names: Vec<&str> = scene.lights.names().collect();
-        let name = if names.len() > 4 { format!("{} lights", names.len()) } else { names.join(", ") };
-        parts.push(LampLight { name, materials: Vec::new(), irradiance });
+    if let Some(from_outside) = from_outside {
+        let mut rest = from_outside.clone();
+        let last = outside.len() - 1;
+        for (k, (group, name)) in outside.into_iter().enumerate() {
+            let irradiance = if k == last {
+                std::mem::take(&mut rest)
+            } else {
+                // The light D of the group that a patch reflects is like an emission ρ D of the patch.
+                let direct = form_factors.direct_from(group, patches.channels());
+                let reflected: Vec<f64> =
+                    direct.iter().zip(patches.reflectance()).map(|(e, rho)| rho * e).collect();
+                let radiometry = Radiometry { emission: &reflected, ..patches.into() };
+                let mut irradiance = solve(form_factors, radiometry, options, progress)?.irradiance;
+                take(&mut irradiance, &from_outside);
+                irradiance.iter_mut().zip(&direct).for_each(|(e, direct)| *e += direct);
+                take(&mut rest, &irradiance);
+                irradiance
+            };
+            parts.push(LampLight { name, materials: Vec::new(), irradiance });
+        }
     }
     // Differences of solutions may be below zero within the tolerance of the solver.
     parts.iter_mut().flat_map(|part| &mut part.irradiance).for_each(|e| *e = e.max(0.0));
     Ok(parts)
+}
+
+/// A name for all lights that are no surfaces.
+fn all_of(scene: &Scene) -> String {
+    let names: Vec<&str> = scene.lights.names().collect();
+    if names.len() > 4 { format!("{} lights", names.len()) } else { names.join(", ") }
 }
 
 /// The emitting materials, each with its name, by falling power; what exceeds `most` is one group.
@@ -121,7 +149,7 @@ mod tests {
         patch::Subdivision,
         scene::{
             Material,
-            light::{Sky, SkyModel, Up},
+            light::{Distant, Light, LightKind, PointLight, Sky, SkyModel, Up},
         },
         trace::Tracer,
     };
@@ -175,6 +203,33 @@ mod tests {
             }
             assert_eq!((&parts[0].materials[..], &parts[1].materials[..]), (&[2][..], &[1][..]));
         }
+    }
+
+    /// Sun, bulb and sky have a part each. Each part is the light of a scene with that light alone: the same rays give it
+    /// up to the choice among lights, so the fluxes agree within 2 %.
+    #[test]
+    fn sun_points_and_sky_have_parts_of_their_own() {
+        let mut all = scene(true);
+        let sun = Distant::new(dvec3(0.3, 1.0, 0.2), [3.0, 3.0, 2.0], 0.01);
+        let bulb = PointLight::isotropic(dvec3(3.0, 0.7, 0.6), [2.0; 3]);
+        all.lights.list.push(Light::new("sun", LightKind::Distant(sun)));
+        all.lights.list.push(Light::new("bulb", LightKind::Point(bulb)));
+        let (whole, parts) = parts(&all, 8);
+        let names: Vec<&str> = parts.iter().map(|part| &part.name[..]).collect();
+        assert_eq!(names, ["green", "red", "sun", "bulb", "sky"]);
+        let flux = |irradiance: &[f64]| irradiance.iter().sum::<f64>();
+        let sum: f64 = parts.iter().map(|part| flux(&part.irradiance)).sum();
+        assert!((sum / flux(&whole.irradiance) - 1.0).abs() < 1e-9);
+        for part in &parts[2..] {
+            let mut alone = all.clone();
+            alone.materials.iter_mut().for_each(|material| material.emission = [0.0; 3]);
+            alone.lights.retain(|name| name == part.name);
+            let (alone, _) = self::parts(&alone, 1);
+            let ratio = flux(&part.irradiance) / flux(&alone.irradiance);
+            assert!((ratio - 1.0).abs() < 0.02, "{}: {ratio}", part.name);
+        }
+        let few: Vec<String> = self::parts(&all, 2).1.into_iter().map(|part| part.name).collect();
+        assert_eq!(few, ["all materials", "sun, bulb, sky"]);
     }
 
     #[test]

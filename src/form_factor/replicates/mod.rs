@@ -16,6 +16,7 @@ use super::{
 use crate::{
     direct::{Deviation, DirectLight, ShadowRays},
     patch::Patches,
+    scene::light::LightGroup,
 };
 use sums::{Counted, Sums, WhichRays};
 
@@ -86,6 +87,18 @@ impl Samples {
             light.add(&irradiance, &deviations, &self.areas);
         }
         light
+    }
+
+    /// The direct irradiance of all patches from one group of lights that are not surfaces.
+    pub(super) fn direct_from<const C: usize>(&self, group: LightGroup) -> Vec<[f64; C]> {
+        let mut irradiance = self.shadow.from_group(group, self.areas.len());
+        if let Some(sky) = self.sky.as_ref().filter(|_| group == LightGroup::Sky) {
+            let (seen, _) = sky.arriving::<C>(1.0);
+            for (sum, seen) in irradiance.iter_mut().zip(seen) {
+                (0..C).for_each(|c| sum[c] += seen[c]);
+            }
+        }
+        irradiance
     }
 
     /// The numbers of rays that lower the error most, with `rays` rays a patch in the mean.

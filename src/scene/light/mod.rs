@@ -110,6 +110,17 @@ impl LightKind {
     }
 }
 
+/// A group of lights that are not surfaces. Each group can be dimmed by itself in a page.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum LightGroup {
+    /// Sun and other distant lights.
+    Distant,
+    /// Points, spots and luminaires.
+    Points,
+    /// The sky.
+    Sky,
+}
+
 /// The name of the sky among [`Lights::names`].
 pub const SKY: &str = "sky";
 
@@ -132,6 +143,26 @@ impl Lights {
     /// The names of all lights. The sky has the name [`SKY`].
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.list.iter().map(|light| &light.name[..]).chain(self.sky.as_ref().map(|_| SKY))
+    }
+
+    /// The groups of these lights, each with its name: the name of the only light in it, or their number.
+    pub(crate) fn groups(&self) -> Vec<(LightGroup, String)> {
+        let of_list = |group: LightGroup, plural: &str| {
+            let is_of =
+                |light: &&Light| matches!(light.kind, LightKind::Point(_)) == (group == LightGroup::Points);
+            let names: Vec<&str> = self.list.iter().filter(is_of).map(|light| &light.name[..]).collect();
+            match names[..] {
+                [] => None,
+                [name] => Some((group, name.to_owned())),
+                _ => Some((group, format!("{} {plural}", names.len()))),
+            }
+        };
+        let groups = [
+            of_list(LightGroup::Distant, "distant lights"),
+            of_list(LightGroup::Points, "points and luminaires"),
+            self.sky.as_ref().map(|_| (LightGroup::Sky, SKY.to_owned())),
+        ];
+        groups.into_iter().flatten().collect()
     }
 
     /// Keeps only the lights for whose names `keep` returns true.
