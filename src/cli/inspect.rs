@@ -169,7 +169,7 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
     row("rays", sights);
     let (shown, hidden) = worth_showing(&report.materials);
     for m in shown {
-        row("material", material(m, scene.area));
+        row("material", material(m, scene.area, scene.units.radiance));
     }
     if hidden > 0 {
         row("material", format!("and {hidden} more"));
@@ -233,7 +233,7 @@ fn worth_showing(materials: &[MaterialReport]) -> (Vec<&MaterialUse>, usize) {
     (order.into_iter().map(|i| &materials[i].used).collect(), hidden)
 }
 
-fn material(m: &MaterialUse, total: f64) -> String {
+fn material(m: &MaterialUse, total: f64, unit: &str) -> String {
     let colour = |c: [f64; 3]| match c.map(|x| format!("{:.4}", (x * 1e4).round() / 1e4)) {
         [r, g, b] if r == g && g == b => r,
         rgb => rgb.join(" "),
@@ -246,7 +246,7 @@ fn material(m: &MaterialUse, total: f64) -> String {
         colour(m.reflectance)
     );
     if m.emission.iter().any(|&e| e > 0.0) {
-        let _ = write!(text, ", emits {} W/(m2 sr)", colour(m.emission));
+        let _ = write!(text, ", emits {} {unit}", colour(m.emission));
     }
     text
 }

@@ -10,7 +10,7 @@ use glam::DVec3;
 use radiosity::{
     Error, Result as RadiosityResult, Scene,
     scene::{
-        is_radiance,
+        MOST_RADIANCE, is_radiance,
         light::{
             Distant, LUMINOUS_EFFICACY, Light, LightKind, Moment, Mounting, Photometry, Place, SUN_DIAMETER,
             Sky, SkyImage, SkyModel, Units, Up,
@@ -126,7 +126,7 @@ fn sun(text: &str) -> Result<SunArg, String> {
         return Err("the altitude of the sun must be between 0 and 90 degrees".into());
     }
     if irradiance.is_some_and(|e| !is_radiance(e)) {
-        return Err("the irradiance must not be negative".into());
+        return Err(format!("the irradiance must be a number from 0 to {MOST_RADIANCE:e}"));
     }
     Ok(SunArg { azimuth, altitude, irradiance })
 }

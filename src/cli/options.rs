@@ -1,5 +1,6 @@
 //! Options that several commands share.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -129,9 +130,9 @@ impl SceneArgs {
             return Ok(());
         }
         let shining = scene.materials.iter().filter(|m| m.emits()).map(|m| m.name.clone());
-        let mut names: Vec<String> = shining.chain(scene.lights.names().map(String::from)).collect();
+        let names: Vec<String> = shining.chain(scene.lights.names().map(String::from)).collect();
         if let Some(name) = self.emitters.iter().find(|name| !names.contains(name)) {
-            names.dedup();
+            let names = distinct(&names);
             return Err(Error::Usage {
                 message: format!(
                     "--emitters: no material or light `{name}` of {} emits",
@@ -155,10 +156,16 @@ pub fn keep_emitters(scene: &mut Scene, names: &[String]) {
     }
 }
 
+/// The distinct names, in their order.
+fn distinct<S: AsRef<str>>(names: &[S]) -> Vec<&str> {
+    let mut known = HashSet::new();
+    names.iter().map(AsRef::as_ref).filter(|name| known.insert(*name)).collect()
+}
+
 /// The error for an option that names a material without faces.
 fn no_material(scene: &Scene, path: &Path, option: &str, name: &str) -> Error {
-    let mut names: Vec<&str> = scene.materials.iter().map(|m| m.name.as_str()).collect();
-    names.dedup();
+    let names: Vec<&str> = scene.materials.iter().map(|m| m.name.as_str()).collect();
+    let names = distinct(&names);
     let (shown, more) = (names.len().min(10), names.len().saturating_sub(10));
     let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
     Error::Usage {

@@ -151,15 +151,15 @@ pub fn picture(report: &SamplingReport, fixed: bool, stops: f64, written: &str) 
         let [eye, look_at, up] =
             [picture.eye, picture.look_at, picture.up].map(|p| p.map(|x| format!("{x:.6}")).join(","));
         let PictureReport { width, height, fov, white, .. } = picture;
-        let [r, g, b] = picture.mean_radiance;
+        let ([r, g, b], unit) = (picture.mean_radiance, report.units.radiance);
         row(
             &mut text,
             "camera",
             &format!("{width} x {height}, --eye {eye} --look-at {look_at} --up {up} --fov {fov}"),
         );
-        row(&mut text, "radiance", &format!("mean {} W/(m2 sr)", [r, g, b].map(|x| figure(x, 4)).join(" ")));
+        row(&mut text, "radiance", &format!("mean {} {unit}", [r, g, b].map(|x| figure(x, 4)).join(" ")));
         let chosen = if fixed { "--white" } else { "automatic" };
-        row(&mut text, "exposure", &format!("white is {white:.4e} W/(m2 sr) ({chosen} {stops:+} stops)"));
+        row(&mut text, "exposure", &format!("white is {white:.4e} {unit} ({chosen} {stops:+} stops)"));
     }
     finish(text, report, written)
 }

@@ -10,6 +10,7 @@ use crate::{
     scene::{
         Contacts, Scene,
         inspection::{Edges, Inspection, MaterialUse},
+        light::UnitNames,
         surfaces::Surfaces,
     },
     view_factor::{Enclosure, Sight, leaks},
@@ -67,6 +68,8 @@ pub struct MeshReport {
     pub unit_guess: Option<&'static str>,
     /// Number of channels: 1 if everything in the scene is grey, otherwise 3.
     pub channels: usize,
+    /// The units of light.
+    pub units: UnitNames,
 }
 
 /// Numbers of edges by their number of triangles.
@@ -211,6 +214,7 @@ impl InspectionReport {
                 bounds_max: high,
                 unit_guess: inspection.unit_guess(),
                 channels: scene.channels(),
+                units: scene.units.names(),
             },
             edges: EdgesReport { count: edges, closed: edges.is_closed() },
             enclosed,

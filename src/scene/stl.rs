@@ -87,7 +87,8 @@ impl Mesh<'_> {
         let path = self.path;
         let mut corners = Vec::new();
         let mut inside = false;
-        for (line, words) in (1..).zip(text.lines().map(|line| line.split_whitespace().collect::<Vec<_>>())) {
+        let lines = text::physical_lines(text).map(|line| line.split_whitespace().collect::<Vec<_>>());
+        for (line, words) in (1..).zip(lines) {
             let error = |message: String| Error::input(path, Some(line), message);
             let is = |k: usize, word: &str| words.get(k).is_some_and(|w| w.eq_ignore_ascii_case(word));
             if words.is_empty() || is(0, "outer") || is(0, "endloop") {

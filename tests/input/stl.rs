@@ -51,6 +51,11 @@ fn text_and_binary_files_give_the_same_scene() {
         let scene = load(&binary(header)).unwrap();
         assert_eq!((&scene.vertices, &scene.triangles), (&ascii.vertices, &ascii.triangles));
     }
+    // Old Macintosh programs end lines with CR, Windows programs with CR LF.
+    for end in ["\r", "\r\n"] {
+        let scene = load(text.replace('\n', end).as_bytes()).unwrap();
+        assert_eq!((&scene.vertices, &scene.triangles), (&ascii.vertices, &ascii.triangles));
+    }
     let surfaces = Surfaces::of(&ascii, &By::Object, Side::Front);
     let names: Vec<&str> = surfaces.list.iter().map(|s| s.name.as_str()).collect();
     assert_eq!(names, ["lower part", "upper"]);

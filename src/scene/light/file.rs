@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     Error, Result,
-    scene::{Scene, direction, is_radiance},
+    scene::{MOST_RADIANCE, Scene, direction, is_radiance},
 };
 
 #[derive(Debug, Clone, Copy, Deserialize)]
@@ -240,20 +240,20 @@ struct Reader<'a> {
     shines: bool,
 }
 
-/// R G B of a colour. Negative numbers are errors.
+/// R G B of a colour.
 fn strength(colour: Colour, what: &str) -> Read<[f64; 3]> {
     let rgb = colour.rgb();
-    if rgb.into_iter().all(is_radiance) {
-        Ok(rgb)
-    } else {
-        Err(format!("{what} must not be negative").into())
-    }
+    if rgb.into_iter().all(is_radiance) { Ok(rgb) } else { Err(not_in_range(what)) }
+}
+
+fn not_in_range(what: &str) -> Fault {
+    Fault::Here(format!("{what} must be a number from 0 to {MOST_RADIANCE:e}"))
 }
 
 fn number(value: Option<f64>, what: &str) -> Read<f64> {
     match value {
         Some(x) if is_radiance(x) => Ok(x),
-        Some(_) => Err(format!("{what} must not be negative").into()),
+        Some(_) => Err(not_in_range(what)),
         None => Err(format!("{what} is missing").into()),
     }
 }
@@ -471,7 +471,11 @@ mod tests {
         for (text, line, what) in [
             ("[[sun]]\nazimuth = 3\n", 1, "azimuth and altitude"),
             ("\n[[point]]\nposition = [0, 0]\nintensity = 1\n", 3, ""),
-            ("[[point]]\nposition = [0, 0, 0]\nintensity = -1\n", 1, "must not be negative"),
+            ("[[point]]\nposition = [0, 0, 0]\nintensity = -1\n", 1, "a number from 0 to 1e100"),
+            ("[[point]]\nposition = [0, 0, 0]\nintensity = nan\n", 1, "a number from 0 to 1e100"),
+            ("\n[sky]\nkind = \"uniform\"\nradiance = inf\n", 2, "a number from 0 to 1e100"),
+            ("[[point]]\nposition = [0, inf, 0]\nintensity = 1\n", 1, "three finite numbers"),
+            ("[[sun]]\nazimuth = nan\naltitude = 3\nirradiance = 1\n", 1, "between -360 and 360 degrees"),
             ("[[point]]\nposition = [0, 0, 0]\nintensity = \"x\"\n", 3, "a number"),
             ("[[point]]\nposition = [0, 0, 0]\nintensity = 1\nrange = 3\n", 4, "range"),
             ("[[spot]]\nposition = [0, 0, 0]\ndirection = [0, 0, 0]\nintensity = 1\n", 1, "no length"),

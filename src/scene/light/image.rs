@@ -96,9 +96,9 @@ impl SkyImage {
         (sum > 0.0 && sum.is_finite()).then_some(image)
     }
 
-    /// The image rotated to an angle in radians, clockwise as seen from above.
-    pub fn turned(self, rotation: f64) -> SkyImage {
-        SkyImage { rotation, ..self }
+    /// The image turned further by an angle in radians, clockwise as seen from above.
+    pub fn turned(self, angle: f64) -> SkyImage {
+        SkyImage { rotation: self.rotation + angle, ..self }
     }
 
     pub(super) fn is_grey(&self) -> bool {
@@ -197,7 +197,7 @@ impl SkyImage {
             // All light is in bright cells, and the rest is black.
             SkyImage { texels: Arc::new(rest), brightest: [0.0; 3], ..self.clone() }
         });
-        (cells, dim.turned(self.rotation))
+        (cells, SkyImage { rotation: self.rotation, ..dim })
     }
 }
 
@@ -265,6 +265,7 @@ mod tests {
                 assert_eq!(seen(&image, azimuth, -0.3), f64::from(column) + 5.0);
                 let turned = image.clone().turned(FRAC_PI_2);
                 assert_eq!(seen(&turned, azimuth + FRAC_PI_2, 0.3), f64::from(column) + 1.0);
+                assert_eq!(seen(&turned.turned(FRAC_PI_2), azimuth + PI, 0.3), f64::from(column) + 1.0);
             }
         }
         // With y up, as in Mitsuba: column 0 is at -z, and a quarter of the width is at +x.

@@ -2,7 +2,7 @@
 //!
 //! A sky model is dark below the horizon. An image covers all directions.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use glam::DVec3;
 
@@ -53,6 +53,26 @@ impl SkyModel {
             SkyModel::AllWeather(perez, sun) => perez.shape(sin, direction.dot(*sun)),
             SkyModel::Image(_) => 1.0,
         }
+    }
+
+    /// The direction to the sun, if the sky depends on it.
+    fn sun(&self) -> Option<DVec3> {
+        match self {
+            SkyModel::Clear(sun) | SkyModel::Intermediate(sun) | SkyModel::AllWeather(_, sun) => Some(*sun),
+            SkyModel::Uniform | SkyModel::Overcast | SkyModel::Image(_) => None,
+        }
+    }
+
+    /// About the largest relative radiance: the largest at the sun and at directions some degrees apart.
+    fn largest(&self, up: Up) -> f64 {
+        const ROWS: usize = 24;
+        let Some(sun) = self.sun() else { return 1.0 };
+        let at = |k: usize| {
+            let [row, column] = [k / (4 * ROWS), k % (4 * ROWS)].map(|k| k as f64 / ROWS as f64);
+            up.direction(FRAC_PI_2 * column, FRAC_PI_2 * row)
+        };
+        let directions = (0..4 * ROWS * (ROWS + 1)).map(at).chain([sun]);
+        directions.map(|direction| self.shape(up, direction)).fold(0.0, f64::max)
     }
 
     /// The irradiance of an unobstructed horizontal plane, W/m², if the relative radiance is in W/(m² sr).
@@ -160,14 +180,14 @@ impl Sky {
         self.scale.map(|scale| scale * shape)
     }
 
-    /// An estimate of the largest radiance, R G B: the radiance where a model is 1, or the brightest texel of an image.
+    /// About the largest radiance, R G B: of a model, or of the brightest texel of an image.
     pub(crate) fn strongest(&self) -> [f64; 3] {
         match &self.model {
             SkyModel::Image(image) => {
                 let brightest = image.brightest();
                 std::array::from_fn(|c| self.scale[c] * brightest[c])
             }
-            _ => self.scale,
+            model => self.scale.map(|scale| scale * model.largest(self.up)),
         }
     }
 
@@ -229,6 +249,13 @@ mod tests {
                 let away = up.direction(2.5 + PI, 0.6);
                 assert!(sky.radiance(sun)[0] > 3.0 * sky.radiance(away)[0]);
                 assert_eq!(sky.radiance(-zenith), [0.0; 3]);
+                // No direction is more than 2 % brighter than the largest radiance, which some direction has.
+                let largest = sky.strongest()[0];
+                let step = |k: usize| (k as f64 + 0.5) / 300.0;
+                let seen = (0..300 * 300)
+                    .map(|k| sky.radiance(up.direction(TAU * step(k / 300), FRAC_PI_2 * step(k % 300)))[0]);
+                let brightest = seen.fold(sky.radiance(sun)[0], f64::max);
+                assert!((brightest / largest - 1.0).abs() < 0.02, "{largest}, {brightest} seen");
             }
         }
     }

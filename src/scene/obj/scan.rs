@@ -1,7 +1,7 @@
 //! The layer before tobj for the OBJ file itself. It checks every line, records its number, and writes a text that tobj
 //! can read.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -59,6 +59,8 @@ struct Scanner<'a> {
     vertex_text: String,
     face_text: String,
     material: Option<String>,
+    /// The names in [`Scan::used`].
+    used: HashSet<String>,
     part: Part,
     /// Index of `part` in the list, if a face has used it.
     current: Option<u32>,
@@ -100,6 +102,7 @@ pub(super) fn scan(path: &Path, text: &str) -> Result<Scan> {
         vertex_text: String::new(),
         face_text: String::new(),
         material: None,
+        used: HashSet::new(),
         part: Part::default(),
         current: None,
         known: HashMap::new(),
@@ -241,7 +244,8 @@ impl Scanner<'_> {
     fn use_material(&mut self, line: usize) {
         if let Some(name) = self.material.take() {
             let _ = writeln!(self.face_text, "usemtl {name}");
-            if !self.scan.used.iter().any(|(_, n)| *n == name) {
+            if !self.used.contains(&name) {
+                self.used.insert(name.clone());
                 self.scan.used.push((line, name));
             }
         }
