@@ -94,7 +94,7 @@ impl ShadowRays {
 
     /// The irradiance of all patches from one group of lights that are not surfaces, without the light of the sky that
     /// hemisphere rays see.
-    pub(crate) fn from_group<const C: usize>(&self, group: LightGroup, patches: usize) -> Vec<[f64; C]> {
+    pub(crate) fn of_group<const C: usize>(&self, group: LightGroup, patches: usize) -> Vec<[f64; C]> {
         let sent = |piece: &Piece| match piece.group() == Some(group) {
             true => piece.sent(&[], 1.0),
             false => [0.0; C],

@@ -70,6 +70,15 @@ pub(crate) struct Swept<const C: usize> {
     pub(crate) tally: Tally,
 }
 
+/// The targets of `N` hemisphere rays of every patch.
+pub(crate) struct Targets<const N: usize, const C: usize> {
+    /// The patch that each ray hits, or [`ESCAPED`].
+    pub(crate) met: Vec<[u32; N]>,
+    /// The irradiance from the sky by these rays; empty if no light enters from outside the patches.
+    pub(crate) sky: Vec<[f64; C]>,
+    pub(crate) tally: Tally,
+}
+
 /// The light of the shadow rays of one sequence to lamps whose unblocked light is known, summed over all channels.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Shadow {
@@ -267,8 +276,7 @@ impl<'a> Sweeper<'a> {
         mix(&[self.seed, i as u64])
     }
 
-    /// Targets of `N` hemisphere rays of every patch, from index `first` on: patches, or [`ESCAPED`]. Also the irradiance
-    /// from the sky by these rays; empty if no light enters from outside.
+    /// Targets of `N` hemisphere rays of every patch, from index `first` on.
     ///
     /// # Errors
     /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so.
@@ -276,7 +284,7 @@ impl<'a> Sweeper<'a> {
         &self,
         first: u32,
         progress: &Progress,
-    ) -> Result<(Vec<[u32; N]>, Vec<[f64; C]>, Tally)> {
+    ) -> Result<Targets<N, C>> {
         let backs = AtomicU64::new(0);
         let cast = |i: usize| {
             progress.check()?;
@@ -300,7 +308,7 @@ impl<'a> Sweeper<'a> {
         let all = met.as_flattened();
         let escaped = all.par_iter().filter(|&&j| j == ESCAPED).count() as u64;
         let tally = Tally { hemisphere: all.len() as u64, escaped, backs: backs.into_inner(), shadow: 0 };
-        Ok((met, sky, tally))
+        Ok(Targets { met, sky, tally })
     }
 
     /// Casts the hemisphere and shadow rays with these indices from every patch, for patches with this radiosity.

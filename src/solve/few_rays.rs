@@ -11,7 +11,7 @@ use crate::{
     form_factor::{
         SHORT, magnitude, ordered_sum,
         rays::ESCAPED,
-        sweep::{Sweeper, Tally},
+        sweep::{Sweeper, Tally, Targets},
     },
 };
 
@@ -39,7 +39,7 @@ pub(super) struct FewRays<const C: usize> {
 impl<const C: usize> FewRays<C> {
     /// Casts hemisphere rays, from index `first` on.
     pub(super) fn cast(sweeper: &Sweeper<'_>, first: u32, progress: &Progress) -> Result<Self> {
-        let (met, sky, tally) = sweeper.met(first, progress)?;
+        let Targets { met, sky, tally } = sweeper.met(first, progress)?;
         Ok(FewRays { met, sky, tally })
     }
 

@@ -91,7 +91,7 @@ impl Samples {
 
     /// The direct irradiance of all patches from one group of lights that are not surfaces.
     pub(super) fn direct_from<const C: usize>(&self, group: LightGroup) -> Vec<[f64; C]> {
-        let mut irradiance = self.shadow.from_group(group, self.areas.len());
+        let mut irradiance = self.shadow.of_group(group, self.areas.len());
         if let Some(sky) = self.sky.as_ref().filter(|_| group == LightGroup::Sky) {
             let (seen, _) = sky.arriving::<C>(1.0);
             for (sum, seen) in irradiance.iter_mut().zip(seen) {
