@@ -59,8 +59,8 @@ const RESOLUTION: u32 = 512;
     With --per-light, lightmap-LIGHT.exr (or NAME-LIGHT.exr) holds the irradiance of one emitting material or light alone. These maps sum to \
     the whole within their standard errors.\n\n\
     The map shows the side of each face that has more light, or both with --two-sided. The texture coordinates of the \
-    scene are used if they lie in 0..1, do not overlap and leave room between charts. Otherwise new coordinates are made, \
-    and the report gives the reason. Long faces may be cut for them. A file that no earlier bake wrote is never replaced.")]
+    scene are used if they lie in 0..1, do not overlap, leave room between charts and use half of the texels. Otherwise new \
+    coordinates are made, and the report gives the reason. Long faces may be cut for them. A file that no earlier bake wrote is never replaced.")]
 pub struct BakeArgs {
     #[command(flatten)]
     scene: SceneArgs,

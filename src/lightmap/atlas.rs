@@ -1,7 +1,7 @@
 //! The layout of a map: the place of each triangle in it.
 //!
 //! The texture coordinates of the file are used if they suit a lightmap: they lie inside the unit square, do not
-//! overlap and leave room between charts. Otherwise new coordinates are made.
+//! overlap, leave room between charts and use half of the texels. Otherwise new coordinates are made.
 
 use std::collections::HashMap;
 
@@ -18,6 +18,8 @@ pub(super) const CREASE: f64 = 30.0;
 pub const LARGEST: usize = 16_384;
 /// Default of the largest side of a page in texels, for [`Layout::Texel`].
 pub const PAGE: usize = 4096;
+/// The file's coordinates suit a lightmap if at least this share of the texels holds surface.
+const USED: f64 = 0.5;
 /// Charts should be at least this many texels wide.
 const THIN: f64 = 2.0;
 
@@ -133,15 +135,22 @@ impl Atlas {
             Some(why) => Err(why.to_owned()),
             None => own(scene, layout, coordinates == Coordinates::File),
         };
+        let mut sparse = None;
         let refused = match coordinates {
             Coordinates::New => "new ones were demanded".to_owned(),
             Coordinates::Auto | Coordinates::File => match suitable() {
                 Ok(atlas) => {
-                    let shared = atlas.shared_texels();
-                    if shared == 0 || coordinates == Coordinates::File {
+                    let [covered, shared] = atlas.covered_and_shared_texels();
+                    let used = covered as f64 / atlas.texels() as f64;
+                    if shared == 0 && used >= USED || coordinates == Coordinates::File {
                         return Ok(atlas);
                     }
-                    format!("{shared} texels of this size would belong to two charts")
+                    if shared > 0 {
+                        format!("{shared} texels of this size would belong to two charts")
+                    } else {
+                        sparse = Some((covered, atlas));
+                        format!("they would use only {:.1} % of the texels", 100.0 * used)
+                    }
                 }
                 Err(why) if coordinates == Coordinates::File => {
                     return Err(Error::setting(
@@ -153,9 +162,17 @@ impl Atlas {
                 Err(why) => why,
             },
         };
-        let mut atlas = unwrap(scene, tracer, options)?;
-        atlas.refused = Some(refused);
-        Ok(atlas)
+        let made = unwrap(scene, tracer, options);
+        match (sparse, made) {
+            // New coordinates are no reason to refuse what the file's can do, and not always better.
+            (Some((_, own)), Err(_)) => Ok(own),
+            (Some((covered, own)), Ok(made))
+                if covered * made.texels() >= made.covered_and_shared_texels()[0] * own.texels() =>
+            {
+                Ok(own)
+            }
+            (_, made) => made.map(|made| Atlas { refused: Some(refused), ..made }),
+        }
     }
 
     /// The facets as triangles of a scene; the given scene if none is cut.
@@ -220,8 +237,8 @@ impl Atlas {
         self.pages * self.width * self.height
     }
 
-    /// Number of texels that hold parts of more than one chart.
-    pub fn shared_texels(&self) -> usize {
+    /// Number of texels that hold parts of a chart, and of texels that hold parts of more than one.
+    pub(super) fn covered_and_shared_texels(&self) -> [usize; 2] {
         let mut owner = vec![NONE; self.texels()];
         let mut shared = vec![false; self.texels()];
         for t in 0..self.corners.len() {
@@ -236,7 +253,7 @@ impl Atlas {
                 }
             });
         }
-        shared.iter().filter(|&&s| s).count()
+        [owner.iter().filter(|&&chart| chart != NONE).count(), shared.iter().filter(|&&s| s).count()]
     }
 
     /// Width of each chart in texels: the least distance between two parallel lines that enclose the chart.

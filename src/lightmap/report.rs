@@ -346,7 +346,7 @@ impl AtlasReport {
             charts: atlas.charts,
             thin_charts,
             thin_share,
-            shared_texels: atlas.shared_texels(),
+            shared_texels: atlas.covered_and_shared_texels()[1],
             used_share: map.coverage().len() as f64 / atlas.texels().max(1) as f64,
             cut_triangles: (0..scene.triangles.len()).filter(|&t| atlas.facets_of(t).len() > 1).count(),
             texel_length: atlas.texel_length(scene),

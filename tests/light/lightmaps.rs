@@ -503,7 +503,8 @@ fn the_smallest_map_that_works_is_stated_and_works() {
     assert!(least > 8 && make(least).is_ok(), "{hint}");
 }
 
-/// Coordinates of the file are used if they lie in 0..1 and do not overlap; otherwise the reason is stated.
+/// Coordinates of the file are used if they lie in 0..1, do not overlap and use half of the texels; otherwise the reason is
+/// stated.
 #[test]
 fn own_coordinates_are_kept_where_they_suit() {
     let square = |scene: &mut Scene, map: fn(glam::DVec2) -> glam::DVec2| {
@@ -513,7 +514,10 @@ fn own_coordinates_are_kept_where_they_suit() {
     let mut scene = crate::common::scene(&[part(crate::common::level_square(1.0, 0.0, true), 0.5, 1.0)]);
     let tracer = Tracer::new(&scene);
     let make = |scene: &Scene, whose| Atlas::new(scene, &tracer, Layout::Resolution(16), whose);
-    square(&mut scene, |uv| 0.1 + 0.5 * uv);
+    square(&mut scene, |uv| 0.1 + 0.6 * uv);
+    assert!(make(&scene, Coordinates::Auto).unwrap().refused.unwrap().contains("47.3 % of the texels"));
+    assert!(make(&scene, Coordinates::File).unwrap().refused.is_none());
+    square(&mut scene, |uv| 0.1 + 0.8 * uv);
     let own = make(&scene, Coordinates::Auto).unwrap();
     assert!(own.refused.is_none() && own.charts == 1);
     assert_eq!(own.coordinates[own.corners[0][0] as usize], glam::dvec2(0.1, 0.1));
@@ -529,6 +533,45 @@ fn own_coordinates_are_kept_where_they_suit() {
     scene.texcoords[1] = scene.texcoords[0];
     let message = make(&scene, Coordinates::File).unwrap_err().to_string();
     assert!(message.contains("triangle 1 and triangle 2 overlap"), "{message}");
+}
+
+/// Coordinates just outside 0..1 by rounding are clamped, and a face whose coordinates enclose no area has no place in the
+/// map. Neither spoils the coordinates of the other faces.
+#[test]
+fn a_few_bad_coordinates_do_not_spoil_the_others() {
+    let small = [DVec3::ZERO, dvec3(0.01, 0.0, 0.0), dvec3(0.0, 0.01, 0.001)];
+    let square = crate::common::level_square(1.0, 0.0, true);
+    let lamp = crate::common::level_square(1.0, 1.0, false);
+    let mut scene =
+        crate::common::scene(&[part(square, 0.5, 0.0), part(vec![small], 0.5, 0.0), part(lamp, 0.0, 5.0)]);
+    let uv = |u: f64, v: f64| glam::dvec2(u, v);
+    let half = |from: f64, to: f64| {
+        let (low, high) = (-1e-6, 1.000001);
+        [[uv(from, low), uv(to, low), uv(to, high)], [uv(from, low), uv(to, high), uv(from, high)]]
+    };
+    let [one, two] = half(-1e-6, 0.45);
+    // The corners of the lamp run the other way round.
+    let [three, four] = half(0.55, 1.000001).map(|[a, b, c]| [a, c, b]);
+    scene.texcoords = vec![one, two, [uv(0.2, 0.2); 3], three, four];
+    let s = solved(scene, 100, 32.0);
+    for whose in [Coordinates::Auto, Coordinates::File] {
+        let atlas = Atlas::new(&s.scene, &s.tracer, Layout::Resolution(64), whose).unwrap();
+        assert_eq!((&atlas.refused, atlas.chart[2], atlas.charts - 1), (&None, NONE, 2), "{whose:?}");
+        assert!(atlas.coordinates.iter().all(|uv| uv.min_element() >= 0.0 && uv.max_element() <= 1.0));
+        let solution = (&s.patches, &s.solution);
+        let options = BakeOptions::default().with_final_gather(0);
+        let map = bake(&s.scene, &s.tracer, solution, atlas, &options, &Progress::new()).unwrap();
+        // The small face has no texels. All others have the flux of the solver.
+        assert!((map.unmapped_area() / s.scene.area(2) - 1.0).abs() < 1e-9);
+        let flux = map.flux();
+        assert!((flux.map[0] / flux.solver[0] - 1.0).abs() < 1e-6, "{flux:?}");
+    }
+    // Too much surface without a place is no layout, unless it is demanded.
+    let mut large = s.scene.clone();
+    large.texcoords[0] = [uv(0.2, 0.2); 3];
+    let make = |whose| Atlas::new(&large, &s.tracer, Layout::Resolution(64), whose);
+    assert!(make(Coordinates::Auto).unwrap().refused.unwrap().contains("triangle 1 enclose no area"));
+    assert!(make(Coordinates::File).is_ok());
 }
 
 /// Each step runs only with its option, and dilation changes only texels without surface.
@@ -596,6 +639,34 @@ fn long_charts_are_split_and_leave_the_rest_its_texels() {
         let gathered = s.bake(layout, &BakeOptions::default().with_final_gather(64));
         let compared = s.at_places(&gathered, &[(0, [0.45, 0.1, 0.45]), (1, [0.3, 0.4, 0.3])], 4096);
         assert!(compared.rms() < 0.02, "{compared:?}");
+    }
+}
+
+/// A hundred crates on a ground: the texels have the length that was asked for, on as many pages as that takes, and more
+/// than half of them hold surface.
+#[test]
+fn many_small_charts_have_the_density_and_use_the_pages() {
+    let mut random = Random::new(3);
+    let crate_at = |k: usize| {
+        let size = 0.4 + 0.4 * random.next();
+        let low = dvec3((k % 10) as f64 - 4.9, (k / 10) as f64 - 4.9, 0.0);
+        let faces = room_faces(low, low + size);
+        let stands_on = |face: &Vec<Corners>| face.iter().flatten().all(|p| p.z == 0.0);
+        let sides: Vec<_> = faces.into_iter().filter(|face| !stands_on(face)).collect();
+        part(crate::common::flipped(sides.concat()), 0.6, 0.0)
+    };
+    let mut parts: Vec<crate::common::Part> = (0..100).map(crate_at).collect();
+    parts.push(part(crate::common::level_square(12.0, 0.0, true), 0.4, 0.0));
+    let scene = crate::common::scene(&parts);
+    let tracer = Tracer::new(&scene);
+    for (length, page) in [(0.05, 4096), (0.05, 256), (0.02, 512)] {
+        let atlas = Atlas::new(&scene, &tracer, Layout::Texel(length, page), Coordinates::Auto).unwrap();
+        let coverage = radiosity::lightmap::Coverage::new(&scene, &atlas);
+        let used = coverage.len() as f64 / atlas.texels() as f64;
+        println!("{length} {page}: {used}, {} pages of {} x {}", atlas.pages, atlas.width, atlas.height);
+        assert!((atlas.texel_length(&scene) / length - 1.0).abs() < 0.02);
+        assert!(used > 0.5 && atlas.density_spread(&scene) < 0.05, "{used}");
+        assert!(atlas.pages == 1 || atlas.width <= page && atlas.height <= page);
     }
 }
 
