@@ -20,7 +20,7 @@ pub struct RegionError {
 }
 
 /// The errors of all materials, and of all objects that the file names, largest first. Regions that no light reaches
-/// are left out. `irradiance` and `standard_error` have an entry per patch and channel.
+/// and patches that are shut in solids are left out. `irradiance` and `standard_error` have an entry per patch and channel.
 ///
 /// # Panics
 /// If the sizes disagree.
@@ -33,6 +33,7 @@ pub fn errors(
     let channels = patches.channels();
     let values = patches.len() * channels;
     assert_eq!((irradiance.len(), standard_error.len()), (values, values), "sizes disagree");
+    let seen = patches.seen_areas(irradiance);
     let mut regions: BTreeMap<String, Vec<usize>> = BTreeMap::new();
     for i in 0..patches.len() {
         let triangle = &scene.triangles[patches.triangle(i)];
@@ -50,7 +51,7 @@ pub fn errors(
             let pick = |values: &[f64]| -> Vec<f64> {
                 of.iter().flat_map(|&i| &values[channels * i..][..channels]).copied().collect()
             };
-            let areas: Vec<f64> = of.iter().map(|&i| patches.area(i)).collect();
+            let areas: Vec<f64> = of.iter().map(|&i| seen[i]).collect();
             let rms_relative = relative_rms(&pick(standard_error), &pick(irradiance), &areas);
             RegionError { region, rms_relative }
         })

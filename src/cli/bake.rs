@@ -57,7 +57,7 @@ const RESOLUTION: u32 = 512;
     With -o NAME.glb one glTF file holds the lit scene, with everything else that a glTF scene contained. NAME.exr beside \
     it holds the irradiance.\n\n\
     With --per-light, lightmap-LIGHT.exr (or NAME-LIGHT.exr) holds the irradiance of one emitting material or light alone. These maps sum to \
-    the whole within their standard errors.\n\n\
+    the whole map, up to rounding.\n\n\
     The map shows the side of each face that has more light, or both with --two-sided. The texture coordinates of the \
     scene are used if they lie in 0..1, do not overlap, leave room between charts and use half of the texels. Otherwise new \
     coordinates are made, and the report gives the reason. Long faces may be cut for them. A file that no earlier bake wrote is never replaced.")]
@@ -96,8 +96,8 @@ pub struct BakeArgs {
     /// Give both sides of a face texels if light reaches both. The mesh gets a second face for the back
     #[arg(long, conflicts_with = "keep_uv")]
     two_sided: bool,
-    /// Also write the irradiance of each emitting material and each light alone, as .exr files. Each takes as long as the
-    /// whole map
+    /// Also write the irradiance of each emitting material and each light alone, as .exr files. They share the rays of
+    /// the solution, and each takes another final gather
     #[arg(long)]
     per_light: bool,
     /// Make the texels of a material FACTOR times shorter than other texels. May be repeated
@@ -246,8 +246,10 @@ pub fn run(args: &BakeArgs) -> Result<Outcome> {
     all.iter().try_for_each(|output| output.check_inputs(&scene.files))?;
 
     let solved = solved.map_or_else(|| solve(&mut times), Ok)?;
-    let alone = per_light::bake(args, (&scene, &tracer), &atlas, &names, &watch)?;
+    let alone = per_light::solutions(args, (&scene, &tracer), &solved, &names, &watch)?;
     let (map, mut report, exposures) = compute(args, (&scene, &tracer), atlas, solved, &watch, &mut times)?;
+    let (alone, _) = watch
+        .stage("texels", || lightmap::divide(&map, &tracer, &alone, &args.options(), watch.progress()))?;
     for warning in &report.warnings {
         watch.warn(warning);
     }

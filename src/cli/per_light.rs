@@ -2,11 +2,12 @@
 
 use radiosity::{
     Result, Scene,
-    lightmap::{self, Atlas, Lightmap},
+    patch::Patches,
+    solve::{Solution, solve_linear},
     trace::Tracer,
 };
 
-use super::{bake::BakeArgs, options::keep_emitters, watch::Watch};
+use super::{bake::BakeArgs, options::keep_emitters, pipeline::Solved, watch::Watch};
 
 /// The names of what emits, each once, in the order of materials, lights, sky.
 pub fn names(scene: &Scene) -> Vec<String> {
@@ -35,25 +36,26 @@ pub fn stems(names: &[String]) -> Vec<String> {
     stems
 }
 
-/// A map for each name, on the same atlas. Each takes rays of its own, since rays go where light is.
-pub fn bake(
+/// The scene, patches and solution of each name alone. All share the rays and form factors of the whole solution.
+pub fn solutions(
     args: &BakeArgs,
     (scene, tracer): (&Scene, &Tracer),
-    atlas: &Atlas,
+    solved: &Solved,
     names: &[String],
     watch: &Watch,
-) -> Result<Vec<Lightmap>> {
-    let bake_one = |name: &String| {
-        let mut alone = scene.clone();
+) -> Result<Vec<(Scene, Patches, Solution)>> {
+    let options = args.job().options();
+    let solve = |name: &String| {
+        let (mut alone, mut patches) = (scene.clone(), solved.patches.clone());
         keep_emitters(&mut alone, std::slice::from_ref(name));
-        let solved = args.job().solve(&alone, tracer, watch, &mut Default::default())?;
-        let light = (&solved.patches, &solved.solution);
-        let (map, _) = watch.stage("texels", || {
-            lightmap::bake(&alone, tracer, light, atlas.clone(), &args.options(), watch.progress())
+        patches.update_materials(&alone);
+        let form_factors = solved.form_factors.with_lights(scene, |light| light == name);
+        let (solution, _) = watch.stage("solving", || {
+            solve_linear((&alone, tracer), &form_factors, &patches, &options, watch.progress())
         })?;
-        Ok(map)
+        Ok((alone, patches, solution))
     };
-    names.iter().map(bake_one).collect()
+    names.iter().map(solve).collect()
 }
 
 #[cfg(test)]

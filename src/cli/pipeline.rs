@@ -184,6 +184,11 @@ impl Job<'_> {
         Ok(())
     }
 
+    /// Options of the solver.
+    pub fn options(&self) -> SolveOptions {
+        SolveOptions::default().with_linear(self.cast.linear())
+    }
+
     /// Solves a scene.
     pub fn solve(
         &self,
@@ -201,8 +206,7 @@ impl Job<'_> {
         (form_factors, times.form_factors) = watch
             .stage("rays", || FormFactors::cast(scene, tracer, &mut patches, &cast, watch.progress()))?;
         (solution, times.solve) = watch.stage("solving", || {
-            let options = SolveOptions::default().with_linear(self.cast.linear());
-            solve::solve_linear((scene, tracer), &form_factors, &patches, &options, watch.progress())
+            solve::solve_linear((scene, tracer), &form_factors, &patches, &self.options(), watch.progress())
                 .map_err(|error| blame(self.file, error))
         })?;
         Ok(Solved { patches, form_factors, solution })

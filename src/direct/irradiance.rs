@@ -16,15 +16,10 @@
 use rayon::prelude::*;
 
 use super::{
-    Constants, REPLICATES,
-    lamps::Piece,
-    part,
+    Constants, REPLICATES, part,
     shadow::{HALVES, ShadowRays},
 };
-use crate::{
-    parallel::{SHORT, ordered_sum},
-    scene::light::LightGroup,
-};
+use crate::parallel::{SHORT, ordered_sum};
 
 /// Deviation of the irradiance of a patch in each replicate from the mean of all, by channel.
 pub(crate) type Deviation<const C: usize> = [[f32; REPLICATES]; C];
@@ -72,16 +67,15 @@ impl Seen {
 }
 
 impl ShadowRays {
-    /// The direct light of lamps and other lights, in multiples of `unit`, as `emission` is. `escaping` is the share of
-    /// all light leaving patches that leaves the scene.
+    /// The direct light of lamps and of other lights except those in `dark`, in multiples of `unit`, as `emission` is.
+    /// `escaping` is the share of all light leaving patches that leaves the scene.
     pub(crate) fn irradiance<const C: usize>(
         &self,
-        emission: &[[f64; C]],
-        unit: f64,
+        (emission, unit, dark): (&[[f64; C]], f64, &[String]),
         areas: &[f64],
         escaping: f64,
     ) -> DirectLight<C> {
-        let sent: Vec<[f64; C]> = self.lamps.pieces.iter().map(|piece| piece.sent(emission, unit)).collect();
+        let sent = self.lamps.sent(emission, unit, dark);
         let of_kind = |remote: bool| self.arriving(&sent, areas.len(), remote);
         let (irradiance, deviations) = of_kind(false);
         let mut light = self.settled(irradiance, deviations, emission, areas, escaping);
@@ -90,17 +84,6 @@ impl ShadowRays {
             light.add(&irradiance, &deviations, areas);
         }
         light
-    }
-
-    /// The irradiance of all patches from one group of lights that are not surfaces, without the light of the sky that
-    /// hemisphere rays see.
-    pub(crate) fn of_group<const C: usize>(&self, group: LightGroup, patches: usize) -> Vec<[f64; C]> {
-        let sent = |piece: &Piece| match piece.group() == Some(group) {
-            true => piece.sent(&[], 1.0),
-            false => [0.0; C],
-        };
-        let sent: Vec<[f64; C]> = self.lamps.pieces.iter().map(sent).collect();
-        self.arriving(&sent, patches, true).0
     }
 
     /// Irradiance of all patches and the deviations of its replicates: from surfaces, or from other lights.
@@ -361,7 +344,7 @@ mod tests {
             let mut shadow = ShadowRays::none(Lamps::new(tracer, patches, &self.scene.lights, |_| true));
             shadow.extend(tracer, patches, |_| rays, seed, None, &Progress::new()).unwrap();
             let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
-            shadow.irradiance(patches.emission().as_chunks().0, 1.0, &areas, 1.0)
+            shadow.irradiance((patches.emission().as_chunks().0, 1.0, &[]), &areas, 1.0)
         }
     }
 

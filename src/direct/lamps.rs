@@ -19,7 +19,7 @@ use super::{
 use crate::{
     parallel::magnitude,
     patch::Patches,
-    scene::light::{LightGroup, Lights, Sky},
+    scene::light::{Lights, SKY, Sky},
     trace::{
         Tracer, UnitTriangle,
         sampling::{mix, square_to_triangle},
@@ -78,6 +78,8 @@ pub(crate) struct Lamps {
     surfaces: usize,
     /// Chooses among many surfaces.
     tree: Option<Tree>,
+    /// The names of the lights that the pieces after those of surfaces belong to.
+    names: Vec<String>,
     /// The sky, whose light arrives by hemisphere rays.
     pub(crate) sky: Option<Sky>,
 }
@@ -145,14 +147,6 @@ impl Piece {
     #[inline]
     pub(super) fn is_remote(&self) -> bool {
         matches!(self.source, Source::Remote(..))
-    }
-
-    /// The group of its light; `None` for a surface.
-    pub(super) fn group(&self) -> Option<LightGroup> {
-        match &self.source {
-            Source::Surface(_) => None,
-            Source::Remote(remote, _) => Some(remote.group()),
-        }
     }
 
     /// Whether its unblocked light at a patch is known exactly.
@@ -287,10 +281,13 @@ impl Lamps {
         shines: impl Fn(usize) -> bool + Sync,
     ) -> Lamps {
         let mut lamps = Lamps::of_surfaces(tracer, patches, shines);
-        let of_list = lights.list.iter().map(|light| (Remote::new(&light.kind, tracer), light.kind.colour()));
+        let of_list = lights
+            .list
+            .iter()
+            .map(|light| (Remote::new(&light.kind, tracer), light.kind.colour(), &light.name[..]));
         let (bright, dim) = lights.sky.as_ref().map(Sky::split).unzip();
-        let bright = bright.into_iter().flatten().map(|(cell, radiance)| (Remote::Cell(cell), radiance));
-        for (remote, colour) in of_list.chain(bright) {
+        let bright = bright.into_iter().flatten().map(|(cell, radiance)| (Remote::Cell(cell), radiance, SKY));
+        for (remote, colour, name) in of_list.chain(bright) {
             let brightness = colour[..patches.channels()].iter().sum();
             if brightness > 0.0 {
                 lamps.pieces.push(Piece {
@@ -299,6 +296,7 @@ impl Lamps {
                     lamp: lamps.count,
                 });
                 lamps.count += 1;
+                lamps.names.push(name.into());
             }
         }
         lamps.sky = dim;
@@ -380,6 +378,20 @@ impl Lamps {
         magnitude(&values)
     }
 
+    /// The light of each piece by channel, in multiples of `unit`, as `emission` is. Lights with names in `dark` send
+    /// none.
+    pub(super) fn sent<const C: usize>(
+        &self,
+        emission: &[[f64; C]],
+        unit: f64,
+        dark: &[String],
+    ) -> Vec<[f64; C]> {
+        let is_dark = |k: usize| k >= self.surfaces && dark.contains(&self.names[k - self.surfaces]);
+        let sent =
+            |(k, piece): (usize, &Piece)| if is_dark(k) { [0.0; C] } else { piece.sent(emission, unit) };
+        self.pieces.iter().enumerate().map(sent).collect()
+    }
+
     /// Whether lights outside the patches are among the [pieces](Piece::is_remote).
     pub(crate) fn has_remote(&self) -> bool {
         self.pieces.len() > self.surfaces
@@ -452,14 +464,15 @@ impl Lamps {
             let radius = from.corners.iter().map(|c| c.distance(middle)).fold(0.0, f32::max);
             (tree, (middle.as_dvec3(), radius.into(), from.normal().as_dvec3()))
         });
-        let mut found = vec![0.0; self.pieces.len()];
-        if self.has_remote() {
-            let corners = from.corners.map(|corner| corner.as_dvec3());
-            let patch = Facing { corners, normal: from.normal().as_dvec3() };
-            let from = if walk.is_some() { self.surfaces } else { 0 };
-            let asked = found[from..].iter_mut().zip(&self.pieces[from..]);
-            asked.for_each(|(found, piece)| *found = piece.unoccluded(&patch));
+        if !self.has_remote() {
+            return walk.map(Choice::Tree);
         }
+        let mut found = vec![0.0; self.pieces.len()];
+        let corners = from.corners.map(|corner| corner.as_dvec3());
+        let patch = Facing { corners, normal: from.normal().as_dvec3() };
+        let from = if walk.is_some() { self.surfaces } else { 0 };
+        let asked = found[from..].iter_mut().zip(&self.pieces[from..]);
+        asked.for_each(|(found, piece)| *found = piece.unoccluded(&patch));
         let others = self.shares(&found);
         match (walk, others) {
             (Some(walk), Some(shares)) => {

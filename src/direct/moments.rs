@@ -65,16 +65,16 @@ pub(crate) fn measured<const C: usize>(parts: &[[[f64; 2]; C]; REPLICATES], rays
 }
 
 impl ShadowRays {
-    /// The slopes of the direct light of lamps, suns and points, in multiples of `unit`, as `emission` is. `seed` must
-    /// be the seed of the rays cast.
+    /// The slopes of the direct light of lamps, and of suns and points except those in `dark`, in multiples of `unit`,
+    /// as `emission` is. `seed` must be the seed of the rays cast.
     pub(crate) fn slopes<const C: usize>(
         &self,
         tracer: &Tracer,
         patches: &Patches,
-        (emission, unit): (&[[f64; C]], f64),
+        (emission, unit, dark): (&[[f64; C]], f64, &[String]),
         seed: u64,
     ) -> Vec<Measured<C>> {
-        let sent: Vec<[f64; C]> = self.lamps.pieces.iter().map(|piece| piece.sent(emission, unit)).collect();
+        let sent = self.lamps.sent(emission, unit, dark);
         let scratch = || Scratch::new(self.lamps.count);
         (0..patches.len())
             .into_par_iter()

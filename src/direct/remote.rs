@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3A};
 
 use super::{Constants, footprint::Footprint, solid_angle, unoccluded::Facing};
 use crate::{
-    scene::light::{Area, Cell, Distant, Distribution, LightGroup, LightKind},
+    scene::light::{Area, Cell, Distant, Distribution, LightKind},
     trace::{Tracer, sampling::square_to_triangle},
 };
 
@@ -51,15 +51,6 @@ impl Remote {
                 }),
                 unit: tracer.scale() * tracer.scale(),
             },
-        }
-    }
-
-    /// The group that the light belongs to.
-    pub(super) fn group(&self) -> LightGroup {
-        match self {
-            Remote::Distant(_) => LightGroup::Distant,
-            Remote::Cell(_) => LightGroup::Sky,
-            Remote::Point { .. } => LightGroup::Points,
         }
     }
 

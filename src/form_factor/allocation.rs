@@ -31,6 +31,9 @@ const MOST_GROWTH: f64 = 8.0;
 /// Bisections of the logarithm of the level, over a range of 120. They give numbers of rays to a ten-thousandth.
 const HALVINGS: usize = 20;
 
+/// The least share of rays that is worth distributing evenly. Bisection leaves less.
+const LEFT_OVER: f64 = 1e-3;
+
 /// Small runs of siblings are joined until they have this many patches.
 const NEIGHBOURS: usize = 4;
 
@@ -108,11 +111,14 @@ pub(super) fn by_variance(
         if sum(middle.exp() / scale) > rays { high = middle } else { low = middle }
     }
     let level = if scale > 0.0 { low.exp() / scale } else { 0.0 };
+    // Rays that variances do not ask for are cast evenly: in a furnace there are no variances.
+    let (spent, more) = (sum(level), 1.0 + LEFT_OVER);
+    let even = if more * spent < rays { rays / spent } else { 1.0 };
     // Differences from rounding to steps carry over to the next patches.
     let mut owed = [0.0; 2];
     (0..areas.len())
         .map(|i| {
-            let (now, wanted) = (now(i), wanted(i, level));
+            let (now, wanted) = (now(i), wanted(i, level).map(|wanted| even * wanted));
             let [hemisphere, shadow] = std::array::from_fn(|kind| {
                 let mut rays = now[kind];
                 if wanted[kind] > rays {
@@ -172,15 +178,24 @@ mod tests {
         assert!(shares.iter().all(|share| share.hemisphere % STEP == 0 && share.shadow == 0));
     }
 
-    /// A kind of ray without variance gets no more rays, and no patch gets more than eight times its rays.
+    /// A kind of ray without variance gets no more rays, and no patch gets more than eight times its rays. There are as
+    /// many rays as that needs: 128 hemisphere rays of each patch, 16 shadow rays of four, and 128 of the other four.
     #[test]
     fn what_is_certain_gets_nothing_and_nobody_gets_all() {
         let cast = |_: usize| Share { hemisphere: 16, shadow: 16 };
-        let shares = by_variance(cast, &[1.0; 8], &twice([[1.0, 0.0], [0.0, 1.0]]), &[0..4, 4..8], 1e6);
+        let shares = by_variance(cast, &[1.0; 8], &twice([[1.0, 0.0], [0.0, 1.0]]), &[0..4, 4..8], 1600.0);
         for (first, second) in shares[..4].iter().zip(&shares[4..]) {
             assert_eq!((first.shadow, second.shadow), (16, 128));
         }
         assert!(shares.iter().all(|share| share.hemisphere == 128), "{shares:?}");
+    }
+
+    /// Without variances all rays are cast all the same, and evenly.
+    #[test]
+    fn rays_that_variances_do_not_ask_for_are_cast_evenly() {
+        let cast = |_: usize| Share { hemisphere: 32, shadow: 0 };
+        let shares = by_variance(cast, &[1.0; 8], &[[0.0; 2]; 8], &[0..4, 4..8], 8.0 * 64.0);
+        assert_eq!(shares, [Share { hemisphere: 64, shadow: 0 }; 8]);
     }
 
     /// Rare hits of its own rays give a patch no more rays: its neighbours get them.

@@ -1,5 +1,7 @@
 //! Turns rays into form factors.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::{
@@ -10,6 +12,7 @@ use super::{
     closure,
     pooling::{self, Buckets, Densities},
     rays::RaySet,
+    regions::Regions,
     replicates::Samples,
     siblings,
     sky::SkyLight,
@@ -44,10 +47,11 @@ impl FormFactors {
             left: closed.scale.iter().zip(&areas).map(|(d, a)| d / a).collect(),
             escaped: closed.escaping.iter().zip(&areas).map(|(x, a)| x / a).collect(),
             right: closed.scale,
-            stored: Stored::Symmetric(matrix),
+            stored: Arc::new(Stored::Symmetric(matrix)),
             areas,
             estimator: Estimator::Pooled,
             samples: None,
+            dark: Vec::new(),
             row_sum_deviation: BeforeAfter { before: closed.deviation_before, after: 0.0 },
             reciprocity_deviation: BeforeAfter::default(),
         };
@@ -79,7 +83,7 @@ impl FormFactors {
 
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j) over all pairs.
     fn measure_reciprocity(&self) -> f64 {
-        let Stored::Symmetric(matrix) = &self.stored else {
+        let Stored::Symmetric(matrix) = &*self.stored else {
             unreachable!("pooled form factors are stored symmetrically")
         };
         let exchange =
@@ -136,6 +140,7 @@ impl Assembled {
             } else {
                 brightness::escaping(&rays, patches, &escaped)
             },
+            regions: Regions::new(&rays, patches),
             rays,
             shadow,
             sky,
@@ -174,7 +179,7 @@ impl Assembled {
         let scaled = |b: &[f64; C]| b.map(|b| b / unit);
         let emission: Vec<[f64; C]> = patches.emission().as_chunks().0.iter().map(scaled).collect();
         let reflectance = patches.reflectance().as_chunks::<C>().0;
-        let direct = self.samples.direct(&emission, unit).irradiance;
+        let direct = self.samples.direct(&emission, unit, &[]).irradiance;
         let of_patch = |i: usize| {
             let emitted = if lamps.contains(i) { [0.0; C] } else { emission[i] };
             std::array::from_fn::<f32, C, _>(|c| (emitted[c] + reflectance[i][c] * direct[i][c]) as f32)
@@ -186,9 +191,9 @@ impl Assembled {
 
     fn measured<'a>(&'a self, source: &'a [f32]) -> Measured<'a> {
         Measured {
-            rays: &self.samples.rays,
             densities: &self.samples.densities,
             areas: &self.samples.areas,
+            regions: &self.samples.regions,
             escaped: &self.samples.escaped,
             source,
         }
@@ -219,7 +224,7 @@ impl Assembled {
             FormFactors::closed(pooled, samples.areas.clone(), &samples.escaped, precision);
         samples.radiosity = radiosity;
         form_factors.areas = areas;
-        form_factors.samples = Some(samples);
+        form_factors.samples = Some(Arc::new(samples));
         form_factors.row_sum_deviation.before = self.row_sum_deviation;
         form_factors.reciprocity_deviation.before = self.one_way_deviation;
         form_factors
@@ -230,11 +235,12 @@ impl Assembled {
         FormFactors {
             left: (0..areas.len()).map(|i| 1.0 / f64::from(samples.rays.rays_of(i))).collect(),
             right: vec![1.0; areas.len()],
-            stored: Stored::Rows(pooling::one_way(&samples.rays)),
+            stored: Arc::new(Stored::Rows(pooling::one_way(&samples.rays))),
             escaped: samples.escaped.clone(),
             areas,
             estimator: Estimator::OneWay,
-            samples: Some(samples),
+            samples: Some(Arc::new(samples)),
+            dark: Vec::new(),
             row_sum_deviation: BeforeAfter::default(),
             reciprocity_deviation: BeforeAfter { before: deviation, after: deviation },
         }

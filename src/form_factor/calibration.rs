@@ -22,7 +22,7 @@ use super::{
     SHORT,
     closure::LEAST_LANDING,
     pooling::{Buckets, Densities},
-    rays::RaySet,
+    regions::Regions,
     symmetric::Symmetric,
 };
 use crate::patch::Patches;
@@ -38,19 +38,14 @@ const BOUNCES: usize = 4;
 const MORE_BOUNCES: usize = 2;
 /// Radiosities further from the mean than this many standard deviations are clamped, which bounds the factors.
 const FURTHEST: f64 = 4.0;
-/// Resistance of each row to its λ, relative to the row's own weight, times the number of its rays. It keeps functions
-/// that a row cannot distinguish from doing harm, and gives estimates from few rays less influence. RMS errors at 64
-/// rays a patch with 1, 6, 12 and 24: 4.04, 4.00, 3.99 and 3.99 % on the Cornell box, 1.3, 1.23, 1.20 and 1.18 % on a
-/// block in the open, 2.69, 2.69, 2.69 and 2.72 % behind a door.
-pub(super) const RESISTANCE: f64 = 12.0;
 /// The least and greatest factor.
 const FACTORS: (f64, f64) = (0.05, 20.0);
 
 /// Measurements of the rays.
 pub(super) struct Measured<'a> {
-    pub(super) rays: &'a RaySet,
     pub(super) densities: &'a Densities,
     pub(super) areas: &'a [f64],
+    pub(super) regions: &'a Regions,
     /// The escaped share of each patch.
     pub(super) escaped: &'a [f64],
     /// Light that each patch sends before any second reflection, in any unit: its emission unless it is a lamp, and the
@@ -138,20 +133,16 @@ impl Measured<'_> {
         radiosity.iter().map(|b| std::array::from_fn(|c| b[c])).collect()
     }
 
-    /// The functions: 1, and the radiosities in standard deviations from their mean.
+    /// The functions: 1, and the radiosities in standard deviations from the mean of their region.
     fn functions<const C: usize, const M: usize>(&self, radiosity: &[[f32; C]]) -> Vec<SVector<f64, M>> {
-        let area: f64 = self.areas.iter().sum();
-        let mean =
-            |f: &dyn Fn(usize) -> f64| (0..radiosity.len()).map(|i| self.areas[i] * f(i)).sum::<f64>() / area;
         let mut functions = vec![SVector::zeros(); radiosity.len()];
         functions.iter_mut().for_each(|g: &mut SVector<f64, M>| g[0] = 1.0);
         for c in 0..C {
-            let centre = mean(&|i| f64::from(radiosity[i][c]));
-            let deviation = mean(&|i| (f64::from(radiosity[i][c]) - centre).powi(2)).sqrt();
-            if deviation > 0.0 {
-                for (g, b) in functions.iter_mut().zip(radiosity) {
-                    g[c + 1] = ((f64::from(b[c]) - centre) / deviation).clamp(-FURTHEST, FURTHEST);
-                }
+            let value = |i: usize| f64::from(radiosity[i][c]);
+            let centre = self.regions.means(self.areas, value);
+            let variance = self.regions.means(self.areas, |i| (value(i) - centre[i]).powi(2));
+            for (i, g) in functions.iter_mut().enumerate().filter(|&(i, _)| variance[i] > 0.0) {
+                g[c + 1] = ((value(i) - centre[i]) / variance[i].sqrt()).clamp(-FURTHEST, FURTHEST);
             }
         }
         functions
@@ -217,13 +208,10 @@ impl Measured<'_> {
                 let (p, q) = (p.min(q), p.max(q));
                 f64::from(sums[i][p * M - p * (p + 1) / 2 + q])
             });
-            // A function that is equal on all patches seen adds no information. Some resistance keeps the block
-            // regular.
-            let trace = block.trace();
-            let resistance = RESISTANCE / f64::from(self.rays.rays_of(i));
-            let resisting = block * (1.0 + resistance) + SMatrix::identity() * (1e-3 * trace);
+            // A function that is equal on all patches seen adds no information. This keeps the block regular.
+            let regular = block + SMatrix::identity() * (1e-3 * block.trace());
             let lands = (self.areas[i] * (1.0 - self.escaped[i])).max(LEAST_LANDING * now[0]);
-            (resisting, one_sided * (lands / one_sided[0]) - now)
+            (regular, one_sided * (lands / one_sided[0]) - now)
         };
         (0..g.len()).into_par_iter().with_min_len(128).map(equation).unzip()
     }

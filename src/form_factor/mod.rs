@@ -18,6 +18,7 @@ pub(crate) mod moments;
 mod pooling;
 mod product;
 pub mod rays;
+mod regions;
 pub(crate) mod replicates;
 pub(crate) mod siblings;
 mod sky;
@@ -34,7 +35,7 @@ use crate::{
     Progress, Result,
     direct::{Keep, Lamps, ShadowRay, ShadowRays},
     patch::Patches,
-    scene::{Scene, light::LightGroup},
+    scene::Scene,
     trace::{Tracer, sampling::mix},
 };
 use assembly::Assembled;
@@ -199,13 +200,15 @@ enum Stored {
 /// that leaves the scene.
 #[derive(Debug, Clone)]
 pub struct FormFactors {
-    stored: Stored,
+    stored: Arc<Stored>,
     left: Vec<f64>,
     right: Vec<f64>,
     escaped: Vec<f64>,
     areas: Vec<f64>,
     estimator: Estimator,
-    samples: Option<Samples>,
+    samples: Option<Arc<Samples>>,
+    /// Names of lights that are not surfaces and send no light.
+    dark: Vec<String>,
     row_sum_deviation: BeforeAfter,
     reciprocity_deviation: BeforeAfter,
 }
@@ -337,6 +340,7 @@ impl FormFactors {
         assert_eq!(samples.rays.len(), patches.len(), "the form factors belong to other patches");
         // Frees memory for the new matrix.
         drop(self.stored);
+        let samples = Arc::unwrap_or_clone(samples);
         together(|| match Self::continued(samples, scene, tracer, patches, rays, progress)? {
             Sampled::Whole(cast) => Ok(cast.assembled(tracer, patches).finish(patches)),
             Sampled::Lacking { .. } => unreachable!("form factors come from all rays"),
@@ -367,11 +371,18 @@ impl FormFactors {
         Ok(Sampled::Whole(Box::new(Cast { set, shadow, options, start })))
     }
 
+    /// The same form factors, from which lights that are not surfaces send no light if `shines` is false for their
+    /// names. The matrix and the rays are shared. To let only some surfaces emit, solve for another emission.
+    pub fn with_lights(&self, scene: &Scene, shines: impl Fn(&str) -> bool) -> FormFactors {
+        let dark = scene.lights.names().filter(|name| !shines(name)).map(String::from).collect();
+        FormFactors { dark, ..self.clone() }
+    }
+
     /// Direct light of lamps and other lights, in multiples of `unit`, as `emission` is; `None` if there is none.
     pub(crate) fn direct<const C: usize>(&self, emission: &[[f64; C]], unit: f64) -> Option<DirectLight<C>> {
         let samples = self.samples.as_ref().filter(|samples| samples.has_direct())?;
         // Samples use relative areas, whose squares stay in range.
-        let mut light = samples.direct(emission, unit);
+        let mut light = samples.direct(emission, unit, &self.dark);
         let area = self.areas.iter().sum::<f64>() / samples.areas.iter().sum::<f64>();
         let powers = light.escaped.iter_mut().chain(&mut light.entered);
         let deviations = light
@@ -381,16 +392,6 @@ impl FormFactors {
             .chain(light.entered_deviations.as_flattened_mut());
         powers.chain(deviations).for_each(|x| *x *= area);
         Some(light)
-    }
-
-    /// The direct irradiance from one group of lights that are not surfaces; `channels` (1 or 3) interleaved values a
-    /// patch.
-    pub(crate) fn direct_from(&self, group: LightGroup, channels: usize) -> Vec<f64> {
-        let Some(samples) = &self.samples else { return vec![0.0; channels * self.areas.len()] };
-        match channels {
-            1 => samples.direct_from::<1>(group).into_flattened(),
-            _ => samples.direct_from::<3>(group).into_flattened(),
-        }
     }
 
     /// The [`magnitude`] of all light that is emitted or enters the scene.
@@ -450,7 +451,7 @@ impl FormFactors {
 
     /// The share of patch `i`'s light that the closure keeps on the diagonal, because no ray shows where it goes.
     pub(crate) fn unseen(&self, i: usize) -> f64 {
-        match &self.stored {
+        match &*self.stored {
             Stored::Symmetric(_) => self.get(i, i),
             Stored::Rows(_) => 0.0,
         }
@@ -468,7 +469,7 @@ impl FormFactors {
 
     /// F_ij. Searches a part of the matrix.
     pub fn get(&self, i: usize, j: usize) -> f64 {
-        let s = match &self.stored {
+        let s = match &*self.stored {
             Stored::Symmetric(matrix) => matrix.get(i, j),
             Stored::Rows(matrix) => matrix.get(i, j).copied().unwrap_or(0.0),
         };
@@ -477,7 +478,7 @@ impl FormFactors {
 
     /// The non-zero F_ij of row `i` as (j, F_ij). Collects them from a part of the matrix.
     pub fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let entries = match &self.stored {
+        let entries = match &*self.stored {
             Stored::Symmetric(matrix) => matrix.row(i),
             Stored::Rows(matrix) => {
                 let (columns, values) = row(matrix, i);
@@ -490,7 +491,7 @@ impl FormFactors {
     /// All rows of s in F_ij = left_i s_ij right_j, compressed. For pooled form factors they take twice the memory of
     /// the matrix.
     pub(crate) fn rows(&self) -> Cow<'_, Matrix> {
-        match &self.stored {
+        match &*self.stored {
             Stored::Symmetric(matrix) => Cow::Owned(matrix.rows()),
             Stored::Rows(matrix) => Cow::Borrowed(matrix),
         }
@@ -535,7 +536,7 @@ impl FormFactors {
 
     /// Number of non-zero form factors.
     pub fn non_zeros(&self) -> usize {
-        match &self.stored {
+        match &*self.stored {
             Stored::Symmetric(matrix) => matrix.non_zeros(),
             Stored::Rows(matrix) => matrix.nnz(),
         }
@@ -543,7 +544,7 @@ impl FormFactors {
 
     /// Bytes of the matrix.
     pub fn matrix_bytes(&self) -> usize {
-        match &self.stored {
+        match &*self.stored {
             Stored::Symmetric(matrix) => matrix.bytes(),
             Stored::Rows(matrix) => 8 * (matrix.nnz() + self.len()),
         }
@@ -551,7 +552,7 @@ impl FormFactors {
 
     /// Bytes held by the matrix, its scaling and the rays.
     pub fn bytes(&self) -> usize {
-        let samples = |samples: &Samples| samples.bytes();
+        let samples = |samples: &Arc<Samples>| samples.bytes();
         self.matrix_bytes() + 8 * 4 * self.len() + self.samples.as_ref().map_or(0, samples)
     }
 
@@ -563,7 +564,7 @@ impl FormFactors {
             |i: usize, j: usize, s: f32| usize::from(!is_share(self.left[i] * f64::from(s) * self.right[j]));
         let escaped = self.escaped.iter().filter(|&&x| !is_share(x)).count();
         escaped
-            + match &self.stored {
+            + match &*self.stored {
                 Stored::Symmetric(matrix) => {
                     let both = |(i, j, s): (usize, usize, f32)| strays(i, j, s) + strays(j, i, s);
                     matrix.tiles().map(|tile| tile.map(both).sum::<usize>()).sum::<usize>()

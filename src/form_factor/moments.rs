@@ -91,7 +91,7 @@ impl FormFactors {
         if samples.shadow.lamps.is_empty() {
             return Some(vec![Measured::NONE; patches.len()]);
         }
-        Some(samples.shadow.slopes(tracer, patches, (emission, unit), samples.options.seed))
+        Some(samples.shadow.slopes(tracer, patches, (emission, unit, &self.dark), samples.options.seed))
     }
 
     /// The slopes of the light that form factors carry from patches with this constant radiosity; `None` if the form

@@ -14,7 +14,7 @@ impl FormFactors {
     pub fn column_sums(&self) -> Vec<f64> {
         let weight = |i: usize| self.areas[i] * self.left[i];
         let mut sums = vec![[0.0]; self.len()];
-        match &self.stored {
+        match &*self.stored {
             Stored::Symmetric(matrix) => {
                 let weights: Vec<[f64; 1]> = (0..self.len()).map(|i| [weight(i)]).collect();
                 matrix.add_product(&weights, &mut sums);
@@ -50,7 +50,7 @@ impl FormFactors {
             b.iter_mut().for_each(|b| *b = *b * T::of(*right));
         });
         let out = irradiance.as_chunks_mut::<C>().0;
-        match &self.stored {
+        match &*self.stored {
             Stored::Symmetric(matrix) => {
                 out.fill([T::of(0.0); C]);
                 matrix.add_product(&scaled, out);
@@ -65,7 +65,7 @@ impl FormFactors {
     /// Adds Σ_j s_ij z_j to every `out_i`, where F_ij = left_i s_ij right_j. Only for pooled form factors, whose s is
     /// symmetric.
     pub(crate) fn add_exchanged<T: Real, const W: usize>(&self, z: &[[T; W]], out: &mut [[T; W]]) {
-        match &self.stored {
+        match &*self.stored {
             Stored::Symmetric(matrix) => matrix.add_product(z, out),
             Stored::Rows(_) => unreachable!("one-way form factors are not symmetric"),
         }

@@ -46,6 +46,57 @@ pub fn bake(
             if two_sided(t) { !atlas.is_second(facet) } else { lit[t] }
         })
         .collect();
+    show_sides((scene, tracer), (patches, solution), atlas, sides, options, progress)
+}
+
+/// Divides a map among the lights that illuminate it. Each part is given as the scene in which only this light shines,
+/// with its solution. The parts sum to the map, up to the rounding of single precision.
+///
+/// Every part is baked with the same rays as the map. Denoising and the closing of seams are not linear, and lamps are
+/// chosen by their power. So the parts are shares: each texel of the map is divided in proportion to the values that
+/// the parts have there.
+///
+/// # Errors
+/// [`Error::Stopped`](crate::Error::Stopped).
+///
+/// # Panics
+/// If a solution belongs to other patches, or the map to another scene.
+pub fn divide(
+    map: &Lightmap,
+    tracer: &Tracer,
+    lights: &[(Scene, Patches, Solution)],
+    options: &BakeOptions,
+    progress: &Progress,
+) -> Result<Vec<Lightmap>> {
+    let bake = |(scene, patches, solution): &(Scene, Patches, Solution)| {
+        let (atlas, sides) = (map.atlas.clone(), map.sides.clone());
+        show_sides((scene, tracer), (patches, solution), atlas, sides, options, progress)
+    };
+    let mut parts: Vec<Lightmap> = lights.iter().map(bake).collect::<Result<_>>()?;
+    for (at, whole) in map.irradiance.iter().enumerate() {
+        for c in 0..3 {
+            let sum: f64 = parts.iter().map(|part| f64::from(part.irradiance[at][c])).sum();
+            let count = parts.len() as f64;
+            for part in &mut parts {
+                let value = &mut part.irradiance[at][c];
+                // If no part has light here, it comes from neighbours.
+                let share = if sum > 0.0 { f64::from(*value) / sum } else { 1.0 / count };
+                *value = (share * f64::from(whole[c])) as f32;
+            }
+        }
+    }
+    Ok(parts)
+}
+
+/// Computes a map of the given side of each facet.
+fn show_sides(
+    (scene, tracer): (&Scene, &Tracer),
+    (patches, solution): (&Patches, &Solution),
+    atlas: Atlas,
+    sides: Vec<bool>,
+    options: &BakeOptions,
+    progress: &Progress,
+) -> Result<Lightmap> {
     let coverage = Coverage::new(scene, &atlas);
     let source = FinalGather::new(scene, tracer, patches, solution, 1);
     let mut cells = if options.final_gather == 0 {

@@ -33,7 +33,7 @@ use serde::Serialize;
 
 pub use self::{
     atlas::{Atlas, AtlasOptions, Coordinates, LARGEST, Layout, NONE, PAGE},
-    bake::{bake, lit_on_both_sides},
+    bake::{bake, divide, lit_on_both_sides},
     coverage::{Coverage, Piece},
 };
 use self::{bake::Cells, grid::Grid};

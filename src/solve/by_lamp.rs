@@ -73,20 +73,16 @@ pub fn by_lamp(
         parts.push(LampLight { name, materials, irradiance });
     }
     if let Some(from_outside) = from_outside {
-        let mut rest = from_outside.clone();
+        let mut rest = from_outside;
         let last = outside.len() - 1;
         for (k, (group, name)) in outside.into_iter().enumerate() {
             let irradiance = if k == last {
                 std::mem::take(&mut rest)
             } else {
-                // The light D of the group that a patch reflects is like an emission ρ D of the patch.
-                let direct = form_factors.direct_from(group, patches.channels());
-                let reflected: Vec<f64> =
-                    direct.iter().zip(patches.reflectance()).map(|(e, rho)| rho * e).collect();
-                let radiometry = Radiometry { emission: &reflected, ..patches.into() };
-                let mut irradiance = solve(form_factors, radiometry, options, progress)?.irradiance;
-                take(&mut irradiance, &from_outside);
-                irradiance.iter_mut().zip(&direct).for_each(|(e, direct)| *e += direct);
+                let alone = form_factors.with_lights(scene, |light| scene.lights.is_in(group, light));
+                let emission = emission_of(scene, patches, &[]);
+                let radiometry = Radiometry { emission: &emission, ..patches.into() };
+                let irradiance = solve(&alone, radiometry, options, progress)?.irradiance;
                 take(&mut rest, &irradiance);
                 irradiance
             };

@@ -11,12 +11,13 @@ use super::{
     allocation::Share,
     pooling::Densities,
     rays::{ESCAPED, REPLICATES, RaySet},
+    regions::Regions,
     sky::SkyLight,
 };
 use crate::{
     direct::{Deviation, DirectLight, ShadowRays},
     patch::Patches,
-    scene::light::LightGroup,
+    scene::light::SKY,
 };
 use sums::{Counted, Sums, WhichRays};
 
@@ -38,6 +39,7 @@ pub(super) struct Samples {
     pub(super) radiosity: Vec<f32>,
     /// Runs of patches that are close to each other.
     pub(super) siblings: Vec<Range<usize>>,
+    pub(super) regions: Regions,
     /// Options of the rays.
     pub(super) options: CastOptions,
 }
@@ -79,58 +81,77 @@ impl Samples {
         !self.shadow.lamps.is_empty() || self.sky.is_some()
     }
 
-    /// Direct light of lamps and other lights, in multiples of `unit`, as `emission` is. Powers use relative areas.
-    pub(super) fn direct<const C: usize>(&self, emission: &[[f64; C]], unit: f64) -> DirectLight<C> {
-        let mut light = self.shadow.irradiance(emission, unit, &self.areas, self.escaping);
-        if let Some(sky) = &self.sky {
+    /// Direct light of lamps and of other lights except those in `dark`, in multiples of `unit`, as `emission` is.
+    /// Powers use relative areas.
+    pub(super) fn direct<const C: usize>(
+        &self,
+        emission: &[[f64; C]],
+        unit: f64,
+        dark: &[String],
+    ) -> DirectLight<C> {
+        let mut light = self.shadow.irradiance((emission, unit, dark), &self.areas, self.escaping);
+        if let Some(sky) = self.sky.as_ref().filter(|_| !dark.iter().any(|name| name == SKY)) {
             let (irradiance, deviations) = sky.arriving(unit);
             light.add(&irradiance, &deviations, &self.areas);
         }
         light
     }
 
-    /// The direct irradiance of all patches from one group of lights that are not surfaces.
-    pub(super) fn direct_from<const C: usize>(&self, group: LightGroup) -> Vec<[f64; C]> {
-        let mut irradiance = self.shadow.of_group(group, self.areas.len());
-        if let Some(sky) = self.sky.as_ref().filter(|_| group == LightGroup::Sky) {
-            let (seen, _) = sky.arriving::<C>(1.0);
-            for (sum, seen) in irradiance.iter_mut().zip(seen) {
-                (0..C).for_each(|c| sum[c] += seen[c]);
-            }
-        }
-        irradiance
-    }
-
-    /// The numbers of rays that lower the error most, with `rays` rays a patch in the mean.
+    /// The numbers of rays that lower the error most, with `rays` rays a patch in the mean. The error of each patch is
+    /// relative to the light of its region. Patches that are shut in solids do not
+    /// count, because nobody sees their light.
     pub(super) fn shares(&self, patches: &Patches, rays: f64) -> Vec<Share> {
-        let variances = match patches.channels() {
+        let (variances, light) = match patches.channels() {
             1 => self.variances::<1>(patches),
             _ => self.variances::<3>(patches),
         };
+        let around = self.regions.means(&self.areas, |i| light[i]);
+        // Without light there are no errors.
+        let relative = |(variances, around): (&[f64; 2], &f64)| {
+            variances.map(|v| if *around > 0.0 { v / (around * around) } else { 0.0 })
+        };
+        let variances: Vec<[f64; 2]> = variances.iter().zip(&around).map(relative).collect();
+        let repeated = |&light: &f64| std::iter::repeat_n(light, patches.channels());
+        let mut areas = patches.seen_areas(&light.iter().flat_map(repeated).collect::<Vec<_>>());
+        areas
+            .iter_mut()
+            .zip(&self.areas)
+            .filter(|(seen, _)| **seen > 0.0)
+            .for_each(|(seen, area)| *seen = *area);
         let cast = |i: usize| Share { hemisphere: self.rays.rays_of(i), shadow: self.shadow.count(i) };
-        allocation::by_variance(cast, &self.areas, &variances, &self.siblings, rays * self.areas.len() as f64)
+        allocation::by_variance(cast, &areas, &variances, &self.siblings, rays * self.areas.len() as f64)
     }
 
     /// Variances of every patch's irradiance, summed over channels: those from its own hemisphere rays, and those from
-    /// its shadow rays. Noise in the radiosity of other patches is not included.
-    fn variances<const C: usize>(&self, patches: &Patches) -> Vec<[f64; 2]> {
+    /// its shadow rays. Noise in the radiosity of other patches is not included. Also the irradiance that its own rays
+    /// measure, summed over channels.
+    fn variances<const C: usize>(&self, patches: &Patches) -> (Vec<[f64; 2]>, Vec<f64>) {
         let unit = self.shadow.lamps.magnitude(patches.emission());
         let scaled = |b: &[f64; C]| b.map(|b| b / unit);
         let emission: Vec<[f64; C]> = patches.emission().as_chunks().0.iter().map(scaled).collect();
-        let direct = self.shadow.irradiance(&emission, unit, &self.areas, self.escaping).deviations;
-        let mut reflected = self.deviations::<C>(self.radiosity.as_chunks().0, WhichRays::Own);
-        if let Some(sky) = &self.sky {
-            for (reflected, sky) in reflected.iter_mut().zip(sky.arriving::<C>(unit).1) {
+        let direct = self.shadow.irradiance((&emission, unit, &[]), &self.areas, self.escaping);
+        let radiosity = self.radiosity.as_chunks::<C>().0;
+        let mut reflected = self.deviations::<C>(radiosity, WhichRays::Own);
+        let sent: Vec<f64> = radiosity.iter().map(|b| b.iter().copied().map(f64::from).sum()).collect();
+        let gathered = |i: usize| -> f64 {
+            let hits = self.rays.of(i).iter().filter(|&&j| j != ESCAPED);
+            hits.map(|&j| sent[j as usize]).sum::<f64>() / f64::from(self.rays.rays_of(i))
+        };
+        let mut light: Vec<f64> = (0..sent.len()).into_par_iter().with_min_len(128).map(gathered).collect();
+        let add = |light: &mut [f64], arriving: &[[f64; C]]| {
+            light.iter_mut().zip(arriving).for_each(|(sum, e)| *sum += e.iter().sum::<f64>());
+        };
+        add(&mut light, &direct.irradiance);
+        if let Some((irradiance, deviations)) = self.sky.as_ref().map(|sky| sky.arriving::<C>(unit)) {
+            for (reflected, sky) in reflected.iter_mut().zip(deviations) {
                 let values = reflected.as_flattened_mut().iter_mut().zip(sky.as_flattened());
                 values.for_each(|(reflected, sky)| *reflected += sky);
             }
+            add(&mut light, &irradiance);
         }
         let squares = |d: &Deviation<C>| d.as_flattened().iter().map(|&d| f64::from(d).powi(2)).sum();
-        reflected
-            .iter()
-            .zip(&direct)
-            .map(|(reflected, direct)| [squares(reflected), squares(direct)])
-            .collect()
+        let both = reflected.iter().zip(&direct.deviations);
+        (both.map(|(reflected, direct)| [squares(reflected), squares(direct)]).collect(), light)
     }
 
     /// The deviation of every patch's irradiance in each replicate.

@@ -145,6 +145,17 @@ impl Lights {
         self.list.iter().map(|light| &light.name[..]).chain(self.sky.as_ref().map(|_| SKY))
     }
 
+    /// Whether a light of this name is in a group.
+    pub(crate) fn is_in(&self, group: LightGroup, name: &str) -> bool {
+        let is_point = |light: &Light| matches!(light.kind, LightKind::Point(_));
+        let of_list = |points: bool| self.list.iter().any(|l| l.name == name && is_point(l) == points);
+        match group {
+            LightGroup::Distant => of_list(false),
+            LightGroup::Points => of_list(true),
+            LightGroup::Sky => name == SKY,
+        }
+    }
+
     /// The groups of these lights, each with its name: the name of the only light in it, or their number.
     pub(crate) fn groups(&self) -> Vec<(LightGroup, String)> {
         let of_list = |group: LightGroup, plural: &str| {
