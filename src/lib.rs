@@ -115,6 +115,7 @@ mod parallel;
 pub mod patch;
 mod progress;
 mod quality;
+mod ranks;
 pub mod scene;
 mod slopes;
 pub mod solve;
@@ -126,6 +127,7 @@ pub use error::{Error, MeshError, Result, Setting};
 pub use glam;
 pub use progress::Progress;
 pub use quality::Quality;
+pub use ranks::{Connection, Ranks};
 pub use scene::Scene;
 
 /// The README's example, compiled and run with the tests.

@@ -157,6 +157,21 @@ impl Memory {
         }
     }
 
+    /// The memory of each of several ranks that share out a pooled matrix. A rank has the tiles of its blocks of
+    /// patches with all blocks, which are a share 2/n - 1/n² of all tiles, and the hits that they consist of. Scene,
+    /// numbers of patches and hits are on every rank.
+    #[must_use]
+    pub fn among(self, ranks: usize) -> Memory {
+        let share = 1.0 / ranks as f64;
+        let tiles = share * (2.0 - share);
+        Memory {
+            matrix: tiles * self.matrix,
+            calibration: tiles * self.calibration,
+            halves: self.hits + tiles * (self.halves - self.hits),
+            ..self
+        }
+    }
+
     /// The peak over time, in bytes.
     pub fn peak(&self) -> f64 {
         let for_a_time = [self.calibration, self.error_bars, self.halves, self.solver];

@@ -8,7 +8,7 @@ use std::{
 
 use clap::Args;
 use radiosity::{
-    Error, Result, Scene,
+    Error, Ranks, Result, Scene,
     form_factor::{CastOptions, CastState, Checkpoint, FormFactors, Part},
     output::{file::OutputFile, report::Seconds},
     patch::Patches,
@@ -82,6 +82,12 @@ impl CheckpointArgs {
                 });
             }
         }
+        let ranks = Ranks::world();
+        if ranks.count() > 1 {
+            paths.splice(0..1, files_of_ranks(&paths[0], ranks)?);
+            // No rank makes its file before all have found those of an earlier run.
+            ranks.wait();
+        }
         let written = outputs::checkpoint(&paths[0], scene)?;
         Ok(Some(Files { paths, written }))
     }
@@ -135,7 +141,7 @@ impl Files {
     /// Says how to continue after an interruption.
     pub fn say_stopped(&self) {
         let path = &self.paths[0];
-        if path.exists() {
+        if path.exists() && Ranks::world().is_first() {
             to_stderr(format_args!(
                 "{} holds the rays cast so far: the same command continues from there",
                 path.display()
@@ -203,6 +209,25 @@ fn summary(checkpoint: &Checkpoint, state: CastState, file: &Path) -> String {
         ),
     };
     format!("{}: {of}, {added} rays added\n{next}\n", file.display())
+}
+
+/// The file of this rank, and the files that ranks of an earlier run wrote. They have the name of the checkpoint with the
+/// number of the rank.
+fn files_of_ranks(path: &Path, ranks: Ranks) -> Result<Vec<PathBuf>> {
+    let numbered = |rank: &str| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(format!(".{rank}"));
+        PathBuf::from(name)
+    };
+    let own = numbered(&ranks.rank().to_string());
+    let is_of_rank = |file: &PathBuf| {
+        file.extension().is_some_and(|end| end.to_string_lossy().bytes().all(|b| b.is_ascii_digit()))
+    };
+    let mut files = matching(&numbered("*"))?;
+    files.retain(|file| is_of_rank(file) && *file != own);
+    files.insert(0, own);
+    files.extend(path.exists().then(|| path.to_owned()));
+    Ok(files)
 }
 
 /// Whether a name is a pattern and not the name of a file.

@@ -1,7 +1,7 @@
 //! The forecast of the memory of a computation, and its limit.
 
 use radiosity::{
-    Error, Result, Scene,
+    Error, Ranks, Result, Scene,
     accuracy::{
         memory::{self, Memory},
         survey::Survey,
@@ -49,9 +49,11 @@ pub fn with_backs(scene: &Scene, tracer: &Tracer, seed: u64) -> f64 {
 /// The options that set the numbers of patches and rays in most commands.
 pub const USUAL: [&str; 2] = ["--patches", "--rays"];
 
-/// Bytes for one solution. The number of patches includes backs.
+/// Bytes for one solution, on each rank. The number of patches includes backs.
 pub fn bytes(scene: &Scene, estimator: Estimator, solver: Solver) -> impl Fn(f64, f64) -> f64 {
-    move |patches, rays| Memory::of(scene, patches, rays, estimator, solver).peak()
+    move |patches, rays| {
+        Memory::of(scene, patches, rays, estimator, solver).among(Ranks::world().count()).peak()
+    }
 }
 
 /// Additional bytes for linear light, if it is wanted. The number of patches includes backs.
@@ -60,9 +62,12 @@ pub fn of_linear_light(scene: &Scene, wanted: bool) -> impl Fn(f64) -> f64 {
 }
 
 impl Limit {
-    /// The given limit, or else the memory of this machine. There is no limit if both are unknown.
+    /// The given limit, or else the share of a rank in the memory of this machine. There is no limit if both are
+    /// unknown.
     pub fn new(given: Option<f64>) -> Limit {
-        let bytes = given.or_else(memory::of_machine).unwrap_or(f64::INFINITY);
+        let bytes = given
+            .or_else(|| Some(memory::of_machine()? / Ranks::world().on_this_machine() as f64))
+            .unwrap_or(f64::INFINITY);
         Limit { bytes, given: given.is_some() }
     }
 

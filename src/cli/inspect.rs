@@ -1,12 +1,12 @@
 //! `radiosity inspect`: the contents and the problems of a scene, before anything is computed.
 
-use std::{fmt::Write, path::PathBuf, time::Instant};
+use std::{fmt::Write, num::NonZeroUsize, path::PathBuf, time::Instant};
 
 use clap::Args;
 use glam::DVec3;
 use radiosity::{
     Progress, Quality, Result, Scene,
-    accuracy::{error_bars::ErrorBars, survey::Survey},
+    accuracy::{error_bars::ErrorBars, memory::Memory, survey::Survey},
     energy::EnergyLedger,
     form_factor::{CastOptions, Estimator, FormFactors},
     output::inspection_report::{Enclosed, EnclosedReport, InspectionReport, MaterialReport},
@@ -37,6 +37,9 @@ pub struct InspectArgs {
     /// Write all figures as JSON
     #[arg(long, value_name = "R.json")]
     report: Option<PathBuf>,
+    /// Forecast the memory of each of this number of MPI ranks that share out `solve`. See docs/guides/clusters.md
+    #[arg(long, value_name = "N", default_value = "1")]
+    ranks: NonZeroUsize,
     #[command(flatten)]
     common: Common,
 }
@@ -59,8 +62,10 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     let (survey, _) = watch.stage("rays", || Ok(Survey::of(&scene, &tracer, RAYS, 0)))?;
     let a_ray = survey.seconds / (survey.all.rays + survey.lamps.rays).max(1) as f64 + bookkeeping;
 
-    let (bytes, file) =
-        (forecast::bytes(&scene, Estimator::Pooled, Solver::Auto), args.scene.path.display().to_string());
+    let bytes = |patches: f64, rays: f64| {
+        Memory::of(&scene, patches, rays, Estimator::Pooled, Solver::Auto).among(args.ranks.get()).peak()
+    };
+    let file = args.scene.path.display().to_string();
     let report = InspectionReport::new(&file, &scene, &inspection, enclosed, &survey, |quality: Quality| {
         let fronts = Patches::forecast(&scene, &Subdivision::Count(quality.patches));
         let patches = (fronts * (1.0 + survey.back_area)).round();
@@ -73,7 +78,7 @@ pub fn run(args: &InspectArgs) -> Result<Outcome> {
     }
     drop(watch);
     if !args.common.quiet {
-        to_stdout(&table(&report, args.common.limit()))?;
+        to_stdout(&table(&report, args.common.limit(), args.ranks.get()))?;
     }
     Ok(Outcome::Done)
 }
@@ -116,7 +121,8 @@ fn bookkeeping(progress: &Progress) -> Result<f64> {
     Ok((all - tracing).max(0.0))
 }
 
-fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
+fn table(report: &InspectionReport, limit: forecast::Limit, ranks: usize) -> String {
+    let each = if ranks > 1 { format!(" on each of {ranks} ranks") } else { String::new() };
     let mut text = String::new();
     let mut row = |name: &str, value: String| summary::row(&mut text, name, &value);
     let scene = &report.scene;
@@ -186,12 +192,13 @@ fn table(report: &InspectionReport, limit: forecast::Limit) -> String {
         row(
             f.quality,
             format!(
-                "about {} patches, {:.2e} rays; up to {} of memory{}, about {}",
+                "about {} patches, {:.2e} rays; up to {} of memory{each}{}, about {}{}",
                 f.patches,
                 f.rays,
                 summary::memory(f.bytes),
                 if limit.allows(f.bytes) { "" } else { " (more than allowed)" },
-                time(f.seconds)
+                time(f.seconds),
+                if ranks > 1 { " on one" } else { "" }
             ),
         );
     }

@@ -38,13 +38,14 @@ use std::{
     io::{self, Write},
     num::NonZeroUsize,
     path::{Path, PathBuf},
+    time::Duration,
 };
 
 use clap::{
     Arg, Args, CommandFactory, FromArgMatches, Parser, Subcommand,
     error::{ContextKind, ContextValue, ErrorKind},
 };
-use radiosity::{Error, Result, Setting};
+use radiosity::{Error, Ranks, Result, Setting};
 
 pub use scene::{add_lights, read_scene};
 
@@ -93,7 +94,8 @@ struct Common {
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
     /// Largest amount of memory to use, for example 500MB or 4GiB. A computation that needs more is refused before it
-    /// starts, but `solve` can continue without a matrix [default: the memory of this machine]
+    /// starts, but `solve` can continue without a matrix. Under MPI, the limit is that of each rank [default: the memory
+    /// of this machine]
     #[arg(long, value_name = "SIZE", value_parser = forecast::size)]
     memory: Option<f64>,
 }
@@ -136,11 +138,19 @@ const STOPPED: u8 = 130;
 
 /// Runs the command that the arguments name, and returns the exit status. The first argument is the name of the program.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    // Dropped at the end, which other ranks wait for.
+    let _connection = match Ranks::connect() {
+        Ok(connection) => connection,
+        Err(error) => return fail(&error),
+    };
     let matches = command().try_get_matches_from(arguments);
     let command = match matches.and_then(|matches| Cli::from_arg_matches(&matches)) {
         Ok(cli) => cli.command,
         Err(error) => return usage_error(&error),
     };
+    if let Err(error) = check_ranks(&command) {
+        return fail(&error);
+    }
     let result = match command {
         Command::Solve(args) => solve::run(&args),
         Command::View(args) => view::run(args),
@@ -157,15 +167,32 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     match result {
         Ok(Outcome::Done) => DONE,
         Ok(Outcome::CheckFailed(check)) => {
-            say_error(&check);
+            if Ranks::world().is_first() {
+                say_error(&check);
+            }
             CHECK_FAILED
         }
-        Err(Error::Stopped) => {
+        Err(error) => fail(&error),
+    }
+}
+
+/// Time for the first rank to end all ranks, if all have the same error.
+const TURN: Duration = Duration::from_secs(1);
+
+/// Prints an error, and returns the exit status. Ends the other ranks of an MPI job.
+fn fail(error: &Error) -> u8 {
+    let ranks = Ranks::world();
+    if !ranks.is_first() {
+        std::thread::sleep(TURN);
+        to_stderr(format_args!("rank {} of {} ends all ranks", ranks.rank(), ranks.count()));
+    }
+    let status = match error {
+        Error::Stopped => {
             to_stderr("stopped");
             STOPPED
         }
-        Err(error) => {
-            say_error(&error);
+        error => {
+            say_error(error);
             if let Some(hint) = error.hint() {
                 let options: Vec<&str> = error.settings().iter().map(|&s| option(s)).collect();
                 let named =
@@ -174,7 +201,20 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
             }
             if matches!(error, Error::NotConverged { .. }) { CHECK_FAILED } else { BAD_INPUT }
         }
+    };
+    ranks.abort(status);
+    status
+}
+
+/// Refuses commands that the ranks of an MPI job do not share out.
+fn check_ranks(command: &Command) -> Result<()> {
+    if Ranks::world().count() == 1 || matches!(command, Command::Solve(_)) {
+        return Ok(());
     }
+    Err(Error::Usage {
+        message: "only `solve` shares out its work among MPI ranks".into(),
+        hint: Some("run other commands without mpirun".into()),
+    })
 }
 
 /// The option for a setting that an error of the library names.
@@ -206,8 +246,11 @@ fn command() -> clap::Command {
     Cli::command().mut_subcommands(|command| command.mut_args(numbers))
 }
 
-/// Prints an error of clap in the form of all other errors. Help and version are not errors.
+/// Prints an error of clap in the form of all other errors, on the first rank. Help and version are not errors.
 fn usage_error(error: &clap::Error) -> u8 {
+    if !Ranks::world().is_first() {
+        return if error.use_stderr() { BAD_INPUT } else { DONE };
+    }
     if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let _ = error.print();
         return if error.use_stderr() { BAD_INPUT } else { DONE };
@@ -252,8 +295,11 @@ fn to_stderr(line: impl Display) {
     let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()).replace('\n', "\\n"));
 }
 
-/// Prints text that contains its own line ends. A closed pipe is not an error, but a full disk behind stdout is.
+/// Prints text that contains its own line ends, on the first rank. A closed pipe is not an error, but a full disk behind stdout is.
 fn to_stdout(text: &str) -> Result<()> {
+    if !Ranks::world().is_first() {
+        return Ok(());
+    }
     let mut out = io::stdout().lock();
     match out.write_all(printable(text).as_bytes()).and_then(|()| out.flush()) {
         Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), e)),

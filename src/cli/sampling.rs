@@ -3,7 +3,7 @@
 use std::{io, sync::Arc, time::Instant};
 
 use radiosity::{
-    Error, Result, Scene,
+    Error, Ranks, Result, Scene,
     accuracy::{
         discretisation::Discretisation,
         patch_search::{PatchSearch, SmallPatches},
@@ -120,8 +120,18 @@ impl Sampling<'_> {
         let with_matrix = self.holds_matrix(&self.work(count, rays, &bytes))?;
         let cut = || adapted.unwrap_or_else(|| Patches::subdivide(self.scene, &subdivision));
         let (patches, subdivide) = self.watch.stage("patches", || Ok(cut()))?;
-        let cast =
-            CastOptions::default().with_rays(rays).with_estimator(args.estimator()).with_seed(args.seed);
+        let ranks = Ranks::world();
+        if !with_matrix && ranks.count() > 1 {
+            return Err(Error::Usage {
+                message: "the matrix does not fit into memory, and only a solution with a matrix is shared out among MPI ranks".into(),
+                hint: Some("use fewer --patches or --rays, or more machines and a larger --memory".into()),
+            });
+        }
+        let cast = CastOptions::default()
+            .with_rays(rays)
+            .with_estimator(args.estimator())
+            .with_seed(args.seed)
+            .with_ranks(ranks);
         let usable = with_matrix && cast.estimator == Estimator::Pooled;
         let first = first.filter(|_| usable);
         // A first round that is continued counts as a round, not as part of the search for patches.

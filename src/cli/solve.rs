@@ -4,7 +4,7 @@ use std::{f64::consts::PI, path::PathBuf, time::Instant};
 
 use clap::{Args, ValueEnum};
 use radiosity::{
-    Error, Progress, Result, Scene,
+    Error, Progress, Ranks, Result, Scene,
     accuracy::{
         bias, discretisation::Discretisation, error_bars::relative_rms, refinement::Round, regions,
         solved::Solved,
@@ -17,7 +17,9 @@ use radiosity::{
         file::{OutputFile, Pending},
         gltf, picture,
         ply::{self, PlyOptions},
-        report::{ErrorReport, OptionsReport, RoundReport, Seconds, SolveReport, peak_bytes, seconds},
+        report::{
+            ErrorReport, OptionsReport, RanksReport, RoundReport, Seconds, SolveReport, peak_bytes, seconds,
+        },
     },
     patch::Patches,
     solve::{Light, SolveOptions, Solver, stochastic_jacobi},
@@ -174,9 +176,29 @@ impl SolveArgs {
         summary::Advice { sampling, patches }
     }
 
+    /// Refuses options that the ranks of an MPI job do not share out.
+    fn check_ranks(&self) -> Result<()> {
+        let alone = [
+            (matches!(self.estimator, EstimatorName::OneWay), "--estimator one-way"),
+            (!matches!(self.solver, SolverName::Auto | SolverName::Cg | SolverName::Jacobi), "this --solver"),
+            (self.error.is_some(), "--error"),
+            (self.time.is_some(), "--time"),
+            (self.page.page.is_some(), "--page"),
+            (self.checkpoint.cast_only, "--cast-only"),
+        ];
+        match alone.into_iter().find_map(|(given, name)| given.then_some(name)) {
+            Some(option) if Ranks::world().count() > 1 => Err(Error::Usage {
+                message: format!("{option} does not share out its work among MPI ranks"),
+                hint: Some(format!("leave {option} out, or run without mpirun")),
+            }),
+            _ => Ok(()),
+        }
+    }
+
     /// Refuses combinations of options that would fail only after the work.
     fn check(&self) -> Result<()> {
         self.checkpoint.check()?;
+        self.check_ranks()?;
         let written = [
             (self.output.is_some(), "-o"),
             (self.picture.is_some(), "--picture"),
@@ -243,10 +265,15 @@ pub fn run(args: &SolveArgs) -> Result<Outcome> {
 
 fn solve(args: &SolveArgs, checkpoint: Option<&Files>) -> Result<Outcome> {
     let start = Instant::now();
-    let mesh = args.output.as_ref().map(|path| outputs::mesh(path, &args.scene.path)).transpose()?;
-    let picture = args.picture.as_ref().map(|path| outputs::picture(path, &args.scene.path)).transpose()?;
+    // The first rank writes.
+    let first = Ranks::world().is_first();
+    let mesh = args.output.as_ref().filter(|_| first);
+    let mesh = mesh.map(|path| outputs::mesh(path, &args.scene.path)).transpose()?;
+    let picture = args.picture.as_ref().filter(|_| first);
+    let picture = picture.map(|path| outputs::picture(path, &args.scene.path)).transpose()?;
     let page = args.page.page.as_ref().map(|path| page::file(path, &args.scene.path)).transpose()?;
-    let report_file = args.report.as_ref().map(|path| outputs::report(path, &args.scene.path)).transpose()?;
+    let report_file = args.report.as_ref().filter(|_| first);
+    let report_file = report_file.map(|path| outputs::report(path, &args.scene.path)).transpose()?;
     let picture_file = picture.as_ref().map(|(file, _)| file);
     let files: Vec<_> =
         [mesh.as_ref(), picture_file, page.as_ref(), report_file.as_ref(), checkpoint.map(|c| &c.written)]
@@ -287,6 +314,7 @@ fn solve(args: &SolveArgs, checkpoint: Option<&Files>) -> Result<Outcome> {
     times.total = seconds(start.elapsed());
     report.seconds = times;
     report.peak_bytes = peak_bytes();
+    report.ranks = RanksReport::of(Ranks::world(), report.peak_bytes);
     pending.extend(report_file.map(|file| file.write(|out| report.write(out))).transpose()?);
 
     watch.progress().check()?;
@@ -308,7 +336,9 @@ fn compute(
     times: &mut Seconds,
 ) -> Result<Computed> {
     let (scene, tracer) = pipeline::load(&args.scene, outputs, watch, times)?;
-    let camera = args.picture.as_ref().map(|_| camera(&scene, &tracer, watch)).transpose()?;
+    let first = Ranks::world().is_first();
+    let camera =
+        args.picture.as_ref().filter(|_| first).map(|_| camera(&scene, &tracer, watch)).transpose()?;
     let checkpoint = files.map(|files| files.open(&scene, args, watch)).transpose()?;
     // With --error or --time, the program chooses the number of patches.
     if args.cast.given_patches().is_some() || (args.error.is_none() && args.time.is_none()) {

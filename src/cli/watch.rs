@@ -11,7 +11,7 @@ use std::{
 };
 
 use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
-use radiosity::{Progress, Result};
+use radiosity::{Progress, Ranks, Result};
 
 const REFRESH: Duration = Duration::from_millis(100);
 
@@ -45,7 +45,7 @@ impl Watch {
             }
             handled.progress.stop();
         });
-        let bar = (!quiet && io::stderr().is_terminal()).then(|| {
+        let bar = (!quiet && Ranks::world().is_first() && io::stderr().is_terminal()).then(|| {
             let bar =
                 ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style(false));
             let (drawn, drawing) = (bar.clone(), Arc::clone(&shared));
@@ -79,8 +79,11 @@ impl Watch {
         self.say(&format!("warning: {warning}"));
     }
 
-    /// Prints a line above the bar.
+    /// Prints a line above the bar, on the first rank.
     pub fn say(&self, line: &str) {
+        if !Ranks::world().is_first() {
+            return;
+        }
         let print = || super::to_stderr(line);
         match &self.bar {
             Some((bar, _)) => bar.suspend(print),

@@ -301,7 +301,7 @@ mod tests {
     use super::super::Lamps;
     use super::*;
     use crate::{
-        Progress,
+        Progress, Ranks,
         exact::{point_to_polygon, polygon_form_factor},
         patch::{Patches, Subdivision},
         scene::{Material, Scene},
@@ -342,7 +342,7 @@ mod tests {
         fn direct(&self, rays: u32, seed: u64) -> DirectLight<1> {
             let (tracer, patches) = (&self.tracer, &self.patches);
             let mut shadow = ShadowRays::none(Lamps::new(tracer, patches, &self.scene.lights, |_| true));
-            shadow.extend(tracer, patches, |_| rays, seed, None, &Progress::new()).unwrap();
+            shadow.extend(tracer, patches, |_| rays, seed, (None, Ranks::alone()), &Progress::new()).unwrap();
             let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
             shadow.irradiance((patches.emission().as_chunks().0, 1.0, &[]), &areas, 1.0)
         }
@@ -418,7 +418,9 @@ mod tests {
             let (tracer, patches) =
                 (Tracer::new(&scene), Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY)));
             let mut shadow = ShadowRays::none(Lamps::new(&tracer, &patches, &scene.lights, |_| true));
-            shadow.extend(&tracer, &patches, |_| 1 << 14, 5, None, &Progress::new()).unwrap();
+            shadow
+                .extend(&tracer, &patches, |_| 1 << 14, 5, (None, Ranks::alone()), &Progress::new())
+                .unwrap();
             let mean =
                 shadow.of(0).iter().map(|ray| f64::from(ray.weight.abs())).sum::<f64>() / f64::from(1 << 14);
             let known = shadow.unoccluded(0)[0];

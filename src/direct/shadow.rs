@@ -14,7 +14,7 @@ use super::{
     lamps::{Choice, Lamps, Path},
 };
 use crate::{
-    Progress, Result,
+    Progress, Ranks, Result,
     patch::Patches,
     trace::{
         Tracer,
@@ -218,7 +218,7 @@ impl ShadowRays {
         patches: &Patches,
         wanted: impl Fn(usize) -> u32,
         seed: u64,
-        keep: Option<&dyn Keep>,
+        (keep, ranks): (Option<&dyn Keep>, Ranks),
         progress: &Progress,
     ) -> Result<()> {
         if self.lamps.is_empty() {
@@ -245,8 +245,15 @@ impl ShadowRays {
             rest = tail;
         }
         let this = &*self;
+        let owner = |i: usize| ranks.of_turn(i / BLOCK);
         work.into_par_iter().try_for_each(|(range, mut rest)| {
             let mut cast = Vec::new();
+            if owner(range.start) != ranks.rank() {
+                range.for_each(|i| {
+                    progress.advance((offsets[i + 1] - offsets[i]) as u64 - u64::from(this.count(i)))
+                });
+                return Ok(());
+            }
             for i in range {
                 progress.check()?;
                 let (own, tail) = rest.split_at_mut(offsets[i + 1] - offsets[i]);
@@ -280,6 +287,13 @@ impl ShadowRays {
                 .collect();
             keep.map_or(Ok(()), |keep| keep.keep(&cast))
         })?;
+        if ranks.count() > 1 {
+            let new = |i: usize| (offsets[i] + self.count(i) as usize..offsets[i + 1], owner(i));
+            let mut words: Vec<[u32; 2]> = rays.iter().map(|ray| [ray.piece, ray.weight.to_bits()]).collect();
+            ranks.share(&mut words, (0..n).map(new));
+            let ray = |[piece, weight]: [u32; 2]| ShadowRay { piece, weight: f32::from_bits(weight) };
+            rays.iter_mut().zip(words).for_each(|(to, words)| *to = ray(words));
+        }
         (self.rays, self.offsets) = (rays, offsets);
         Ok(())
     }

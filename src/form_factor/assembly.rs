@@ -91,7 +91,8 @@ impl FormFactors {
         let defect = |(i, j, s): (usize, usize, f32)| {
             (exchange(i, s, j) - exchange(j, s, i)).abs() / self.areas[i].min(self.areas[j])
         };
-        matrix.tiles().map(|tile| tile.map(defect).fold(0.0, f64::max)).reduce(|| 0.0, f64::max)
+        let of_tiles = matrix.tiles().map(|tile| tile.map(defect).fold(0.0, f64::max));
+        matrix.ranks().max(of_tiles.reduce(|| 0.0, f64::max))
     }
 }
 
@@ -129,7 +130,7 @@ impl Assembled {
             sky.iter_mut().for_each(|sky| sky.withdraw(withdrawn));
         }
         let densities = Densities::new(&rays, &relative);
-        let buckets = Buckets::new(&rays, Blocks::new(n));
+        let buckets = Buckets::new(&rays, Blocks::new(n).among(options.ranks));
         let (pooled, one_way_deviation) = pooling::pool(&rays, &buckets, &densities, &relative);
         let sums = pooled.row_sums();
         let escaped = rays.escaped();

@@ -6,6 +6,8 @@
 
 use std::{ops::Range, sync::Mutex};
 
+use crate::ranks::{Ranks, Words};
+
 /// Most rows of a block. Smaller blocks keep the memory of a product closer together. But at a million patches their
 /// tiles would have no more entries than rows, and reading the rows would take all the time.
 const MOST_ROWS: usize = 1 << PLACE;
@@ -23,6 +25,8 @@ pub(super) struct Blocks {
     len: usize,
     /// Logarithm of the number of rows of a block.
     bits: u32,
+    /// The processes that share out the blocks. Each has the tiles of its blocks.
+    ranks: Ranks,
 }
 
 impl Blocks {
@@ -33,7 +37,38 @@ impl Blocks {
     /// Blocks of between `least` and `most` rows, as a power of two, and enough of them if these bounds permit.
     pub(super) fn of_rows(len: usize, least: usize, most: usize) -> Blocks {
         assert!(most <= MOST_ROWS, "places have {PLACE} bits");
-        Blocks { len, bits: (len / ENOUGH_BLOCKS).clamp(least, most).ilog2() }
+        let bits = (len / ENOUGH_BLOCKS).clamp(least, most).ilog2();
+        Blocks { len, bits, ranks: Ranks::alone() }
+    }
+
+    /// The same blocks, shared out among processes.
+    pub(super) fn among(self, ranks: Ranks) -> Blocks {
+        Blocks { ranks, ..self }
+    }
+
+    /// The processes that share out the blocks.
+    pub(super) fn ranks(self) -> Ranks {
+        self.ranks
+    }
+
+    /// The rank that computes the values of a block.
+    fn owner(self, block: usize) -> usize {
+        block * self.ranks.count() / self.count()
+    }
+
+    /// Whether this process computes the values of a block.
+    pub(super) fn owns(self, block: usize) -> bool {
+        self.owner(block) == self.ranks.rank()
+    }
+
+    /// Whether this process has a tile, because it owns one of its blocks.
+    pub(super) fn has(self, (a, b): (usize, usize)) -> bool {
+        self.owns(a) || self.owns(b)
+    }
+
+    /// Brings the values of all blocks to all ranks.
+    pub(super) fn share<V: Words>(self, values: &mut [V]) {
+        self.ranks.share(values, (0..self.count()).map(|block| (self.range(block), self.owner(block))));
     }
 
     /// Number of patches.
@@ -91,8 +126,9 @@ impl Blocks {
     }
 
     /// Calls `work((a, b), part a of values, part b)` for all tiles. The second part is `None` on the diagonal. Each
-    /// value is updated in the same order for any number of threads.
-    pub(super) fn meet<Y: Send>(
+    /// value is updated in the same order for any number of threads and of ranks. A rank works on the tiles of its own
+    /// blocks. It also adds to the values of other blocks, which their owners replace.
+    pub(super) fn meet<Y: Send + Words>(
         self,
         values: &mut [Y],
         work: impl Fn((usize, usize), &mut [Y], Option<&mut [Y]>) + Sync,
@@ -126,6 +162,8 @@ impl Blocks {
             }
             play();
         });
+        drop(parts);
+        self.share(values);
     }
 }
 
@@ -151,7 +189,7 @@ impl Tournament {
     fn new(blocks: Blocks) -> Tournament {
         let mut played = vec![0; blocks.count()];
         let mut tiles = Vec::with_capacity(blocks.count() * (blocks.count() + 1) / 2);
-        for (a, b) in blocks.rounds().flatten() {
+        for (a, b) in blocks.rounds().flatten().filter(|&tile| blocks.has(tile)) {
             tiles.push(((a, b), [played[a], played[b]]));
             played[a] += 1;
             played[b] += usize::from(a != b);

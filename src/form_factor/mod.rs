@@ -32,7 +32,7 @@ use rayon::prelude::*;
 use sprs::CsMatI;
 
 use crate::{
-    Progress, Result,
+    Progress, Ranks, Result,
     direct::{Keep, Lamps, ShadowRay, ShadowRays},
     patch::Patches,
     scene::Scene,
@@ -90,6 +90,9 @@ pub struct CastOptions {
     /// If true, half of the rays are cast evenly. Their variances decide where the other half lowers the error of
     /// irradiance most. If false, all rays are cast evenly. Only for the pooled estimator.
     pub by_variance: bool,
+    /// The processes that share out the rays and the rows of the matrix. With several, only the pooled estimator stores a
+    /// share of the matrix, and single form factors cannot be read.
+    pub ranks: Ranks,
 }
 
 setters!(CastOptions {
@@ -98,6 +101,7 @@ setters!(CastOptions {
     with_seed(seed: u64),
     with_shadow_share(shadow_share: f64),
     with_by_variance(by_variance: bool),
+    with_ranks(ranks: Ranks),
 });
 
 impl Default for CastOptions {
@@ -109,6 +113,7 @@ impl Default for CastOptions {
             seed: 0,
             shadow_share: 0.25,
             by_variance: true,
+            ranks: Ranks::alone(),
         }
     }
 }
@@ -289,6 +294,7 @@ impl FormFactors {
         let options = &options.for_lights(scene);
         let rays = if options.looks_first() { allocation::PILOT * options.rays } else { options.rays };
         let mut set = RaySet::none();
+        set.ranks = options.ranks;
         set.checkpoint = checkpoint.map(|file| Section::new(file, digest(patches), options.seed));
         let emits = apart && patches.emission().iter().any(|&b| b > 0.0);
         let mut share = allocation::even(options, rays, emits || scene.lights.need_shadow_rays());
@@ -567,7 +573,8 @@ impl FormFactors {
             + match &*self.stored {
                 Stored::Symmetric(matrix) => {
                     let both = |(i, j, s): (usize, usize, f32)| strays(i, j, s) + strays(j, i, s);
-                    matrix.tiles().map(|tile| tile.map(both).sum::<usize>()).sum::<usize>()
+                    let of_tiles = matrix.tiles().map(|tile| tile.map(both).sum::<usize>()).sum();
+                    matrix.ranks().sum(of_tiles)
                         + matrix.diagonal().map(|(i, s)| strays(i, i, s)).sum::<usize>()
                 }
                 Stored::Rows(matrix) => {
@@ -620,7 +627,8 @@ fn cast_shadow(
         pieces,
         rays: set.rays(),
     });
-    shadow.extend(tracer, patches, wanted, seed, kept.as_ref().map(|kept| kept as &dyn Keep), progress)
+    let kept = kept.as_ref().map(|kept| kept as &dyn Keep);
+    shadow.extend(tracer, patches, wanted, seed, (kept, set.ranks), progress)
 }
 
 /// Shadow rays in a checkpoint.

@@ -56,12 +56,14 @@ struct Bucket {
 
 impl Buckets {
     pub(super) fn new(rays: &RaySet, blocks: Blocks) -> Buckets {
-        Self::in_parts(rays, blocks, 1, |i, _| rays.of(i))
+        let needs = |from: usize, to: usize| blocks.has((from, to));
+        Self::in_parts(rays, blocks, 1, |i, _| rays.of(i), needs)
     }
 
     /// One part for each replicate.
     pub(super) fn by_replicates(rays: &RaySet, blocks: Blocks) -> Buckets {
-        Self::in_parts(rays, blocks, REPLICATES, |i, replicate| rays.of_replicate(i, replicate))
+        let needs = |_, to: usize| blocks.owns(to);
+        Self::in_parts(rays, blocks, REPLICATES, |i, replicate| rays.of_replicate(i, replicate), needs)
     }
 
     fn in_parts<'a>(
@@ -69,12 +71,14 @@ impl Buckets {
         blocks: Blocks,
         parts: usize,
         of: impl Fn(usize, usize) -> &'a [u32] + Sync,
+        needs: impl Fn(usize, usize) -> bool + Sync,
     ) -> Buckets {
         let of_block = |block: usize| {
+            let needed: Vec<bool> = (0..blocks.count()).map(|other| needs(block, other)).collect();
             let mut lengths = vec![0; blocks.count()];
             let met = |i: usize| rays.of(i).iter().filter(|&&j| j != ESCAPED).map(|&j| j as usize);
-            for j in blocks.range(block).flat_map(met) {
-                lengths[blocks.of(j).0] += 1;
+            for other in blocks.range(block).flat_map(met).map(|j| blocks.of(j).0) {
+                lengths[other] += usize::from(needed[other]);
             }
             let empty =
                 |length| Bucket { pairs: Vec::with_capacity(length), ends: Vec::with_capacity(parts) };
@@ -84,7 +88,9 @@ impl Buckets {
                     let row = blocks.of(i).1 << PLACE;
                     for &j in of(i, part).iter().filter(|&&j| j != ESCAPED) {
                         let (other, column) = blocks.of(j as usize);
-                        lists[other].pairs.push(row | column);
+                        if needed[other] {
+                            lists[other].pairs.push(row | column);
+                        }
                     }
                 }
                 lists.iter_mut().for_each(|list| list.ends.push(list.pairs.len() as u32));
@@ -191,7 +197,7 @@ pub(super) fn pool(
         let count = entries.len();
         (entries.into_iter(), count, deviation)
     });
-    (matrix, deviations.into_iter().fold(0.0, f64::max))
+    (matrix, blocks.ranks().max(deviations.into_iter().fold(0.0, f64::max)))
 }
 
 /// Number of rays from each patch to each other patch, by rows.

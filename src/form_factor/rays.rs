@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use super::checkpoint::Section;
 use crate::{
+    Ranks,
     direct::{footprint::is_hidden, part},
     patch::Patches,
     trace::Tracer,
@@ -44,6 +45,8 @@ pub struct RaySet {
     withdrawn: Vec<usize>,
     /// Rays are read from here if it has them, and are added to it when cast.
     pub(super) checkpoint: Option<Section>,
+    /// The processes that share out the casting.
+    pub(super) ranks: Ranks,
 }
 
 impl RaySet {
@@ -56,6 +59,7 @@ impl RaySet {
             seconds: 0.0,
             withdrawn: Vec::new(),
             checkpoint: None,
+            ranks: Ranks::alone(),
         }
     }
 

@@ -14,13 +14,12 @@ use super::{
     Matrix,
     blocks::{Blocks, PLACE},
 };
+use crate::ranks::{Ranks, Word, Words};
 use tile::{Entry, Tile};
 
 /// Single or double precision.
 pub(crate) trait Real:
-    Copy
-    + Send
-    + Sync
+    Word
     + From<f32>
     + Into<f64>
     + Add<Output = Self>
@@ -51,7 +50,10 @@ impl Real for f64 {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Symmetric {
     blocks: Blocks,
+    /// Empty where another rank has the tile.
     tiles: Vec<Tile>,
+    /// Number of entries off the diagonal, counting each pair once.
+    pairs: usize,
     /// Empty if the diagonal is zero.
     diagonal: Vec<f32>,
 }
@@ -64,15 +66,20 @@ impl Symmetric {
         entries: impl Fn((usize, usize)) -> (I, usize, T) + Sync,
     ) -> (Symmetric, Vec<T>)
     where
-        T: Send,
+        T: Send + Default,
         I: Iterator<Item = Entry>,
     {
         let make = |&at: &(usize, usize)| {
+            if !blocks.has(at) {
+                return (Tile::default(), T::default());
+            }
             let (entries, count, rest) = entries(at);
             (Tile::of(entries, count), rest)
         };
-        let (tiles, rest) = blocks.tiles().par_iter().with_max_len(1).map(make).unzip();
-        (Symmetric { blocks, tiles, diagonal: Vec::new() }, rest)
+        let (tiles, rest): (Vec<Tile>, _) = blocks.tiles().par_iter().with_max_len(1).map(make).unzip();
+        let counted = tiles.iter().zip(blocks.tiles()).filter(|(_, (a, _))| blocks.owns(*a));
+        let pairs = blocks.ranks().sum(counted.map(|(tile, _)| tile.values.len()).sum());
+        (Symmetric { blocks, tiles, pairs, diagonal: Vec::new() }, rest)
     }
 
     /// Builds the matrix from lists of (i, j, s) in any order. A list may name a pair in either direction or in both.
@@ -142,8 +149,17 @@ impl Symmetric {
 
     /// Number of entries, counting both directions of a pair.
     pub(super) fn non_zeros(&self) -> usize {
-        let of_tiles: usize = self.tiles.iter().map(|tile| tile.values.len()).sum();
-        2 * of_tiles + self.diagonal.iter().filter(|&&s| s != 0.0).count()
+        2 * self.pairs + self.diagonal.iter().filter(|&&s| s != 0.0).count()
+    }
+
+    /// The processes that share out the matrix.
+    pub(super) fn ranks(&self) -> Ranks {
+        self.blocks.ranks()
+    }
+
+    /// Refuses an access to single entries, which other ranks may have.
+    fn assert_whole(&self) {
+        assert_eq!(self.ranks().count(), 1, "the rows are shared out among ranks");
     }
 
     /// Bytes held.
@@ -151,12 +167,13 @@ impl Symmetric {
         self.tiles.iter().map(Tile::bytes).sum::<usize>() + 4 * self.diagonal.len()
     }
 
-    /// The entries of each tile as (i, j, s), i < j, tiles in parallel.
+    /// The entries of each tile as (i, j, s), i < j, tiles in parallel. Over all ranks, each tile occurs once.
     pub(super) fn tiles(
         &self,
-    ) -> impl IndexedParallelIterator<Item = impl Iterator<Item = (usize, usize, f32)> + '_> + '_ {
+    ) -> impl ParallelIterator<Item = impl Iterator<Item = (usize, usize, f32)> + '_> + '_ {
         let rows = self.blocks.rows();
         let tiles = self.tiles.par_iter().with_max_len(1).zip(self.blocks.tiles());
+        let tiles = tiles.filter(|(_, (a, _))| self.blocks.owns(*a));
         tiles.map(move |(tile, (a, b))| {
             let whole = move |(r, c, s): Entry| (a * rows + usize::from(r), b * rows + usize::from(c), s);
             tile.entries().map(whole)
@@ -173,6 +190,7 @@ impl Symmetric {
         if i == j {
             return self.diagonal.get(i).copied().unwrap_or(0.0);
         }
+        self.assert_whole();
         let ((a, row), (b, column)) = (self.blocks.of(i.min(j)), self.blocks.of(i.max(j)));
         let runs = self.tiles[self.blocks.tile((a, b))].runs();
         let entry = |(_, columns, values): (u16, &[u16], &[f32])| {
@@ -183,6 +201,7 @@ impl Symmetric {
 
     /// The entries of row `i` as (j, s), sorted. Searches all tiles that contain the row.
     pub(super) fn row(&self, i: usize) -> Vec<(usize, f32)> {
+        self.assert_whole();
         let (block, place) = self.blocks.of(i);
         let mut row: Vec<(usize, f32)> =
             self.diagonal.get(i).filter(|&&s| s != 0.0).map(|&s| (i, s)).into_iter().collect();
@@ -206,6 +225,7 @@ impl Symmetric {
 
     /// All rows, compressed, with both directions of every pair. Takes twice the memory.
     pub(super) fn rows(&self) -> Matrix {
+        self.assert_whole();
         let n = self.len();
         let mut rows: Vec<Vec<(u32, f32)>> = vec![Vec::new(); n];
         for (i, s) in self.diagonal() {
@@ -240,7 +260,7 @@ impl Symmetric {
 
     /// Calls `pair(s_ij, z_i, z_j, y_i, y_j)` for all pairs off the diagonal. Each y is updated in the same order for
     /// any number of threads.
-    pub(super) fn accumulate<Z: Copy + Sync, Y: Copy + Send>(
+    pub(super) fn accumulate<Z: Copy + Sync, Y: Copy + Send + Words>(
         &self,
         z: &[Z],
         y: &mut [Y],

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
+    Ranks,
     accuracy::{error_bars::ErrorBars, regions::RegionError},
     energy::EnergyLedger,
     form_factor::{self, FormFactors, rays},
@@ -45,8 +46,31 @@ pub struct SolveReport {
     pub seconds: Seconds,
     /// Peak memory of the process in bytes; `null` if the operating system does not report it.
     pub peak_bytes: Option<u64>,
+    /// The processes of an MPI job; left out if there is only one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ranks: Option<RanksReport>,
     /// The options, sufficient to repeat the computation.
     pub options: OptionsReport,
+}
+
+/// The processes of an MPI job.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RanksReport {
+    /// Number of processes.
+    pub count: usize,
+    /// Bytes that all of them sent, if each sends its values once to each other one.
+    pub bytes_sent: u64,
+    /// Peak memory of each process in bytes.
+    pub peak_bytes: Vec<u64>,
+}
+
+impl RanksReport {
+    /// Collects the figures of all ranks; `None` if there is only one. All ranks must call this.
+    pub fn of(ranks: Ranks, peak_bytes: Option<u64>) -> Option<RanksReport> {
+        let bytes_sent = Ranks::sent();
+        let peaks = || ranks.values(peak_bytes.unwrap_or(0));
+        (ranks.count() > 1).then(|| RanksReport { count: ranks.count(), bytes_sent, peak_bytes: peaks() })
+    }
 }
 
 /// The scene and its patches.
@@ -276,6 +300,7 @@ impl SolveReport {
             rounds: Vec::new(),
             seconds: Seconds::default(),
             peak_bytes: None,
+            ranks: None,
             options,
         }
     }
@@ -314,6 +339,7 @@ impl SolveReport {
             rounds: Vec::new(),
             seconds: Seconds::default(),
             peak_bytes: None,
+            ranks: None,
             options,
         }
     }

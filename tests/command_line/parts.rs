@@ -144,4 +144,7 @@ fn wrong_parts_are_refused_with_their_names() {
     fs::write(here.path("part-1"), first).unwrap();
     cast(&here, 2, 3, "");
     assert!(here.read("part-2").len() >= whole.len());
+    // A file that another process is just making.
+    fs::write(here.path("part-4"), "").unwrap();
+    assert!(solved(&here, "--checkpoint part-*") == truth);
 }

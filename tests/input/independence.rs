@@ -7,14 +7,16 @@ use std::{
 };
 
 /// Items at the root of the crate that every module may use.
-const COMMON: [&str; 7] = ["Error", "MeshError", "Setting", "Result", "Progress", "Quality", "Scene"];
+const COMMON: [&str; 9] =
+    ["Error", "MeshError", "Setting", "Result", "Progress", "Quality", "Scene", "Connection", "Ranks"];
 
 /// Each module, the modules it may use, and the modules that its tests may use in addition.
-const LAYERS: [(&str, &[&str], &[&str]); 22] = [
+const LAYERS: [(&str, &[&str], &[&str]); 23] = [
     ("setters", &[], &[]),
     ("error", &[], &[]),
     ("progress", &[], &[]),
     ("quality", &[], &[]),
+    ("ranks", &[], &[]),
     ("tone", &[], &[]),
     ("parallel", &[], &[]),
     ("slopes", &[], &[]),
@@ -23,7 +25,7 @@ const LAYERS: [(&str, &[&str], &[&str]); 22] = [
     ("trace", &["scene"], &[]),
     ("patch", &["scene"], &["trace"]),
     ("direct", &["exact", "parallel", "slopes", "scene", "trace", "patch"], &[]),
-    ("form_factor", &["exact", "parallel", "slopes", "scene", "trace", "patch", "direct"], &[]),
+    ("form_factor", &["ranks", "exact", "parallel", "slopes", "scene", "trace", "patch", "direct"], &[]),
     ("view_factor", &["scene", "trace", "patch", "form_factor"], &[]),
     ("solve", &["slopes", "scene", "trace", "patch", "form_factor"], &[]),
     ("daylight", &["scene", "trace", "patch", "direct", "form_factor"], &[]),
@@ -221,7 +223,7 @@ fn no_module_is_forgotten() {
     for line in root.lines().filter_map(|line| line.strip_prefix("pub use ")).filter(|line| *line != "glam;")
     {
         let (from, names) = line.split_once("::").unwrap();
-        assert!(["error", "progress", "quality", "scene"].contains(&from), "{line}");
+        assert!(["error", "progress", "quality", "ranks", "scene"].contains(&from), "{line}");
         let names = names.trim_matches(['{', '}', ';']);
         assert!(names.split(", ").all(|name| COMMON.contains(&name)), "{line}");
     }

@@ -146,6 +146,11 @@ impl Checkpoint {
             let size = file.metadata().map_err(failed)?.len();
             let mut start = Vec::with_capacity(HEADER);
             (&file).take(HEADER as u64).read_to_end(&mut start).map_err(failed)?;
+            // Another process is making the file, or was killed while it did.
+            if start.len() < HEADER && wanted.starts_with(&start) {
+                parts.push(part);
+                continue;
+            }
             parts.push(check_header(path, &start, &wanted)?);
             store.files.push((path.clone(), file));
             let end = store.load(store.files.len() - 1, size)?;

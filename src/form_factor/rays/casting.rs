@@ -86,7 +86,8 @@ impl RaySet {
         seed: u64,
         progress: &Progress,
     ) -> Result<()> {
-        let RaySet { offsets, targets, checkpoint, .. } = self;
+        let RaySet { offsets, targets, checkpoint, ranks, .. } = self;
+        let ranks = *ranks;
         let checkpoint = checkpoint.as_ref();
         let is_shared = checkpoint.is_some_and(|section| section.shares_out(new, targets.len() as u64));
         let names = Names::new(patches);
@@ -98,8 +99,14 @@ impl RaySet {
             blocks.push((start..end, block));
             rest = tail;
         }
+        let owner = |i: usize| ranks.of_turn((i - first) / BLOCK);
         blocks.into_par_iter().try_for_each(|(range, mut rest)| {
             let mut record = Record::default();
+            if owner(range.start) != ranks.rank() {
+                range
+                    .for_each(|i| progress.advance((offsets[i + 1] - offsets[i]) as u64 - u64::from(old[i])));
+                return Ok(());
+            }
             for i in range {
                 progress.check()?;
                 let (own, tail) = rest.split_at_mut(offsets[i + 1] - offsets[i]);
@@ -125,7 +132,10 @@ impl RaySet {
                 progress.advance(u64::from(all - old[i]));
             }
             checkpoint.map_or(Ok(()), |checkpoint| checkpoint.write(record))
-        })
+        })?;
+        let new = |i: usize| (offsets[i] + old[i] as usize..offsets[i + 1], owner(i));
+        ranks.share(targets.as_chunks_mut::<1>().0, (first..patches.len()).map(new));
+        Ok(())
     }
 
     /// Replaces the [`BACK`] marks by the patches of these backs, and counts hits on backs.

@@ -159,12 +159,17 @@ impl Samples {
         let counted = Counted::new(self, radiosity, which);
         let blocks = counted.blocks;
         let of_block = |sums: &mut Vec<Sums<C>>, block: usize| {
+            if !blocks.owns(block) {
+                return vec![[[0.0; REPLICATES]; C]; blocks.range(block).len()];
+            }
             counted.sum(block, sums);
             blocks.range(block).zip(&*sums).map(|(i, sums)| self.deviation(i, sums)).collect::<Vec<_>>()
         };
-        let blocks: Vec<_> =
+        let of_blocks: Vec<_> =
             (0..blocks.count()).into_par_iter().with_max_len(1).map_init(Vec::new, of_block).collect();
-        blocks.concat()
+        let mut deviations = of_blocks.concat();
+        blocks.share(&mut deviations);
+        deviations
     }
 
     /// Deviations of the replicates of patch `i` from their mean. As in the matrix, the row is scaled so that it sums

@@ -101,6 +101,7 @@ pub(super) struct Counted<'a, const C: usize> {
 impl<'a, const C: usize> Counted<'a, C> {
     pub(super) fn new(samples: &'a Samples, radiosity: &[[f32; C]], which: WhichRays) -> Self {
         let blocks = Blocks::of_rows(samples.areas.len(), LEAST_ROWS, MOST_ROWS);
+        let blocks = blocks.among(samples.options.ranks);
         let pooled = samples.options.estimator == Estimator::Pooled;
         let density = |i: usize| (f64::from(samples.rays.rays_of(i)) / samples.areas[i]) as f32;
         let seen = |(i, &radiosity)| Seen { radiosity, density: density(i) };
