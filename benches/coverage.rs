@@ -1,7 +1,6 @@
-//! Coverage of the standard errors of view factors: `cargo bench --bench coverage`. For twelve scenes with occlusion it
-//! counts how often the true value of a pair above 1e-4 is within 1.96 standard errors, over 25 seeds. The true value
-//! is the mean of 75 other seeds: estimates have no bias (tests/light/view_factors.rs), and this mean has about a ninth
-//! of the standard error of one seed.
+//! Coverage of the standard errors of view factors: `cargo bench --bench coverage -- [SEEDS]`, by default 25. For twelve
+//! scenes with occlusion it counts how often the true value of a pair above 1e-4 is within 1.96 standard errors. The
+//! true value comes from a run with a twentieth of the error: estimates have no bias (tests/light/view_factors.rs).
 
 use glam::{DQuat, DVec3, dvec3};
 use radiosity::{
@@ -10,42 +9,64 @@ use radiosity::{
 };
 
 const SEEDS: u64 = 25;
-const OTHERS: u64 = 75;
+/// Error of the true values, as a share of the wanted error.
+const TRUTH: f64 = 0.05;
 
 type Polygons = Vec<Vec<DVec3>>;
 
 fn main() {
-    println!("| scene | error | pairs | estimated / actual | in 95 % intervals |");
-    println!("|---|---|---|---|---|");
+    let seeds = std::env::args().filter_map(|a| a.parse().ok()).next().unwrap_or(SEEDS);
+    println!("| scene | error | pairs | estimated / actual | in 95 % intervals | least | most | rays |");
+    println!("|---|---|---|---|---|---|---|---|");
+    let (mut all, mut inside) = (0, 0);
     for (name, polygons, error) in scenes() {
-        let run = |seed: u64| {
+        let run = |seed: u64, error: f64| {
             let options = ViewFactorOptions::default().with_error(error).with_enclosed(false).with_seed(seed);
             view_factors(&polygons, &options, &Progress::new()).expect("the run is not stopped")
         };
-        let found: Vec<ViewFactors> = (0..SEEDS + OTHERS).map(run).collect();
-        let (own, others) = found.split_at(SEEDS as usize);
-        let (mut inside, mut all, mut pairs, mut estimated, mut actual) = (0u64, 0u64, 0, 0.0, 0.0);
+        let found: Vec<ViewFactors> = (1..=seeds).map(|seed| run(seed, error)).collect();
+        let truth = run(0, TRUTH * error);
+        let (mut shares, mut estimated, mut actual) = (Vec::new(), 0.0, 0.0);
         for (i, j) in (0..polygons.len()).flat_map(|i| (0..i).map(move |j| (i, j))) {
-            let values: Vec<f64> = others.iter().map(|f| f.get(i, j)).collect();
-            let mean = values.iter().sum::<f64>() / OTHERS as f64;
-            let spread =
-                values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (OTHERS * (OTHERS - 1)) as f64;
-            // Unblocked pairs are not sampled.
-            if mean < 1e-4 || spread.sqrt() < 1e-5 * mean {
+            let (mean, spread) = (truth.get(i, j), truth.standard_error(i, j).powi(2));
+            // Pairs without anything between are not sampled: they are equal for all seeds.
+            if mean < 1e-4 || found.iter().all(|one| one.get(i, j) == found[0].get(i, j)) {
                 continue;
             }
-            pairs += 1;
-            for one in own {
-                let (off, error) = (one.get(i, j) - mean, one.standard_error(i, j));
-                all += 1;
-                inside += u64::from(off.abs() < 1.96 * (error * error + spread).sqrt());
-                estimated += error * error;
-                actual += off * off - spread;
+            let off = |one: &ViewFactors| one.get(i, j) - mean;
+            let is_inside = |one: &&ViewFactors| {
+                off(one).abs() < 1.96 * (one.standard_error(i, j).powi(2) + spread).sqrt()
+            };
+            shares.push(found.iter().filter(is_inside).count());
+            if std::env::var_os("PAIRS").is_some() {
+                let rms = |f: &dyn Fn(&ViewFactors) -> f64| {
+                    (found.iter().map(|one| f(one).powi(2)).sum::<f64>() / seeds as f64).sqrt()
+                };
+                println!(
+                    "{i} {j}: {mean:.3e}, true to {:.1e}, off {:.1e}, estimated {:.1e}, inside {}",
+                    spread.sqrt(),
+                    rms(&off),
+                    rms(&|one| one.standard_error(i, j)),
+                    shares[shares.len() - 1]
+                );
             }
+            estimated += found.iter().map(|one| one.standard_error(i, j).powi(2)).sum::<f64>();
+            actual += found.iter().map(|one| off(one).powi(2) - spread).sum::<f64>();
         }
-        let share = 100.0 * inside as f64 / all as f64;
-        println!("| {name} | {error:.0e} | {pairs} | {:.2} | {share:.1} % |", (estimated / actual).sqrt());
+        let percent = |count: usize| 100.0 * count as f64 / seeds as f64;
+        let sum: usize = shares.iter().sum();
+        (all, inside) = (all + shares.len(), inside + sum);
+        println!(
+            "| {name} | {error:.0e} | {} | {:.2} | {:.1} % | {:.1} % | {:.1} % | {} |",
+            shares.len(),
+            (estimated / actual).sqrt(),
+            percent(sum) / shares.len() as f64,
+            percent(*shares.iter().min().unwrap_or(&0)),
+            percent(*shares.iter().max().unwrap_or(&0)),
+            found[0].rays
+        );
     }
+    println!("| all | | {all} | | {:.1} % | | | |", 100.0 * inside as f64 / (all as u64 * seeds) as f64);
 }
 
 fn rectangle(origin: DVec3, a: DVec3, b: DVec3) -> Vec<DVec3> {

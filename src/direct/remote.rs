@@ -10,9 +10,6 @@ use crate::{
 
 /// Length of a shadow ray to a distant light, in unit space: it leaves the scene from any point.
 const FAR_AWAY: f32 = 4.0;
-/// A shadow ray to a point light ends this far before it, in unit space, so that the surface it is mounted on does not
-/// hide it.
-const MOUNTED: f32 = 1e-5;
 /// A triangle is cut for integrating intensity if it subtends more than this solid angle.
 const WIDE: f64 = 0.1;
 /// It is also cut if halving its edges changes the integral by more than this share.
@@ -32,6 +29,8 @@ pub(super) enum Remote {
         at: DVec3,
         distribution: Distribution,
         area: Option<Area>,
+        /// Shadow rays end this far before the light ([`Tracer::mounted`]).
+        short: f32,
         /// Ratio of areas in the file's unit to those in unit space.
         unit: f64,
     },
@@ -43,6 +42,7 @@ impl Remote {
             LightKind::Distant(distant) => Remote::Distant(*distant),
             LightKind::Point(point) => Remote::Point {
                 at: tracer.to_unit_exactly(point.position),
+                short: tracer.mounted(point.position),
                 distribution: point.distribution.clone(),
                 area: point.area.map(|area| Area {
                     first: area.first / tracer.scale(),
@@ -59,7 +59,7 @@ impl Remote {
         match self {
             Remote::Distant(distant) => distant.unblocked(patch.normal),
             Remote::Cell(cell) => cell.unblocked(patch.normal),
-            Remote::Point { at, distribution, area: shining, unit } => {
+            Remote::Point { at, distribution, area: shining, unit, .. } => {
                 let from = |at: DVec3| match (at - patch.corners[0]).dot(patch.normal) > 0.0 {
                     true => flux(distribution, at, patch.corners, 0),
                     false => 0.0,
@@ -110,7 +110,7 @@ impl Remote {
                 let weight = cos * cell.solid_angle();
                 (cos > 0.0).then(|| (p, p + direction.as_vec3a() * FAR_AWAY, weight))
             }
-            Remote::Point { at, distribution, area: shining, unit } => {
+            Remote::Point { at, distribution, area: shining, short, unit } => {
                 let at = *at + shining.map_or(DVec3::ZERO, |area| area.sample([u, v].map(f64::from)));
                 let at = &at;
                 let corners = from.corners.map(|corner| corner.as_dvec3());
@@ -132,7 +132,7 @@ impl Remote {
                     (p, distribution.towards(path / distance) * -path.dot(normal) / (squared * distance))
                 };
                 let (p, to) = (p.as_vec3a(), at.as_vec3a());
-                Some((p, to + (p - to).normalize_or_zero() * MOUNTED, weight / unit))
+                Some((p, to + (p - to).normalize_or_zero() * *short, weight / unit))
             }
         }
     }
@@ -144,7 +144,7 @@ impl Remote {
                 d.direction.to_array().into_iter().chain([d.radius]).map(f64::to_bits).collect()
             }
             Remote::Cell(cell) => cell.words(),
-            Remote::Point { at, distribution, area, unit } => {
+            Remote::Point { at, distribution, area, unit, .. } => {
                 let axes = area.map(|area| [area.first, area.second, DVec3::splat(f64::from(area.round))]);
                 let vectors = axes.iter().flatten().chain([at]).flat_map(|v| v.to_array());
                 let numbers = vectors.chain([*unit]).chain(distribution.numbers());
@@ -203,6 +203,7 @@ mod tests {
                     at: dvec3(0.1, 0.2, height),
                     distribution: distribution.clone(),
                     area: None,
+                    short: 1e-6,
                     unit: 4.0,
                 };
                 let corners = [DVec3::ZERO, dvec3(size, 0.0, 0.0), dvec3(0.0, size, 0.0)];
@@ -215,7 +216,7 @@ mod tests {
                 let mut mean = 0.0;
                 for (i, j) in (0..count).flat_map(|i| (0..count).map(move |j| (i, j))) {
                     let (_, to, weight) = light.sample(&from, [cell(i), cell(j), 0.5, 0.5]).unwrap();
-                    assert!((to - Vec3A::new(0.1, 0.2, height as f32)).length() < 2.0 * MOUNTED);
+                    assert!((to - Vec3A::new(0.1, 0.2, height as f32)).length() < 2e-6);
                     mean += weight / (count * count) as f64;
                 }
                 let wanted = light.unblocked(&Facing { corners, normal: DVec3::Z });

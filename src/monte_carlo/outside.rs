@@ -15,9 +15,6 @@ use crate::{
 
 /// Length of a shadow ray to a distant light, in unit space. It leaves the scene from any point in it.
 const FAR_AWAY: f32 = 4.0;
-/// A shadow ray to a point light ends this far before the light, in unit space, so that the surface on which the light
-/// is mounted does not hide it.
-const MOUNTED: f32 = 1e-5;
 /// Share of the shadow rays that sample the image of the sky if there are other lights too.
 const OF_IMAGE: f64 = 0.5;
 /// The power of the sky, by which particles are distributed, is summed over a grid of this many directions per
@@ -31,6 +28,8 @@ struct Point {
     intensity: DVec3,
     distribution: Distribution,
     area: Option<Area>,
+    /// Shadow rays end this far before the light ([`Tracer::mounted`]).
+    short: f32,
 }
 
 impl Point {
@@ -94,6 +93,7 @@ impl Outside {
                             second: area.second / tracer.scale(),
                             ..area
                         }),
+                        short: tracer.mounted(*position),
                     });
                 }
             }
@@ -271,7 +271,7 @@ impl Outside {
             let squared = f64::from(path.length_squared());
             let towards = point.distribution.towards((path / squared.sqrt() as f32).as_dvec3().normalize());
             return Some(Look {
-                target: at + path.normalize_or_zero() * MOUNTED,
+                target: at + path.normalize_or_zero() * point.short,
                 light: point.intensity * (towards / (squared * self.scale * self.scale * probability)),
                 density: f64::INFINITY,
             });

@@ -80,6 +80,18 @@ impl Side {
 const PRINTED: f64 = 4e-6;
 
 impl Tracer {
+    /// How far before a light at a point of the file shadow rays end, in unit space, so that the surface on which the light is mounted
+    /// does not hide it: by the rounding of printed and of unit-space coordinates.
+    pub(crate) fn mounted(&self, point: DVec3) -> f32 {
+        let reach = self.to_unit(point).abs().max(Vec3A::splat(self.space.least as f32));
+        self.printed(point) + CLEARANCE * reach.length()
+    }
+
+    /// The rounding of printed coordinates of a point of the file, in unit space.
+    fn printed(&self, point: DVec3) -> f32 {
+        (PRINTED * (point.abs().max_element() / self.scale()).min(1.0)) as f32
+    }
+
     /// Places a sensor, given by a point of the file and a normal, in unit space. The point need not lie on a surface. If it lies on a
     /// surface up to the rounding of printed coordinates, it is moved onto the surface, because just below it would be dark.
     ///
@@ -88,7 +100,7 @@ impl Tracer {
     pub fn place(&self, point: DVec3, normal: DVec3) -> (Vec3A, Side) {
         let normal = direction(normal).expect("a normal has a direction").as_vec3a();
         let at = self.to_unit(point);
-        let near = (PRINTED * (point.abs().max_element() / self.scale()).min(1.0)) as f32;
+        let near = self.printed(point);
         let surface = |hit: &Hit| self.triangles()[hit.triangle as usize].side(hit.front);
         let is_near = |hit: &Hit, distance: f32| distance <= near.max(surface(hit).clearance());
         let above = self.closest(at, normal).filter(|hit| is_near(hit, hit.t));

@@ -7,10 +7,14 @@ use std::{cell::Cell, collections::HashMap};
 
 use glam::DVec3;
 
-use super::{polygon::Polygon, shaft::Shaft};
+use super::{
+    join::{STRAIGHT, Shape, join},
+    polygon::Polygon,
+    shaft::Shaft,
+};
 
 /// A point this close to a plane, in unit space, lies in it: some roundings of coordinates up to 1.
-const IN_PLANE: f64 = 1e-14;
+pub(super) const IN_PLANE: f64 = 1e-14;
 
 /// Most blockers of a leaf.
 const LEAF: usize = 4;
@@ -23,7 +27,7 @@ pub(super) struct Blocker {
     duals: [DVec3; 2],
     pub(super) corners: [DVec3; 4],
     triangle: bool,
-    /// The name of its polygons. Polygons with the same corners share a name, whichever way they face.
+    /// The name of its polygons. Polygons with the same corners share a name, whichever way they face, and so do joined polygons.
     name: u32,
 }
 
@@ -84,28 +88,20 @@ struct Node {
     axis: usize,
 }
 
-/// All blockers.
-pub(super) struct Blockers {
-    nodes: Vec<Node>,
-    list: Vec<Blocker>,
-    /// For each given polygon, the name of the blockers at its place.
+/// The places of polygons, before they become blockers: one for all polygons with the same corners.
+struct Places {
     names: Vec<u32>,
-    /// For each name, the first polygon with its corners that faces like the blocker, and the first that faces the
-    /// other way.
+    shapes: Vec<Shape>,
     sides: Vec<[Option<u32>; 2]>,
-    /// For each name, all polygons with its corners.
     sources: Vec<Vec<u32>>,
 }
 
-impl Blockers {
-    /// Builds the hierarchy from whole polygons, in the order of their `source`, and from obstacles, which have no
-    /// visible side.
-    pub(super) fn new(polygons: &[Polygon], obstacles: &[Polygon]) -> Blockers {
+impl Places {
+    fn new(polygons: &[Polygon], obstacles: &[Polygon]) -> Places {
         let mut known: HashMap<Vec<[u64; 3]>, u32> = HashMap::new();
-        let (mut list, mut names, mut sides): (Vec<Blocker>, Vec<u32>, Vec<[Option<u32>; 2]>) =
-            Default::default();
-        let mut normals: Vec<DVec3> = Vec::new();
-        let mut sources: Vec<Vec<u32>> = Vec::new();
+        let mut places =
+            Places { names: Vec::new(), shapes: Vec::new(), sides: Vec::new(), sources: Vec::new() };
+        let Places { names, shapes, sides, sources } = &mut places;
         for (polygon, is_seen) in
             polygons.iter().map(|p| (p, true)).chain(obstacles.iter().map(|p| (p, false)))
         {
@@ -115,28 +111,87 @@ impl Blockers {
             if name == next {
                 sides.push([None; 2]);
                 sources.push(Vec::new());
-                normals.push(polygon.normal);
-                let corners = &polygon.corners;
-                if is_parallelogram(corners) {
-                    list.push(Blocker::new(corners, false, name));
-                } else {
-                    let triangles = (2..corners.len()).map(|k| [corners[0], corners[k - 1], corners[k]]);
-                    list.extend(triangles.map(|t| Blocker::new(&t, true, name)));
-                }
+                let (corners, normal) = (polygon.corners.clone(), polygon.normal);
+                shapes.push(Shape { corners, normal, kind: 0, members: vec![name] });
             }
             if !is_seen {
                 continue;
             }
             sources[name as usize].push(polygon.source);
-            let turned = polygon.normal.dot(normals[name as usize]) < 0.0;
+            let turned = polygon.normal.dot(shapes[name as usize].normal) < 0.0;
             sides[name as usize][usize::from(turned)].get_or_insert(polygon.source);
+        }
+        places
+    }
+
+    /// Joins places in one plane that are seen from one side, and obstacles. Sheets with two sides stay as they are.
+    fn joined(mut self) -> Places {
+        for (shape, sides) in self.shapes.iter_mut().zip(&self.sides) {
+            shape.kind = sides.iter().flatten().count() as u32;
+        }
+        let (sheets, others) = self.shapes.into_iter().partition(|shape| shape.kind == 2);
+        let mut shapes = join(others);
+        shapes.extend::<Vec<Shape>>(sheets);
+        let mut new = vec![0; self.sides.len()];
+        let mut sources = vec![Vec::new(); shapes.len()];
+        for (name, shape) in shapes.iter().enumerate() {
+            for &member in &shape.members {
+                new[member as usize] = name as u32;
+                sources[name].append(&mut self.sources[member as usize]);
+            }
+        }
+        let sides = shapes.iter().map(|shape| self.sides[shape.members[0] as usize]).collect();
+        let names = self.names.iter().map(|&name| new[name as usize]).collect();
+        Places { names, shapes, sides, sources }
+    }
+}
+
+/// All blockers.
+pub(super) struct Blockers {
+    nodes: Vec<Node>,
+    list: Vec<Blocker>,
+    /// For each given polygon, the name of its blockers.
+    names: Vec<u32>,
+    /// For each name, the first of its polygons that faces like the blocker, and the first that faces the other way.
+    sides: Vec<[Option<u32>; 2]>,
+    /// For each name, its polygons.
+    sources: Vec<Vec<u32>>,
+}
+
+impl Blockers {
+    /// Builds the hierarchy from whole polygons, in the order of their `source`, and from obstacles, which have no
+    /// visible side.
+    pub(super) fn new(polygons: &[Polygon], obstacles: &[Polygon]) -> Blockers {
+        Blockers::of(Places::new(polygons, obstacles))
+    }
+
+    /// The same with adjoining polygons joined that lie in one plane and face the same way. There, polygons with the
+    /// same corners are not found by [`Blockers::reverse`] any more.
+    pub(super) fn joined(polygons: &[Polygon], obstacles: &[Polygon]) -> Blockers {
+        Blockers::of(Places::new(polygons, obstacles).joined())
+    }
+
+    fn of(Places { names, shapes, sides, sources }: Places) -> Blockers {
+        let mut list = Vec::new();
+        for (name, Shape { corners, .. }) in (0..).zip(&shapes) {
+            if is_parallelogram(corners) {
+                list.push(Blocker::new(corners, false, name));
+            } else {
+                let triangles = (2..corners.len()).map(|k| [corners[0], corners[k - 1], corners[k]]);
+                // Three corners may be in line.
+                let has_area = |t: &[DVec3; 3]| {
+                    let (e, f) = (t[1] - t[0], t[2] - t[0]);
+                    e.cross(f).length() > STRAIGHT * e.length() * f.length()
+                };
+                list.extend(triangles.filter(has_area).map(|t| Blocker::new(&t, true, name)));
+            }
         }
         let mut nodes = Vec::new();
         build(&mut list, 0, &mut nodes);
         Blockers { nodes, list, names, sides, sources }
     }
 
-    /// The name of the blockers at the place of a polygon.
+    /// The name of a polygon's blockers.
     pub(super) fn name(&self, source: u32) -> u32 {
         self.names[source as usize]
     }
@@ -169,9 +224,17 @@ impl Blockers {
         )
     }
 
-    /// Whether none of these blockers is between two points.
-    pub(super) fn free_of(&self, some: &[u32], from: DVec3, to: DVec3) -> bool {
-        !some.iter().any(|&b| self.list[b as usize].blocks(from, to))
+    /// Whether a blocker is between all points of two convex polygons. It is if it is between all of their corners: where a path
+    /// crosses its plane is a mean, with positive weights, of the points where the paths between corners do.
+    pub(super) fn hides(&self, blocker: u32, p: &[DVec3], q: &[DVec3]) -> bool {
+        let blocker = &self.list[blocker as usize];
+        p.iter().all(|&from| q.iter().all(|&to| blocker.blocks(from, to)))
+    }
+
+    /// Corners and normal of a blocker.
+    pub(super) fn outline(&self, blocker: u32) -> (&[DVec3], DVec3) {
+        let blocker = &self.list[blocker as usize];
+        (blocker.corners(), blocker.normal)
     }
 
     /// Whether the first blocker that a ray meets, except those of one name, shows a front. A front at the same place

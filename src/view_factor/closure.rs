@@ -21,6 +21,9 @@ const FEW: usize = 400;
 
 /// Changes the sums of the given rows to `targets`, and updates the standard errors.
 pub(super) fn close(cells: &mut [Vec<Cell>], targets: &[f64], rows: &[bool]) {
+    if !rows.contains(&true) {
+        return;
+    }
     let n = targets.len();
     let mut variances: Vec<Vec<f64>> =
         cells.iter().map(|row| row.iter().map(|cell| cell.error().powi(2)).collect()).collect();

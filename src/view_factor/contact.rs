@@ -17,7 +17,8 @@ use crate::{form_factor::exact::clip, trace::sampling::mix};
 /// Largest gap between two touching fronts, in the extent of the scene and in radii of the smaller polygon. It allows
 /// for rounding; a wider gap is a real gap.
 const GAP: (f64, f64) = (1e-7, 1e-5);
-/// Depth to which a polygon may be sunk into the one that it lies on, because files round to six digits.
+/// Depth to which a polygon may be sunk into the one that it lies on, because files round to six digits. If their planes cross, so that
+/// there is no gap, other corners may be as high above it.
 const SUNK: (f64, f64) = (5e-6, 1e-3);
 /// Largest difference between the normals of polygons in one plane.
 const TURNED: f64 = 1e-4;
@@ -103,8 +104,11 @@ fn overlaps_of<'a>(
         let (gap, sunk) = (limit(GAP), limit(if opposed { SUNK } else { GAP }));
         // Heights of the smaller polygon above the plane of the larger one, which has the more exact normal.
         let (plane, other) = if p.radius >= q.radius { (p, q) } else { (q, p) };
-        let mut heights = other.corners.iter().map(|&v| plane.height(v));
-        if !heights.all(|h| h <= gap && h >= -sunk) {
+        let heights = other.corners.iter().map(|&v| plane.height(v));
+        let (least, most) =
+            heights.fold((0.0, 0.0), |(least, most): (f64, f64), h| (least.min(h), most.max(h)));
+        let is_crossing = least < 0.0 && most > 0.0 && most.max(-least) <= limit(SUNK);
+        if !is_crossing && (most > gap || least < -sunk) {
             return None;
         }
         let (_, overlap) = without(vec![other.corners.clone()], other, plane);

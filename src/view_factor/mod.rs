@@ -15,10 +15,12 @@ mod closure;
 mod contact;
 mod enclosure;
 mod estimate;
+mod join;
 mod lost;
 mod paths;
 mod polygon;
 mod rows;
+mod shadows;
 mod shaft;
 
 use glam::DVec3;
@@ -26,7 +28,7 @@ use glam::DVec3;
 use self::{
     blockers::Blockers,
     contact::{Parts, separate},
-    polygon::in_unit_space,
+    polygon::{Polygon, in_unit_space},
     rows::Cell,
 };
 use crate::{Error, Progress, Result, form_factor::BeforeAfter};
@@ -206,8 +208,8 @@ pub fn view_factors(
 pub fn look(surfaces: &[impl AsRef<[Vec<DVec3>]>], obstacles: &[Vec<DVec3>], up: DVec3) -> Vec<Sight> {
     let surfaces = &slices(surfaces);
     let (polygons, hindrances, _) = in_unit_space(surfaces, obstacles);
-    let blockers = Blockers::new(&polygons, &hindrances);
-    let Parts { pieces, .. } = separate(polygons, &blockers);
+    let (places, blockers) = blockers(&polygons, &hindrances);
+    let Parts { pieces, .. } = separate(polygons, &places);
     let mut seen = vec![Sight::default(); surfaces.len()];
     for (piece, sight) in pieces.iter().zip(lost::look(&pieces, &blockers, up)) {
         let sum = &mut seen[piece.surface as usize];
@@ -248,6 +250,11 @@ pub fn view_factors_among(
     among(&slices(surfaces), obstacles, options, progress)
 }
 
+/// The blockers at the place of each polygon, for looking for contacts, and joined ones, for rays.
+fn blockers(polygons: &[Polygon], obstacles: &[Polygon]) -> (Blockers, Blockers) {
+    (Blockers::new(polygons, obstacles), Blockers::joined(polygons, obstacles))
+}
+
 fn slices(surfaces: &[impl AsRef<[Vec<DVec3>]>]) -> Vec<&[Vec<DVec3>]> {
     surfaces.iter().map(AsRef::as_ref).collect()
 }
@@ -264,9 +271,10 @@ fn among(
     let (mut areas, mut hidden) = (vec![0.0; n], vec![0.0; n]);
     polygons.iter().for_each(|p| areas[p.surface as usize] += p.area);
     assert!(areas.iter().all(|&area| area > 0.0), "a surface has no polygon");
-    let blockers = Blockers::new(&polygons, &hindrances);
+    let (places, blockers) = blockers(&polygons, &hindrances);
     let owners: Vec<u32> = polygons.iter().map(|p| p.surface).collect();
-    let parts = separate(polygons, &blockers);
+    let parts = separate(polygons, &places);
+    drop(places);
     owners.iter().zip(&parts.hidden).for_each(|(&owner, area)| hidden[owner as usize] += area);
     areas.iter_mut().zip(&hidden).for_each(|(area, hidden)| *area = (*area - hidden).max(0.0));
     let mut found = rows::rows(&parts.pieces, &areas, &blockers, &parts.touching, options, progress)?;
