@@ -56,9 +56,18 @@ fn radiances(parts: SkyParts, up: Up, sky: &Sky, irradiance: f64) -> Vec<f64> {
     radiance
 }
 
-/// Sun and sky of an hour: the direction of the sun, its illuminance of a plane that faces it (lx), and the luminance
-/// of the sky's parts (cd/m²). `None` without light.
-fn hour_of(hour: &Hour, parts: SkyParts, up: Up) -> Option<(DVec3, f64, Vec<f64>)> {
+/// The light of an hour.
+struct Light {
+    /// Directions to the sun in the course of the hour.
+    suns: Vec<DVec3>,
+    /// Illuminance of a plane that faces the sun, lx.
+    direct: f64,
+    /// Luminance of the parts of the sky, cd/m².
+    luminance: Vec<f64>,
+}
+
+/// The light of an hour; `None` if there is none.
+fn light_of(hour: &Hour, parts: SkyParts, up: Up) -> Option<Light> {
     let (azimuth, altitude) = hour.sun?;
     if hour.is_missing || hour.direct + hour.diffuse <= 0.0 {
         return None;
@@ -71,7 +80,12 @@ fn hour_of(hour: &Hour, parts: SkyParts, up: Up) -> Option<(DVec3, f64, Vec<f64>
     let shape = SkyModel::AllWeather(perez, towards);
     let sky = Sky::relative(shape, up);
     let luminance = radiances(parts, up, &sky, hour.diffuse * diffuse);
-    Some((towards, hour.direct * direct, luminance))
+    let direction = |(azimuth, altitude): (f64, f64)| up.direction(azimuth, altitude);
+    let mut suns: Vec<DVec3> = hour.positions.iter().flatten().copied().map(direction).collect();
+    if suns.is_empty() {
+        suns.push(towards);
+    }
+    Some(Light { suns, direct: hour.direct * direct, luminance })
 }
 
 impl Year {
@@ -84,8 +98,8 @@ impl Year {
     }
 
     /// Computes the hours of a weather file. If `points` are given, which are the places of the coefficients, a ray to
-    /// the sun decides whether its direct light reaches each point. Otherwise the coefficients are those of patches,
-    /// and the light of the sun is added to its part of the sky.
+    /// each position of the sun decides whether its direct light reaches each point. Otherwise the coefficients are those
+    /// of patches, and the light of the sun is added to the parts of the sky where it stands.
     pub fn of(
         daylight: &Daylight<'_>,
         coefficients: &Coefficients,
@@ -95,19 +109,23 @@ impl Year {
     ) -> Year {
         let parts = coefficients.parts;
         let of_hour = |hour: &Hour| -> Vec<f32> {
-            let Some((towards, sun, mut luminance)) = hour_of(hour, parts, up) else {
+            let Some(Light { suns, direct, mut luminance }) = light_of(hour, parts, up) else {
                 return vec![0.0; coefficients.places];
             };
-            let part = parts.at(up, towards);
-            if let (None, Some(part)) = (points, part) {
-                luminance[part] += sun / parts.solid_angle(part);
+            let sun = direct / suns.len() as f64;
+            let suns: Vec<(DVec3, usize)> =
+                suns.into_iter().filter_map(|towards| Some((towards, parts.at(up, towards)?))).collect();
+            if points.is_none() {
+                suns.iter().for_each(|&(_, part)| luminance[part] += sun / parts.solid_angle(part));
             }
             let of_place = |i: usize| {
                 let mut light = coefficients.irradiance(i, &luminance);
-                if let (Some(points), Some(part)) = (points, part) {
+                for &(towards, part) in suns.iter().filter(|_| points.is_some()) {
                     light += sun * coefficients.of_sun(i, part);
-                    if daylight.sees(&points[i], towards) {
-                        light += sun * points[i].1.normalize().dot(towards);
+                    if let Some(point) = points.map(|points| &points[i])
+                        && daylight.sees(point, towards)
+                    {
+                        light += sun * point.1.normalize().dot(towards);
                     }
                 }
                 light as f32

@@ -90,6 +90,39 @@ fn coefficients_sum_to_the_solution() {
     assert!((difference / size).sqrt() < 0.02, "{}", (difference / size).sqrt());
 }
 
+/// A wall that the sun goes behind at half past twelve lets in the direct light of the first half of the hour from noon to
+/// one: two of its four positions of the sun. There is no other light.
+#[test]
+fn the_sun_of_an_hour_moves() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("made.epw");
+    let text = String::from("LOCATION,Munich,-,DEU,made,108660,48.1,11.6,1.0,520\n")
+        + &"HEADER,0\n".repeat(7)
+        + "2026,6,21,13,60,?9,20,10,50,95000,0,0,300,500,700,0,0,0\n";
+    std::fs::write(&path, text).unwrap();
+    let weather = Weather::load(&path).unwrap();
+    let hour = weather.hours[0];
+    let (azimuth, altitude) = hour.sun.unwrap();
+    let [from, to] = [0.0, 1.4].map(|more| Up::Z.direction(azimuth + more, 0.0));
+    let wall = scene(&[
+        part(level_square(0.1, 0.0, true), 0.0, 0.0),
+        part(rectangle(from, to - from, 10.0 * DVec3::Z), 0.0, 0.0),
+    ]);
+    let tracer = Tracer::new(&wall);
+    let patches = Patches::subdivide(&wall, &Subdivision::Count(4));
+    let daylight = Daylight::new(&wall, &tracer, patches, &options(), &Progress::new()).unwrap();
+    let points = [(DVec3::ZERO, DVec3::Z)];
+    let found = daylight.of_points(&points, &Progress::new()).unwrap();
+    let year = Year::of(&daylight, &found, Some(&points), &weather, Up::Z);
+    let outside = radiosity::scene::light::SOLAR_CONSTANT * hour.eccentricity;
+    let [efficacy, _] =
+        radiosity::scene::light::luminous_efficacy([700.0, 0.0], altitude, outside, hour.dew_point);
+    let sines = hour.positions[..2].iter().map(|position| position.unwrap().1.sin()).sum::<f64>();
+    let wanted = 700.0 * efficacy * sines / 4.0;
+    let e = f64::from(year.illuminance[0]);
+    assert!((e / wanted - 1.0).abs() < 1e-5, "{e} for {wanted}");
+}
+
 /// Hours of a weather file over an open floor: the illuminance is direct sunlight times the sine of the altitude plus
 /// diffuse light, each times its luminous efficacy. The tolerance of 1 % covers the rays to the sky.
 #[test]

@@ -34,7 +34,7 @@ pub use place::{Moment, Place};
 pub use point::{Area, Distribution, PointLight};
 pub use sky::{Sky, SkyModel};
 pub use units::{LUMINOUS_EFFICACY, UnitNames, Units};
-pub use weather::{Hour, Weather};
+pub use weather::{Hour, POSITIONS, Weather};
 pub use web::Web;
 
 /// The axis that points up. It defines the frame of azimuths and altitudes.

