@@ -7,8 +7,8 @@
 //!
 //! where U is the radiosity that form factors carry: all light except the emission of lamps. The first term comes from
 //! shadow rays. The second comes from the hemisphere rays of the replicate, including their closure. These two are
-//! independent. The third term is the error that a patch inherits through the light of other patches. It is summed as a
-//! Neumann series.
+//! independent. The third term is the error that a patch inherits through the light of other patches, over all bounces
+//! ([`reflected`]).
 //!
 //! If the K replicates were independent, the standard error of their mean would be sqrt(Σ dE_k² / (K (K - 1))). But
 //! they are parts of one stratified sequence, so their mean has a smaller error. The gain differs between patches; see
@@ -19,8 +19,9 @@ use rayon::prelude::*;
 use crate::{
     direct::{Deviation, DirectLight},
     form_factor::{
-        FormFactors, magnitude, ordered_sum,
+        Estimator, FormFactors, magnitude, ordered_sum,
         rays::REPLICATES,
+        regions::Regions,
         siblings::with_mean,
         stratification::{half_differences, variance_of_all, variance_of_nets},
         together,
@@ -28,10 +29,17 @@ use crate::{
     solve::{Radiometry, Solution},
 };
 
-/// Largest number of terms of a Neumann series. Error bars need a relative accuracy of a few percent only.
+/// Largest number of bounces of deviations.
 const MOST_BOUNCES: usize = 40;
-/// A series ends when a term changes the root mean square of the deviations by less than this share.
-const ENOUGH: f64 = 0.01;
+/// Bounces end when all further ones together change the light by less than this share, in the root mean square. They
+/// are added as a geometric series, so that the remaining error is a fraction of this share.
+const ENOUGH: f64 = 0.05;
+/// The largest ratio of two bounces that the geometric series assumes.
+const SLOWEST: f64 = 0.98;
+/// Number of patches that show the ratio of two bounces.
+const SAMPLE: usize = 4096;
+/// The least share of light that is lost in the mean. Below it, single precision does not resolve the loss.
+const LEAST_LOSS: f64 = 1e-6;
 
 /// In the first model, the variance of the mean of a run of rays falls with one power of the run's length. The smallest
 /// and largest allowed power are those of independent rays, and of scrambled nets with smooth integrands (Owen,
@@ -58,9 +66,6 @@ const PRIOR: f64 = 16.0;
 
 /// Least share of its own variance that a patch keeps if its inherited error compensates its own error.
 const LEAST_LEFT: f64 = 0.25;
-
-/// Least share of light lost at a bounce, in the first guess of the importance.
-const LEAST_LOSS: f64 = 1e-2;
 
 /// Number of lengths of runs: 1, 2, 4, ... replicates.
 const LEVELS: usize = REPLICATES.ilog2() as usize;
@@ -120,7 +125,9 @@ impl ErrorBars {
         radiometry: Radiometry<'_>,
         solution: &Solution,
     ) -> Option<ErrorBars> {
-        let reflectance: &[[f64; C]] = radiometry.reflectance.as_chunks().0;
+        let single = |rho: &[f64; C]| rho.map(|rho| rho as f32);
+        let reflectance: Vec<[f32; C]> = radiometry.reflectance.as_chunks().0.iter().map(single).collect();
+        let reflectance = &reflectance[..];
         let unit = magnitude(&solution.radiosity);
         // Divided by `unit`, the values fit single precision.
         let scaled = |b: &[f64; C]| b.map(|b| b / unit);
@@ -130,6 +137,8 @@ impl ErrorBars {
             *b = std::array::from_fn(|c| b[c] - emission[i][c]);
         }
         let mut local = form_factors.deviations(&carried)?;
+        let shares = form_factors.escape_deviations()?;
+        conserve(form_factors, &carried, &shares, &mut local);
         let direct = form_factors.direct(&emission, unit);
         for (local, direct) in local.iter_mut().zip(direct.iter().flat_map(|direct| &direct.deviations)) {
             let values = local.as_flattened_mut().iter_mut().zip(direct.as_flattened());
@@ -153,16 +162,18 @@ impl ErrorBars {
                 }
             }
         }
-        let escaped = escaped_deviations(form_factors, reflectance, &carried, &local, direct.as_ref())?;
+        let escaped =
+            escaped_deviations(form_factors, reflectance, (&carried, &shares), &local, direct.as_ref());
         let of_escaped = escaped.iter().map(|deviations| unit * variance_of(deviations).sqrt()).collect();
         let of_entered = direct.as_ref().map_or_else(
             || vec![0.0; C],
             |direct| direct.entered_deviations.iter().map(|d| unit * variance_of(d).sqrt()).collect(),
         );
         let [own, all] = propagate(form_factors, reflectance, solution, &local);
-        let strata: Vec<Strata> = all.par_iter().with_min_len(256).map(Strata::of).collect();
+        // All patches share a part of the inherited deviations, which therefore tell little about stratification.
+        let strata: Vec<Strata> = own.par_iter().with_min_len(256).map(Strata::of).collect();
         let typical = Strata::sum(&strata, 0..strata.len(), |i| areas[i]);
-        let mut standard_error = smoothed_errors(form_factors, solution, &local, &own, &strata);
+        let mut standard_error = smoothed_errors(form_factors, solution, &local, [&own, &all]);
         for family in form_factors.siblings() {
             let near = Strata::sum(&strata, family.clone(), |_| 1.0);
             let stratified = near.beside(&typical, PRIOR / family.len() as f64).factor();
@@ -187,19 +198,18 @@ impl ErrorBars {
 /// include rare paths that its rays missed.
 ///
 /// `local` and `own` are the deviations of the replicates without inherited errors: per channel, and summed over the
-/// channels. `strata` are those of the summed deviations with inherited errors. The inherited variance is distributed
-/// over the channels by the square of their share of the irradiance.
+/// channels. `all` are the summed deviations with inherited errors. The inherited variance is distributed over the
+/// channels by the square of their share of the irradiance.
 fn smoothed_errors<const C: usize>(
     form_factors: &FormFactors,
     solution: &Solution,
     local: &[Deviation<C>],
-    own: &[[f32; REPLICATES]],
-    strata: &[Strata],
+    [own, all]: [&[[f32; REPLICATES]]; 2],
 ) -> Vec<f64> {
     let variance = |deviation: &[f32; REPLICATES]| variance_of(&deviation.map(f64::from));
     let of_patch = |i: usize| -> [f64; C] {
         let irradiance = &solution.irradiance[C * i..][..C];
-        let inherited = strata[i].spread - variance(&own[i]);
+        let inherited = variance(&all[i]) - variance(&own[i]);
         let light = irradiance.iter().sum::<f64>().max(f64::MIN_POSITIVE);
         std::array::from_fn(|c| {
             let own = variance(&local[i][c]);
@@ -268,37 +278,130 @@ pub fn relative_rms(values: &[f64], irradiance: &[f64], areas: &[f64]) -> f64 {
     if mean > 0.0 { (squares / weight).sqrt() / (mean / weight) } else { 0.0 }
 }
 
-/// The importance of each patch: the flux that all patches together receive in addition per additional flux that this
-/// patch receives. It satisfies v = 1 + ρ F v. Because form factors are reciprocal, this is the radiosity of a scene in
-/// which all patches emit 1. The iteration starts from the value that each patch would have if the others were all like
-/// the mean.
-fn importance<const C: usize>(form_factors: &FormFactors, reflectance: &[[f64; C]]) -> Vec<[f32; C]> {
-    let (areas, escaped) = (form_factors.areas(), form_factors.escaped());
-    let returned = |i: usize, c: usize| reflectance[i][c] * (1.0 - escaped[i]);
-    let area: f64 = areas.iter().sum();
-    let mean: [f64; C] = std::array::from_fn(|c| {
-        let lost: f64 = (0..areas.len()).map(|i| areas[i] * (1.0 - returned(i, c))).sum();
-        area / lost.max(LEAST_LOSS * area)
-    });
-    let mut importance: Vec<[f32; C]> =
-        (0..areas.len()).map(|i| std::array::from_fn(|c| (1.0 + returned(i, c) * mean[c]) as f32)).collect();
-    let mut arriving = vec![[0f32; C]; areas.len()];
-    for _ in 0..MOST_BOUNCES {
-        form_factors.irradiance_into::<f32, C>(importance.as_flattened(), arriving.as_flattened_mut());
-        let rows = importance.par_iter_mut().zip(&arriving).zip(reflectance).with_min_len(256);
-        let change: Vec<f32> = rows
-            .map(|((v, arriving), rho)| {
-                let next: [f32; C] = std::array::from_fn(|c| 1.0 + rho[c] as f32 * arriving[c]);
-                let change = (0..C).map(|c| (next[c] / v[c] - 1.0).abs()).fold(0.0, f32::max);
-                *v = next;
-                change
-            })
-            .collect();
-        if ordered_sum(areas.len(), |i| areas[i] * f64::from(change[i])) <= ENOUGH * area {
-            break;
+/// Makes the deviations of each region conserve energy: what form factors bring too much to its patches has not escaped.
+/// Closure and calibration make the form factors reciprocal, so that this holds for the light itself. The rays of a
+/// replicate alone are not reciprocal. As in the closure, patches with larger variances are corrected more.
+fn conserve<const C: usize>(
+    form_factors: &FormFactors,
+    carried: &[[f64; C]],
+    shares: &[[f32; REPLICATES]],
+    local: &mut [Deviation<C>],
+) {
+    let Some(regions) = form_factors.regions().filter(|_| form_factors.estimator() == Estimator::Pooled)
+    else {
+        return;
+    };
+    let areas = form_factors.areas();
+    let variance = |deviation: &[f32; REPLICATES]| variance_of(&deviation.map(f64::from));
+    let mut variances = vec![[0.0; C]; regions.count()];
+    let mut too_much = vec![[[0.0; REPLICATES]; C]; regions.count()];
+    for i in 0..local.len() {
+        let region = regions.of(i);
+        for c in 0..C {
+            variances[region][c] += areas[i] * areas[i] * variance(&local[i][c]);
+            for k in 0..REPLICATES {
+                let escaped = carried[i][c] * f64::from(shares[i][k]);
+                too_much[region][c][k] += areas[i] * (f64::from(local[i][c][k]) + escaped);
+            }
         }
     }
-    importance
+    local.par_iter_mut().enumerate().with_min_len(256).for_each(|(i, local)| {
+        let region = regions.of(i);
+        for c in (0..C).filter(|&c| variances[region][c] > 0.0) {
+            let share = areas[i] * variance(&local[c]) / variances[region][c];
+            for k in 0..REPLICATES {
+                local[c][k] -= (share * too_much[region][c][k]) as f32;
+            }
+        }
+    });
+}
+
+/// Solves y = s + ρ F y, approximately, for `K` columns with the same reflectances (`R` is 1) or one for each (`R` is
+/// `K`).
+///
+/// In a bright room with a small opening, an error that all patches share fades slowly, however small each bounce of it
+/// is beside the own errors of patches. So every bounce also adds a multiple of ρ in each region such that the power
+/// that arrives is the power that is absorbed or escapes: a coarse-grid correction with one cell a region (Galerkin's
+/// method). It is the projection of the remaining error in the energy norm, so that bounces still converge. The last
+/// ratio of two bounces gives the sum of all further ones.
+fn reflected<const K: usize, const R: usize>(
+    form_factors: &FormFactors,
+    source: &[[f32; K]],
+    reflectance: &[[f32; R]],
+) -> Vec<[f32; K]> {
+    let (areas, n) = (form_factors.areas(), source.len());
+    let regions = form_factors.regions();
+    let (region, count) = (|i: usize| regions.map_or(0, |r| r.of(i)), regions.map_or(1, Regions::count));
+    let precise: Vec<[f64; R]> = reflectance.iter().map(|rho| rho.map(f64::from)).collect();
+    let mut returned = vec![[0f64; R]; n];
+    form_factors.irradiance_into::<f64, R>(precise.as_flattened(), returned.as_flattened_mut());
+    // All light that is reflected once, and the part of it that is not reflected again.
+    let (mut all, mut lost) = (vec![[0.0; R]; count], vec![[0.0; R]; count]);
+    for i in 0..n {
+        for r in 0..R {
+            all[region(i)][r] += areas[i] * precise[i][r];
+            lost[region(i)][r] += areas[i] * precise[i][r] * (1.0 - returned[i][r]);
+        }
+    }
+    let (mut light, mut change) = (vec![[0f32; K]; n], vec![[0f32; K]; n]);
+    // Where plates face each other, bounces change their sign. A sample of the patches shows the signed ratio.
+    let sample = |change: &[[f32; K]]| -> Vec<f32> {
+        change.iter().step_by(n.div_ceil(SAMPLE)).flatten().copied().collect()
+    };
+    let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum::<f64>();
+    let (mut last, mut sampled) = (f64::INFINITY, Vec::new());
+    for bounce in 1..=MOST_BOUNCES {
+        if bounce > 1 {
+            form_factors.irradiance_into::<f32, K>(light.as_flattened(), change.as_flattened_mut());
+        }
+        change.par_iter_mut().enumerate().with_min_len(256).for_each(|(i, change)| {
+            for k in 0..K {
+                change[k] = source[i][k] + reflectance[i][k % R] * change[k] - light[i][k];
+            }
+        });
+        let mut shared = vec![[0f64; K]; count];
+        for (i, change) in change.iter().enumerate() {
+            let shared = &mut shared[region(i)];
+            (0..K).for_each(|k| shared[k] += areas[i] * f64::from(change[k]));
+        }
+        for (shared, (all, lost)) in shared.iter_mut().zip(all.iter().zip(&lost)) {
+            for k in 0..K {
+                shared[k] *= if lost[k % R] > LEAST_LOSS * all[k % R] { 1.0 / lost[k % R] } else { 0.0 };
+            }
+        }
+        light.par_iter_mut().zip(&mut change).enumerate().with_min_len(256).for_each(
+            |(i, (light, change))| {
+                let shared = &shared[region(i)];
+                for k in 0..K {
+                    change[k] += (shared[k] * precise[i][k % R] * returned[i][k % R]) as f32;
+                    light[k] += change[k];
+                }
+            },
+        );
+        let size = root_mean_square(&change);
+        let ratio = if size > 0.0 { (size / last).min(SLOWEST) } else { 0.0 };
+        let left = size * ratio / (1.0 - ratio);
+        let before = std::mem::replace(&mut sampled, sample(&change));
+        if bounce > 1 && left <= ENOUGH * root_mean_square(&light) || bounce == MOST_BOUNCES {
+            let squares = dot(&before, &before);
+            let signed = if squares > 0.0 { dot(&before, &sampled) / squares } else { 0.0 };
+            let signed = signed.clamp(-SLOWEST, SLOWEST);
+            let rest = signed / (1.0 - signed);
+            light.par_iter_mut().zip(&change).with_min_len(256).for_each(|(light, change)| {
+                (0..K).for_each(|k| light[k] += rest as f32 * change[k]);
+            });
+            break;
+        }
+        last = size;
+    }
+    light
+}
+
+/// The importance of each patch: the flux that all patches together receive in addition per additional flux that this
+/// patch receives. It satisfies v = 1 + ρ F v. Because form factors are reciprocal, this is the radiosity of a scene in
+/// which all patches emit 1.
+fn importance<const C: usize>(form_factors: &FormFactors, reflectance: &[[f32; C]]) -> Vec<[f32; C]> {
+    reflected(form_factors, &vec![[1.0; C]; reflectance.len()], reflectance)
 }
 
 /// Deviations of the escaped power of each replicate, per channel. They have three sources: light that escapes straight
@@ -306,31 +409,17 @@ fn importance<const C: usize>(form_factors: &FormFactors, reflectance: &[[f64; C
 /// reflected and finally escapes.
 fn escaped_deviations<const C: usize>(
     form_factors: &FormFactors,
-    reflectance: &[[f64; C]],
-    carried: &[[f64; C]],
+    reflectance: &[[f32; C]],
+    (carried, shares): (&[[f64; C]], &[[f32; REPLICATES]]),
     local: &[Deviation<C>],
     direct: Option<&DirectLight<C>>,
-) -> Option<[[f64; REPLICATES]; C]> {
+) -> [[f64; REPLICATES]; C] {
     let (areas, escaped) = (form_factors.areas(), form_factors.escaped());
     // The part of additional flux on a patch that finally escapes: v = ρ e + ρ F v.
-    let mut v: Vec<[f32; C]> = vec![[0.0; C]; areas.len()];
-    let mut arriving = v.clone();
-    let total = |v: &[[f32; C]]| ordered_sum(areas.len(), |i| areas[i] * f64::from(v[i].iter().sum::<f32>()));
-    let mut size = 0.0;
-    for _ in 0..MOST_BOUNCES {
-        let rows = v.par_iter_mut().zip(&arriving).zip(reflectance).zip(escaped).with_min_len(256);
-        rows.for_each(|(((v, arriving), rho), &e)| {
-            *v = std::array::from_fn(|c| rho[c] as f32 * (e as f32 + arriving[c]));
-        });
-        let before = size;
-        size = total(&v);
-        if size - before <= ENOUGH * size {
-            break;
-        }
-        form_factors.irradiance_into::<f32, C>(v.as_flattened(), arriving.as_flattened_mut());
-    }
-    let shares = form_factors.escape_deviations()?;
-    Some(std::array::from_fn(|c| {
+    let escaping = |(rho, &e): (&[f32; C], &f64)| rho.map(|rho| rho * e as f32);
+    let source: Vec<[f32; C]> = reflectance.iter().zip(escaped).map(escaping).collect();
+    let v = reflected(form_factors, &source, reflectance);
+    std::array::from_fn(|c| {
         std::array::from_fn(|k| {
             let of_patch = |i: usize| {
                 let returned = f64::from(v[i][c]) * f64::from(local[i][c][k]);
@@ -338,7 +427,7 @@ fn escaped_deviations<const C: usize>(
             };
             ordered_sum(areas.len(), of_patch) + direct.map_or(0.0, |direct| direct.escaped_deviations[c][k])
         })
-    }))
+    })
 }
 
 /// Two deviations of each patch, summed over the channels: the local deviations, and the deviations dE_k that include
@@ -346,7 +435,7 @@ fn escaped_deviations<const C: usize>(
 /// similar in all channels.
 fn propagate<const C: usize>(
     form_factors: &FormFactors,
-    reflectance: &[[f64; C]],
+    reflectance: &[[f32; C]],
     solution: &Solution,
     local: &[Deviation<C>],
 ) -> [Vec<[f32; REPLICATES]>; 2] {
@@ -356,34 +445,19 @@ fn propagate<const C: usize>(
     let own: Vec<[f32; REPLICATES]> =
         local.par_iter().with_min_len(256).map(|local| sum(local, [1.0; C])).collect();
     // The mean reflectance for inherited deviations, weighted by the irradiance of the channels.
-    let mean = |rho: &[f64; C], e: &[f64]| {
+    let mean = |(rho, e): (&[f32; C], &[f64])| {
         let all: f64 = e.iter().sum();
-        if all > 0.0 { (0..C).map(|c| rho[c] * e[c] / all).sum() } else { 0.0 }
+        [if all > 0.0 { (0..C).map(|c| rho[c] * (e[c] / all) as f32).sum() } else { 0.0 }]
     };
     let irradiance = solution.irradiance.par_chunks_exact(C);
-    let means: Vec<f64> =
-        reflectance.par_iter().zip(irradiance).with_min_len(256).map(|(rho, e)| mean(rho, e)).collect();
-    let (mut total, mut reflected) = (own.clone(), vec![[0.0; REPLICATES]; own.len()]);
-    let mut size = root_mean_square(&total);
-    for _ in 0..MOST_BOUNCES {
-        reflected.par_iter_mut().enumerate().with_min_len(256).for_each(|(i, reflected)| {
-            *reflected = sum(&local[i], reflectance[i].map(|rho| rho as f32));
-            for k in 0..REPLICATES {
-                reflected[k] += means[i] as f32 * (total[i][k] - own[i][k]);
-            }
-        });
-        form_factors.irradiance_into::<f32, REPLICATES>(reflected.as_flattened(), total.as_flattened_mut());
-        total.par_iter_mut().zip(&own).with_min_len(256).for_each(|(total, own)| {
-            for k in 0..REPLICATES {
-                total[k] += own[k];
-            }
-        });
-        let before = size;
-        size = root_mean_square(&total);
-        if (size - before).abs() <= ENOUGH * size {
-            break;
-        }
-    }
+    let means: Vec<[f32; 1]> = reflectance.par_iter().zip(irradiance).with_min_len(256).map(mean).collect();
+    let first = local.par_iter().zip(reflectance).with_min_len(256).map(|(local, rho)| sum(local, *rho));
+    let light = reflected(form_factors, &first.collect::<Vec<_>>(), &means);
+    let mut total = vec![[0.0; REPLICATES]; own.len()];
+    form_factors.irradiance_into::<f32, REPLICATES>(light.as_flattened(), total.as_flattened_mut());
+    total.par_iter_mut().zip(&own).with_min_len(256).for_each(|(total, own)| {
+        (0..REPLICATES).for_each(|k| total[k] += own[k]);
+    });
     [own, total]
 }
 
@@ -394,7 +468,7 @@ fn variance_of(deviations: &[f64; REPLICATES]) -> f64 {
     squares / (many * (many - 1.0))
 }
 
-fn root_mean_square(values: &[[f32; REPLICATES]]) -> f64 {
+fn root_mean_square<const K: usize>(values: &[[f32; K]]) -> f64 {
     let squares = |i: usize| values[i].iter().map(|&v| f64::from(v).powi(2)).sum::<f64>();
     (ordered_sum(values.len(), squares) / values.len() as f64).sqrt()
 }
@@ -402,6 +476,25 @@ fn root_mean_square(values: &[[f32; REPLICATES]]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::form_factor::Matrix;
+
+    /// Pairs of plates that see only each other: y_1 = (s_1 + ρ s_2) / (1 - ρ²). Without the source's mean, bounces change
+    /// their sign.
+    #[test]
+    fn light_between_bright_plates_is_summed_over_all_bounces() {
+        let exchange = Matrix::new((2, 2), vec![0, 1, 1], vec![1], vec![1.0]);
+        let plates = FormFactors::from_exchange(exchange, vec![1.0; 2], vec![0.0; 2]);
+        for rho in [0.5f32, 0.9, 0.99] {
+            for [s, t] in [[1.0, 1.0], [1.0, -1.0], [1.0, 0.0]] {
+                let found = reflected(&plates, &[[s], [t]], &[[rho], [rho]]);
+                let wanted = [(s + rho * t) / (1.0 - rho * rho), (t + rho * s) / (1.0 - rho * rho)];
+                for (found, wanted) in found.iter().zip(wanted) {
+                    let off = (found[0] - wanted).abs();
+                    assert!(off <= 0.05 * wanted.abs(), "{rho}, {s} {t}: {found:?} for {wanted}");
+                }
+            }
+        }
+    }
 
     #[test]
     fn the_root_mean_square_is_weighted_by_area() {

@@ -138,8 +138,15 @@ impl ShadowRays {
             // rounding.
             let more = missing - escapes;
             if variances > 0.0 && more != 0.0 {
-                irradiance.par_iter_mut().enumerate().with_min_len(SHORT).for_each(|(i, e)| {
-                    e[c] = (e[c] + more * areas[i] * variance_of(&deviations[i][c]) / variances).max(0.0);
+                // Replicates that bring too much light would be corrected as well.
+                let too_much = escaped_deviations[c].map(|escaped| (1.0 - trust) * escaped);
+                let corrected = irradiance.par_iter_mut().zip(&mut deviations).enumerate();
+                corrected.with_min_len(SHORT).for_each(|(i, (e, deviations))| {
+                    let share = areas[i] * variance_of(&deviations[c]) / variances;
+                    e[c] = (e[c] + more * share).max(0.0);
+                    for k in 0..REPLICATES {
+                        deviations[c][k] += (too_much[k] * share) as f32;
+                    }
                 });
             }
             let arrived = ordered_sum(n, |i| areas[i] * irradiance[i][c]);

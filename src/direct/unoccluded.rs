@@ -13,8 +13,9 @@ use crate::{
 /// the share.
 const NEAR: f64 = 0.25;
 /// If a patch is smaller than this share, three points suffice; their error grows with the third power. A lamp smaller
-/// than this share is integrated with three points too.
-const FAR: f64 = 0.03;
+/// than this share is integrated with three points too. The largest errors of 300 random pairs, strips among them, are
+/// 10⁻⁶ with 0.01 and 1.4·10⁻⁵ with 0.03.
+const FAR: f64 = 0.01;
 
 /// A rule for a triangle that is exact for polynomials of degree five: points as weights of the corners, and weights
 /// (J. Radon, "Zur mechanischen Kubatur", Monatshefte für Mathematik 52, 1948).
@@ -240,6 +241,33 @@ mod tests {
     fn facing(corners: [DVec3; 3], towards: DVec3) -> Facing {
         let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
         Facing { corners, normal: if normal.dot(towards) > 0.0 { normal } else { -normal } }
+    }
+
+    /// Strips a hundred times as long as wide, as patch and as lamp, at all distances: the closed form within 10⁻⁶, also
+    /// where another rule takes over.
+    #[test]
+    fn strips_are_those_of_the_closed_form() {
+        let strip = |at: DVec3, along: DVec3, across: DVec3| [at, at + along, at + along + 0.01 * across];
+        for gap in [0.05, 0.5, 2.0, 3.9, 4.1, 10.0, 33.0, 40.0, 90.0, 110.0, 300.0] {
+            let lamp = facing(strip(dvec3(0.2, 0.1, gap), DVec3::X, DVec3::Y), dvec3(0.0, 0.0, -1.0));
+            for along in [DVec3::X, DVec3::Y, dvec3(0.6, 0.0, 0.8), dvec3(0.0, 0.8, -0.6)] {
+                let corners = strip(DVec3::ZERO, along, along.any_orthonormal_vector());
+                let patch = facing(corners, DVec3::Z);
+                let turned = |of: &Facing| {
+                    let [a, b, c] = of.corners;
+                    if (b - a).cross(c - a).dot(of.normal) > 0.0 { [a, b, c] } else { [a, c, b] }
+                };
+                let wanted = polygon_form_factor(&turned(&patch), &turned(&lamp));
+                let found = form_factor(&patch, &lamp);
+                let off = found / wanted - 1.0;
+                println!("{gap} {along}: {found:e}, off by {off:.1e}");
+                // The contour integral of thin strips cancels: it rounds at 1e-16 of the longest edges, squared.
+                assert!(
+                    (found - wanted).abs() <= 1e-6 * wanted + 1e-14,
+                    "{gap} {along}: {found} for {wanted}"
+                );
+            }
+        }
     }
 
     /// Compares with the double contour integral: near and far, crossing the lamp's plane, and touching at an edge and

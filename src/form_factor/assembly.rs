@@ -192,6 +192,7 @@ impl Assembled {
 
     fn measured<'a>(&'a self, source: &'a [f32]) -> Measured<'a> {
         Measured {
+            rays: &self.samples.rays,
             densities: &self.samples.densities,
             areas: &self.samples.areas,
             regions: &self.samples.regions,

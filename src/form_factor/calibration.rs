@@ -22,6 +22,7 @@ use super::{
     SHORT,
     closure::LEAST_LANDING,
     pooling::{Buckets, Densities},
+    rays::RaySet,
     regions::Regions,
     symmetric::Symmetric,
 };
@@ -38,11 +39,17 @@ const BOUNCES: usize = 4;
 const MORE_BOUNCES: usize = 2;
 /// Radiosities further from the mean than this many standard deviations are clamped, which bounds the factors.
 const FURTHEST: f64 = 4.0;
+/// Resistance of each row to its λ, relative to the row's own weight, times the number of its rays. It keeps functions
+/// that a row cannot distinguish from doing harm, and gives estimates from few rays less influence. Without it, errors
+/// grow by 2 % at most, but error bars of patches with few rays are longer: 99.3 instead of 98.1 % of the patches of a
+/// ceiling that shines are in their 95 % intervals at 64 rays.
+pub(super) const RESISTANCE: f64 = 12.0;
 /// The least and greatest factor.
 const FACTORS: (f64, f64) = (0.05, 20.0);
 
 /// Measurements of the rays.
 pub(super) struct Measured<'a> {
+    pub(super) rays: &'a RaySet,
     pub(super) densities: &'a Densities,
     pub(super) areas: &'a [f64],
     pub(super) regions: &'a Regions,
@@ -208,10 +215,13 @@ impl Measured<'_> {
                 let (p, q) = (p.min(q), p.max(q));
                 f64::from(sums[i][p * M - p * (p + 1) / 2 + q])
             });
-            // A function that is equal on all patches seen adds no information. This keeps the block regular.
-            let regular = block + SMatrix::identity() * (1e-3 * block.trace());
+            // A function that is equal on all patches seen adds no information. Some resistance keeps the block
+            // regular.
+            let trace = block.trace();
+            let resistance = RESISTANCE / f64::from(self.rays.rays_of(i));
+            let resisting = block * (1.0 + resistance) + SMatrix::identity() * (1e-3 * trace);
             let lands = (self.areas[i] * (1.0 - self.escaped[i])).max(LEAST_LANDING * now[0]);
-            (regular, one_sided * (lands / one_sided[0]) - now)
+            (resisting, one_sided * (lands / one_sided[0]) - now)
         };
         (0..g.len()).into_par_iter().with_min_len(128).map(equation).unzip()
     }

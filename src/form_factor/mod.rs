@@ -18,7 +18,7 @@ pub(crate) mod moments;
 mod pooling;
 mod product;
 pub mod rays;
-mod regions;
+pub(crate) mod regions;
 pub(crate) mod replicates;
 pub(crate) mod siblings;
 mod sky;
@@ -41,6 +41,7 @@ use crate::{
 use assembly::Assembled;
 use checkpoint::{Record, Section};
 use rays::{RaySet, casting::Names};
+use regions::Regions;
 use replicates::Samples;
 use sky::SkyLight;
 pub(crate) use symmetric::Real;
@@ -453,6 +454,11 @@ impl FormFactors {
     /// Coplanar neighbours: runs of up to 16 patches, in the order of the patches.
     pub(crate) fn siblings(&self) -> &[Range<usize>] {
         self.samples.as_ref().map_or(&[], |samples| &samples.siblings)
+    }
+
+    /// Parts of the scene that rays connect; `None` if the form factors were not cast from rays.
+    pub(crate) fn regions(&self) -> Option<&Regions> {
+        self.samples.as_ref().map(|samples| &samples.regions)
     }
 
     /// The share of patch `i`'s light that the closure keeps on the diagonal, because no ray shows where it goes.

@@ -8,12 +8,9 @@
 use super::rays::{ESCAPED, RaySet};
 use crate::patch::{DisjointSets, Patches};
 
-/// Number of rays of each patch that connect it with others. A region has many patches.
-const ASKED: usize = 8;
-
 /// The region of each patch.
 #[derive(Debug, Clone)]
-pub(super) struct Regions {
+pub(crate) struct Regions {
     of: Vec<u32>,
     count: usize,
 }
@@ -27,11 +24,20 @@ impl Regions {
             if i > 0 && side(i) == side(i - 1) {
                 sets.unite(i - 1, i);
             }
-            let asked = rays.of(i).len().min(ASKED);
-            rays.of(i)[..asked].iter().filter(|&&j| j != ESCAPED).for_each(|&j| sets.unite(i, j as usize));
+            rays.of(i).iter().filter(|&&j| j != ESCAPED).for_each(|&j| sets.unite(i, j as usize));
         }
         let (of, count) = sets.numbers();
         Regions { of, count }
+    }
+
+    /// Number of regions.
+    pub(crate) fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The region of patch `i`.
+    pub(crate) fn of(&self, i: usize) -> usize {
+        self.of[i] as usize
     }
 
     /// The mean of a value over the region of each patch, weighted by area.

@@ -121,9 +121,11 @@ impl<'a, const C: usize> Counted<'a, C> {
             self.one_way(block, sums);
             return;
         };
-        self.own(block, incoming, sums);
+        let resistance = |i: usize| calibration::RESISTANCE as f32 / self.samples.rays.rays_of(i) as f32;
+        let resistance: Vec<f32> = self.blocks.range(block).map(resistance).collect();
+        self.own(block, incoming, &resistance, sums);
         if let Some(buckets) = &incoming.buckets {
-            self.coming_in(block, buckets, &incoming.ratios, sums);
+            self.coming_in(block, buckets, &incoming.ratios, &resistance, sums);
         }
     }
 
@@ -140,9 +142,9 @@ impl<'a, const C: usize> Counted<'a, C> {
     }
 
     /// Adds the patches' own rays.
-    fn own(&self, block: usize, incoming: &Incoming, sums: &mut [Sums<C>]) {
+    fn own(&self, block: usize, incoming: &Incoming, resistance: &[f32], sums: &mut [Sums<C>]) {
         let (rays, seen) = (&self.samples.rays, &self.seen);
-        for (i, sums) in self.blocks.range(block).zip(sums) {
+        for ((i, sums), &resistance) in self.blocks.range(block).zip(sums).zip(resistance) {
             for replicate in 0..REPLICATES {
                 let ratio = incoming.ratios[replicate][i];
                 let targets = rays.of_replicate(i, replicate);
@@ -154,7 +156,7 @@ impl<'a, const C: usize> Counted<'a, C> {
                     }
                     let other = &seen[j as usize];
                     let exchange = match incoming.buckets {
-                        Some(_) => ratio * counted(TRUST, seen[i].density, other.density),
+                        Some(_) => ratio * counted(TRUST, seen[i].density, other.density, resistance),
                         None => alone,
                     };
                     sums.landed[replicate].add(exchange, &other.radiosity);
@@ -164,7 +166,14 @@ impl<'a, const C: usize> Counted<'a, C> {
     }
 
     /// Adds the rays that arrive from other patches.
-    fn coming_in(&self, block: usize, buckets: &Buckets, ratios: &[Vec<f32>], sums: &mut [Sums<C>]) {
+    fn coming_in(
+        &self,
+        block: usize,
+        buckets: &Buckets,
+        ratios: &[Vec<f32>],
+        resistance: &[f32],
+        sums: &mut [Sums<C>],
+    ) {
         let start = self.blocks.range(block).start;
         // A single replicate of all patches of a block fits a cache near the processor.
         for (replicate, ratios) in ratios.iter().enumerate() {
@@ -173,7 +182,7 @@ impl<'a, const C: usize> Counted<'a, C> {
                 for (r, c) in buckets.of_replicate(other, block, replicate) {
                     let sender = &self.seen[from + r];
                     let own = self.seen[start + c].density;
-                    let exchange = counted(1.0, own, sender.density);
+                    let exchange = counted(1.0, own, sender.density, resistance[c]);
                     sums[c].landed[replicate].add(ratios[from + r] * exchange, &sender.radiosity);
                 }
             }
@@ -181,9 +190,10 @@ impl<'a, const C: usize> Counted<'a, C> {
     }
 }
 
-/// Exchange area that one ray adds to the calibrated row of a patch. `own` and `others` are the rays per area of this
-/// patch and of the other one. Own rays have a `weight` of [`TRUST`] and arriving rays of one.
+/// Exchange area that one ray adds to the row of a patch. `own` and `others` are the rays per area of this patch and of
+/// the other one. In a calibrated row own rays have a `weight` of [`TRUST`] and arriving rays of one. As far as the row
+/// resists its calibration, the ray counts as in the pooled matrix.
 #[inline]
-fn counted(weight: f32, own: f32, others: f32) -> f32 {
-    weight / (TRUST * own + others)
+fn counted(weight: f32, own: f32, others: f32, resistance: f32) -> f32 {
+    (weight / (TRUST * own + others) + resistance / (own + others)) / (1.0 + resistance)
 }
