@@ -12,7 +12,7 @@ use crate::{
 
 /// Number of rays for looking around, distributed by area.
 const LOOK: f64 = 131_072.0;
-/// Fewest of these rays for a polygon. Its pieces share them by area: slivers that rounding leaves beside a contact count for nothing.
+/// Fewest of these rays for a whole polygon. Pieces get their share by area: slivers that rounding leaves beside a contact get none.
 const FEWEST: f64 = 32.0;
 /// Most rays that divide the escaping light of a surface. They give a standard error of 10⁻³ of the escaping light.
 const MOST: f64 = (1u32 << 18) as f64;
@@ -87,13 +87,13 @@ fn sight(piece: &Polygon, blockers: &Blockers, up: DVec3, rays: u64, seed: u64) 
     sight
 }
 
-/// Counts what rays from each piece meet.
-pub(super) fn look(pieces: &[Polygon], blockers: &Blockers, up: DVec3) -> Vec<Sight> {
+/// Counts what rays from each piece meet. `areas` are those of whole polygons.
+pub(super) fn look(pieces: &[Polygon], areas: &[f64], blockers: &Blockers, up: DVec3) -> Vec<Sight> {
     let total: f64 = pieces.iter().map(|piece| piece.area).sum();
     let mut rays = Vec::with_capacity(pieces.len());
     for own in pieces.chunk_by(|a, b| a.source == b.source) {
         let area: f64 = own.iter().map(|piece| piece.area).sum();
-        let of_polygon = (LOOK * area / total).max(FEWEST).ceil();
+        let of_polygon = (LOOK * area / total).max(FEWEST * area / areas[own[0].source as usize]);
         let (mut sum, mut before) = (0.0, 0);
         for piece in own {
             sum += piece.area;

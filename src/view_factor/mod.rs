@@ -209,9 +209,10 @@ pub fn look(surfaces: &[impl AsRef<[Vec<DVec3>]>], obstacles: &[Vec<DVec3>], up:
     let surfaces = &slices(surfaces);
     let (polygons, hindrances, _) = in_unit_space(surfaces, obstacles);
     let (places, blockers) = blockers(&polygons, &hindrances);
+    let areas: Vec<f64> = polygons.iter().map(|polygon| polygon.area).collect();
     let Parts { pieces, .. } = separate(polygons, &places);
     let mut seen = vec![Sight::default(); surfaces.len()];
-    for (piece, sight) in pieces.iter().zip(lost::look(&pieces, &blockers, up)) {
+    for (piece, sight) in pieces.iter().zip(lost::look(&pieces, &areas, &blockers, up)) {
         let sum = &mut seen[piece.surface as usize];
         *sum = sum.and(sight);
     }

@@ -418,6 +418,30 @@ fn contact_of_any_kind_leaves_rows_closed() {
     }
 }
 
+/// A box on the floor of a room, turned and printed with six digits: rounding sinks some corners of the box into the floor and lifts
+/// others by up to 10⁻⁶ of the scene. It still touches the floor, and its bottom sees nothing else.
+#[test]
+fn a_box_of_rounded_corners_touches_the_floor() {
+    let size = 4000.0;
+    let printed = |x: f64| format!("{x:.5e}").parse::<f64>().unwrap();
+    let room = sides(dvec3(2.0, 1.5, 1.0), dvec3(2.0, 1.5, 1.0), 0.0, -1.0, 1);
+    let block = sides(dvec3(1.1, 1.3, 0.4), dvec3(0.4, 0.5, 0.4), 0.4, 1.0, 1);
+    for k in 0..8 {
+        let turn = DQuat::from_rotation_z(0.3 + f64::from(k)) * DQuat::from_rotation_x(1.1 - f64::from(k));
+        let rounded = |p: &DVec3| DVec3::from((turn * *p * size / 4.0).to_array().map(printed));
+        // As triangles, because rounded quadrilaterals are not plane.
+        let triangles = |polygon: &Vec<DVec3>| {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|corner| rounded(&polygon[corner]));
+            vec![vec![a, b, c], vec![a, c, d]]
+        };
+        let surfaces: Vec<Vec<Vec<DVec3>>> = room.iter().chain(&block).map(triangles).collect();
+        let options = ViewFactorOptions::default().with_error(1e-3).with_enclosed(false);
+        let found = view_factors_of_surfaces(&surfaces, &options, &Progress::new()).unwrap();
+        // Sides: floor 4; of the box its bottom is 10.
+        assert!((found.get(10, 4) - 1.0).abs() < 1e-3, "{k}: {}", found.get(10, 4));
+    }
+}
+
 /// A window in the plane of a wall is in front of it. The wall has its area less, and shares its view factors with the
 /// window.
 #[test]
