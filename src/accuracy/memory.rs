@@ -8,7 +8,7 @@ use crate::{
 };
 
 /// For the program, its threads, and the buffers of output files.
-const BASE: f64 = 16.0 * 1024.0 * 1024.0;
+const BASE: f64 = 17.0 * 1024.0 * 1024.0;
 /// For a triangle, its normals and its share of the hierarchy during construction: 498 bytes measured on 10⁶ triangles.
 const TRIANGLE: f64 = 500.0;
 /// For an entry of a matrix of whole rows: value and column.
