@@ -291,7 +291,9 @@ fn conserve<const C: usize>(
     else {
         return;
     };
-    let areas = form_factors.areas();
+    // In a unit in which squares of areas are in range.
+    let unit = magnitude(form_factors.areas());
+    let areas: Vec<f64> = form_factors.areas().iter().map(|area| area / unit).collect();
     let variance = |deviation: &[f32; REPLICATES]| variance_of(&deviation.map(f64::from));
     let mut variances = vec![[0.0; C]; regions.count()];
     let mut too_much = vec![[[0.0; REPLICATES]; C]; regions.count()];
