@@ -1,8 +1,8 @@
 //! Irradiance of texels by a final gather: rays from points spread over the covered part of each texel.
 //!
 //! A sample is a point, a shadow ray to a point of a lamp, and a hemisphere ray. Where this ray hits, direct light is
-//! sampled in the same way, and the light that surfaces have reflected is read from the solution. Points are uniform on the pieces of surface in the texel. Rays start on the point's own triangle, so
-//! nothing is interpolated across a wall.
+//! sampled in the same way, and the light that surfaces have reflected is read from the solution. Points are uniform on
+//! the pieces of surface in the texel. Rays start on the point's own triangle, so nothing is interpolated across a wall.
 //!
 //! Points inside a solid are buried and do not count: the mean is over the part of the surface that light can reach. A
 //! point is buried if rays from it hit nothing but backs of faces, and no random walk from it finds light or a way out

@@ -75,11 +75,11 @@ fn solvers_take_at_most_the_forecast() {
     assert_ne!(grey, white);
     fs::write(here.path("textured.mtl"), white).unwrap();
     for (solver, estimator, case) in [
-        (Solver::ConjugateGradient, Estimator::Pooled, (8000, 256)),
-        (Solver::GaussSeidel, Estimator::Pooled, (8000, 256)),
-        (Solver::GaussSeidel, Estimator::OneWay, (8000, 256)),
-        (Solver::Southwell, Estimator::Pooled, (8000, 256)),
-        (Solver::Southwell, Estimator::OneWay, (8000, 256)),
+        (Solver::ConjugateGradient, Estimator::Pooled, (4000, 256)),
+        (Solver::GaussSeidel, Estimator::Pooled, (4000, 256)),
+        (Solver::GaussSeidel, Estimator::OneWay, (4000, 256)),
+        (Solver::Southwell, Estimator::Pooled, (4000, 256)),
+        (Solver::Southwell, Estimator::OneWay, (4000, 256)),
         (Solver::Direct, Estimator::Pooled, (1000, 256)),
         (Solver::Direct, Estimator::OneWay, (1000, 256)),
     ] {

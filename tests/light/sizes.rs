@@ -34,7 +34,7 @@ fn plates(gap: f64, radius: f64, by: DQuat, emits: Option<usize>) -> [Part; 3] {
 /// Two squares exchange what their closed form says, and the dome gets the rest, whoever casts the rays.
 #[test]
 fn plates_exchange_beneath_domes_of_kilometres_what_they_do_alone() {
-    for (gap, radius) in [(0.02, 1e3), (0.02, 2e4), (1e-3, 1e3)] {
+    for (gap, radius) in [(0.02, 2e4), (1e-3, 1e3)] {
         let exact = opposed_rectangles(1.0, 1.0, gap);
         for (is_turned, emits) in [(false, None), (true, Some(0)), (false, Some(2)), (true, Some(2))] {
             let parts = plates(gap, radius, turn(is_turned), emits);
