@@ -123,7 +123,7 @@ fn run(scene: &Scene, count: usize) -> Result<(), Box<dyn Error>> {
     lap(&mut seconds);
     let error_bars = ErrorBars::of(&form_factors, &patches, &solution).ok_or("no error bars")?;
     lap(&mut seconds);
-    Discretisation::of(&form_factors, &patches, &solution, &progress)?;
+    Discretisation::of((scene, &tracer), &form_factors, &patches, &solution, &progress)?;
     lap(&mut seconds);
     bias::relative(&form_factors, &tracer, &patches, &solution, &options, &progress)?;
     lap(&mut seconds);

@@ -209,3 +209,22 @@ fn slender() -> Scene {
     triangles.extend(quad(ceiling, LAMP));
     scene(&triangles)
 }
+
+/// A closed room whose walls end 5 mm above a ground of 40 m, with a lamp above. Light comes in through the gap.
+#[allow(dead_code, reason = "only one of the programs uses it")]
+pub fn sealed_room() -> Scene {
+    const GAP: f64 = 0.005;
+    let ground = [[-20.0, -20.0, 0.0], [20.0, -20.0, 0.0], [20.0, 20.0, 0.0], [-20.0, 20.0, 0.0]];
+    let mut triangles = quad(ground, GREY).to_vec();
+    for (low, high) in [
+        ([-2.1, -1.6, GAP], [-2.0, 1.6, 2.5]),
+        ([2.0, -1.6, GAP], [2.1, 1.6, 2.5]),
+        ([-2.0, -1.6, GAP], [2.0, -1.5, 2.5]),
+        ([-2.0, 1.5, GAP], [2.0, 1.6, 2.5]),
+        ([-2.1, -1.6, 2.5], [2.1, 1.6, 2.6]),
+    ] {
+        triangles.extend(cuboid(low, high, false, GREY));
+    }
+    triangles.extend(square(-6.0, -4.0, 12.0, 8.0, LAMP));
+    scene(&triangles)
+}

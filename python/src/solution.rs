@@ -72,7 +72,7 @@ impl Answer {
         progress: &Progress,
     ) -> radiosity::Result<Answer> {
         let Solved { patches, form_factors, solution, error_bars } = solved;
-        let discretisation = Discretisation::of(&form_factors, &patches, &solution, progress)?;
+        let discretisation = Discretisation::of((data.lambertian(), data.tracer()), &form_factors, &patches, &solution, progress)?;
         let bias = bias::relative(&form_factors, data.tracer(), &patches, &solution, &job.solve, progress)?;
         let mut answer = Answer::of_light(data, patches, &form_factors, solution, error_bars);
         answer.errors.bias = bias;
@@ -191,7 +191,7 @@ impl Solution {
 
     #[getter]
     fn discretisation<'py>(&self, py: Python<'py>) -> Option<Doubles<'py>> {
-        self.answer.discretisation.as_ref().map(|d| self.channels(py, &d.change))
+        self.answer.discretisation.as_ref().map(|d| self.channels(py, &d.error))
     }
 
     #[getter]
@@ -285,7 +285,7 @@ impl Solution {
                 false => file.write(|out| {
                     let options = PlyOptions::default()
                         .with_standard_errors(Some(&error_bars.standard_error))
-                        .with_discretisation(answer.discretisation.as_ref().map(|d| &d.change[..]))
+                        .with_discretisation(answer.discretisation.as_ref().map(|d| &d.error[..]))
                         .with_backs(backs)
                         .with_exposure(Some(exposure));
                     ply::encode(out, scene, patches, solution, &options)

@@ -77,9 +77,15 @@ impl SmallPatches {
     /// The share of the wanted error that is left for sampling. The whole of it where the discretisation error is unknown, or
     /// exceeds the wanted error by itself.
     pub fn sampling_error(&self, wanted: f64) -> f64 {
-        let left = self.floor.filter(|&f| f < wanted).map(|f| (wanted * wanted - f * f).sqrt());
-        left.unwrap_or(wanted)
+        left_for_sampling(wanted, self.floor)
     }
+}
+
+/// The share of the wanted error that is left for sampling. The squares of errors add up. The whole of it where the
+/// discretisation error is unknown, or exceeds the wanted error by itself.
+pub fn left_for_sampling(wanted: f64, of_patches: Option<f64>) -> f64 {
+    let left = of_patches.filter(|&f| f < wanted).map(|f| (wanted * wanted - f * f).sqrt());
+    left.unwrap_or(wanted)
 }
 
 impl<'a> PatchSearch<'a> {
@@ -118,7 +124,8 @@ impl<'a> PatchSearch<'a> {
             )?;
             let (solved, _) = first.insert(round);
             let Solved { patches: solved, form_factors, solution, .. } = &*solved;
-            floor = Discretisation::of(form_factors, solved, solution, progress)?.map(|d| d.relative);
+            floor = Discretisation::of((self.scene, self.tracer), form_factors, solved, solution, progress)?
+                .map(|d| d.relative);
             let growth = match (self.error, floor) {
                 (Some(wanted), Some(floor)) => (floor / (OF_PATCHES * wanted)).powf(1.0 / RATE),
                 (None, _) => ENOUGH_PATCHES as f64 / patches.fronts() as f64,

@@ -122,7 +122,7 @@ impl PageArgs {
         let (lamps, left_out) = self.lamps(solution, watch.progress())?;
         let mut notes = notes(patches, light, &lamps);
         notes.extend(left_out);
-        let discretisation = answer.errors().and_then(|errors| errors.change());
+        let discretisation = answer.errors().and_then(|errors| errors.of_patches());
         let title = title(&solution.args.path);
         let options = PageOptions::default()
             .with_title(&title)

@@ -6,7 +6,7 @@ use radiosity::{
     Error, Ranks, Result, Scene,
     accuracy::{
         discretisation::Discretisation,
-        patch_search::{PatchSearch, SmallPatches},
+        patch_search::{PatchSearch, SmallPatches, left_for_sampling},
         refinement::{FIRST_RAYS, Plan, Round, begin, refine},
         solved::Solved,
     },
@@ -143,15 +143,14 @@ impl Sampling<'_> {
             .with_seconds(args.time.map(|seconds| seconds - before))
             .with_most_rays((in_rounds && with_matrix).then(|| args.common.limit().most_rays(count, &bytes)));
         let (answer, rounds) = match with_matrix {
-            // If the patches were refined, their discretisation error has been reported already.
-            true => self.by_matrix(patches, first, &cast, plan, wanted.filter(|_| floor.is_none()), times)?,
+            true => self.by_matrix(patches, first, &cast, plan, wanted, times)?,
             false => self.sweep(patches, rays, &plan, times)?,
         };
         Ok(Sampled { answer, rounds, chosen, floor })
     }
 
-    /// Casts and solves until the plan is fulfilled, continuing the first round if there is one. Warns if the patches
-    /// are too large for an error of `wanted`.
+    /// Casts and solves until the plan is fulfilled, continuing the first round if there is one. The plan leaves room for
+    /// the discretisation error, which every round estimates anew, below the total error `wanted`.
     fn by_matrix(
         &self,
         patches: Patches,
@@ -161,12 +160,17 @@ impl Sampling<'_> {
         wanted: Option<f64>,
         times: &mut Seconds,
     ) -> Result<(Answer, Vec<Round>)> {
+        let target = plan.error;
         let next = |solved: &Solved, rounds: &[Round]| {
             if plan == Plan::default() {
                 return Ok(None);
             }
-            if let (1, Some(wanted)) = (rounds.len(), wanted) {
-                self.warn_of_patches(solved, wanted)?;
+            if let Some(wanted) = wanted {
+                let of_patches = self.discretisation(solved)?;
+                if let (1, Some(error)) = (rounds.len(), of_patches) {
+                    self.warn_of_patches(error, wanted);
+                }
+                plan.error = Some(left_for_sampling(wanted, of_patches));
             }
             self.tell(&plan, rounds);
             if let (1, Some(seconds), Some(_)) = (rounds.len(), plan.seconds, plan.next(rounds)) {
@@ -200,7 +204,10 @@ impl Sampling<'_> {
         }
         // The rays cannot be used again, because sweeps need new rays.
         let Solved { patches, .. } = solved;
-        let plan = plan.with_most_rays(None).with_seconds(plan.seconds.map(|seconds| seconds - all));
+        let plan = plan
+            .with_error(target)
+            .with_most_rays(None)
+            .with_seconds(plan.seconds.map(|seconds| seconds - all));
         let swept = self.sweep(patches, FIRST_RAYS, &plan, times)?;
         times.form_factors += all;
         Ok(swept)
@@ -225,7 +232,7 @@ impl Sampling<'_> {
     }
 
     fn errors(&self, solved: &Solved) -> Result<Errors> {
-        Errors::of(&self.args.solve_options(), self.tracer, solved, self.watch.progress())
+        Errors::of(&self.args.solve_options(), (self.scene, self.tracer), solved, self.watch.progress())
     }
 
     fn blame(&self, error: Error) -> Error {
@@ -271,18 +278,22 @@ impl Sampling<'_> {
         Ok(found)
     }
 
-    /// Warns if the patches from the options are too large for an error of `wanted`.
-    fn warn_of_patches(&self, solved: &Solved, wanted: f64) -> Result<()> {
+    /// The discretisation error relative to the mean irradiance, if it is known.
+    fn discretisation(&self, solved: &Solved) -> Result<Option<f64>> {
         let Solved { patches, form_factors, solution, .. } = solved;
-        let found = Discretisation::of(form_factors, patches, solution, self.watch.progress())?;
-        if let Some(found) = found.filter(|d| d.relative > wanted) {
+        let (scene, progress) = ((self.scene, self.tracer), self.watch.progress());
+        let found = Discretisation::of(scene, form_factors, patches, solution, progress)?;
+        Ok(found.map(|found| found.relative))
+    }
+
+    /// Warns if the patches from the options are too large for an error of `wanted`.
+    fn warn_of_patches(&self, of_patches: f64, wanted: f64) {
+        if let Some(option) = self.args.cast.given_patches().filter(|_| of_patches > wanted) {
             self.watch.warn(&format!(
-                "patches of this size have a discretisation error of about {:.2} %, which more rays do not reduce: leave {} out",
-                100.0 * found.relative,
-                self.args.cast.given().unwrap_or("--patches")
+                "patches of this size have a discretisation error of about {:.2} %, which more rays do not reduce: leave {option} out",
+                100.0 * of_patches,
             ));
         }
-        Ok(())
     }
 
     /// Prints the result of the last round.

@@ -88,8 +88,8 @@ pub struct SolveArgs {
     /// Make vertex colours and the picture brighter by this number of stops. A negative number makes them darker
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, value_parser = stops)]
     exposure: f64,
-    /// Sample until the estimated RMS error of irradiance is at most this percentage of its mean. The program also
-    /// makes patches small enough, unless an option sets them
+    /// Sample until the estimated RMS error of irradiance, from sampling and from the size of patches, is at most this
+    /// percentage of its mean. The program makes patches small enough, unless an option sets them
     #[arg(long, value_name = "PERCENT", value_parser = percent, conflicts_with = "rays")]
     pub error: Option<f64>,
     /// Sample for this number of seconds, and give the best answer by then
@@ -410,14 +410,14 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// By how much irradiance would change were patches twice as large, if it is known.
-    pub fn change(&self) -> Option<&[f64]> {
-        self.discretisation.as_ref().map(|found| &found.change[..])
+    /// The estimated discretisation error of each patch, if it is known.
+    pub fn of_patches(&self) -> Option<&[f64]> {
+        self.discretisation.as_ref().map(|found| &found.error[..])
     }
 
     pub fn of(
         options: &SolveOptions,
-        tracer: &Tracer,
+        (scene, tracer): (&Scene, &Tracer),
         solved: &Solved,
         progress: &Progress,
     ) -> Result<Errors> {
@@ -428,7 +428,7 @@ impl Errors {
         let unit = relative_rms(&unit, &solution.irradiance, &seen);
         Ok(Errors {
             energy: EnergyLedger::of(form_factors, patches, solution),
-            discretisation: Discretisation::of(form_factors, patches, solution, progress)?,
+            discretisation: Discretisation::of((scene, tracer), form_factors, patches, solution, progress)?,
             bias: bias::relative(form_factors, tracer, patches, solution, options, progress)?,
             solver: Some(solution.error_bound * unit).filter(|x| x.is_finite() && unit > 0.0),
         })
@@ -480,7 +480,7 @@ fn write_mesh(
     }
     let options = PlyOptions::default()
         .with_standard_errors(Some(answer.standard_error()))
-        .with_discretisation(answer.errors().and_then(Errors::change))
+        .with_discretisation(answer.errors().and_then(Errors::of_patches))
         .with_backs(args.backs)
         .with_exposure(Some(exposure));
     file.write(|out| ply::encode(out, scene, answer.patches(), answer.light(), &options))
@@ -514,18 +514,21 @@ fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outco
                 report.scene.file
             ))
         }
-        _ => target_verdict(args, report),
+        _ => target_verdict(report),
     }
 }
 
-/// Checks whether `--error` was reached: by the sampling error, and by the discretisation error unless an option sets
-/// the patches.
-fn target_verdict(args: &SolveArgs, report: &SolveReport) -> Outcome {
+/// Checks whether the total error, of sampling and discretisation, is at most `--error`.
+fn target_verdict(report: &SolveReport) -> Outcome {
     let ErrorReport { target: Some(target), rms_relative, discretisation_relative, .. } = report.error else {
         return Outcome::Done;
     };
-    let of_patches = discretisation_relative.filter(|_| args.cast.given_patches().is_none());
-    let parts = [("sampling error", rms_relative), ("discretisation error", of_patches)];
+    let total = rms_relative.map(|sampling| sampling.hypot(discretisation_relative.unwrap_or(0.0)));
+    let parts = [
+        ("sampling error", rms_relative),
+        ("discretisation error", discretisation_relative),
+        ("total error of sampling and discretisation", total),
+    ];
     let missed = parts.into_iter().find_map(|(name, error)| Some((name, error.filter(|e| !(*e <= target))?)));
     missed.map_or(Outcome::Done, |(name, error)| {
         let (error, target) = (100.0 * error, 100.0 * target);

@@ -42,9 +42,15 @@ impl Local {
     /// The basis functions at a point.
     #[inline]
     pub(crate) fn basis(&self, point: Vec3A) -> [f64; 2] {
+        basis(self.barycentric(point))
+    }
+
+    /// Barycentric coordinates in the patch.
+    #[inline]
+    pub(crate) fn barycentric(&self, point: Vec3A) -> [f64; 3] {
         let off = point - self.corner;
         let [b, c] = self.across.map(|across| across.dot(off).clamp(0.0, 1.0));
-        basis([1.0 - b - c, b, c].map(f64::from))
+        [1.0 - b - c, b, c].map(f64::from)
     }
 }
 

@@ -4,6 +4,7 @@
 //! same rays are cast again through light that varies over the patches they hit, which gives its difference from
 //! constant light. Start and end points of rays are not stored: a ray is reproduced from its number and the seed.
 
+use glam::Vec3A;
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 
@@ -23,7 +24,7 @@ use crate::{
     patch::Patches,
     scene::Scene,
     slopes::{Measured, SQUARES, Slopes, basis, rise},
-    trace::{Hit, Tracer, sampling::mix},
+    trace::{Tracer, sampling::mix},
 };
 
 /// If the determinant of the sample moments is below this share of the exact one, the samples cannot determine two
@@ -144,6 +145,50 @@ impl FormFactors {
     }
 }
 
+/// Number of patches whose rays are reproduced at a time.
+const BLOCK: usize = 1024;
+
+impl FormFactors {
+    /// The difference between linear and constant light that the rays bring to the patches they hit, if they carry the
+    /// light of their start points: the irradiance of each patch by each replicate of all rays. `None` if the form
+    /// factors were not sampled.
+    ///
+    /// A ray from patch i stands for the exchange area A_i / R_i, in both directions.
+    pub(crate) fn brought<const C: usize>(
+        &self,
+        (scene, tracer, patches): (&Scene, &Tracer, &Patches),
+        light: &Varying<C>,
+    ) -> Option<Vec<[[f32; REPLICATES]; C]>> {
+        let samples = self.samples.as_ref()?;
+        let mut brought = vec![[[0.0; REPLICATES]; C]; patches.len()];
+        for start in (0..patches.len()).step_by(BLOCK) {
+            let block = start..(start + BLOCK).min(patches.len());
+            let carried: Vec<Vec<[f32; C]>> = block
+                .clone()
+                .into_par_iter()
+                .with_min_len(16)
+                .map(|i| samples.carried(scene, tracer, patches, i, light))
+                .collect();
+            for (i, carried) in block.zip(carried) {
+                let targets = samples.rays.of(i);
+                for k in 0..REPLICATES {
+                    let range = part(targets.len() as u32, k);
+                    let exchanged = samples.areas[i] / range.len() as f64;
+                    // Without slopes a patch carries nothing, and `carried` is empty.
+                    for (&j, carried) in targets[range.clone()].iter().zip(carried.get(range).unwrap_or(&[]))
+                    {
+                        if j != ESCAPED {
+                            let weight = (exchanged / samples.areas[j as usize]) as f32;
+                            (0..C).for_each(|c| brought[j as usize][c][k] += weight * carried[c]);
+                        }
+                    }
+                }
+            }
+        }
+        Some(brought)
+    }
+}
+
 /// Difference between linear and constant light at a patch.
 struct OfPatch<const C: usize> {
     irradiance: [f64; C],
@@ -184,6 +229,31 @@ impl Samples {
         fit(&sums, products)
     }
 
+    /// The light of the start point of each ray of patch `i`, minus the mean of the patch. Empty if light does not vary.
+    fn carried<const C: usize>(
+        &self,
+        scene: &Scene,
+        tracer: &Tracer,
+        patches: &Patches,
+        i: usize,
+        light: &Varying<C>,
+    ) -> Vec<[f32; C]> {
+        let is_black = light.reflectance[i] == [0.0; C];
+        let is_constant = light.slopes[i] == [[0.0; 2]; C] && !light.is_mapped[i];
+        if is_black || is_constant || self.rays.is_withdrawn(i) {
+            return Vec::new();
+        }
+        let from = Footprint::new(tracer, patches, i);
+        let local = Local::new(&from);
+        let (t, corners) = (patches.triangle(i), patches.barycentric_corners(i));
+        let of_ray = |point: Vec3A| {
+            let there = local.barycentric(point);
+            let of_triangle = std::array::from_fn(|k| (0..3).map(|m| there[m] * corners[m][k]).sum());
+            light.more(there, i, || scene.reflectance_at(t, of_triangle)).map(|x| x as f32)
+        };
+        from.hemisphere_rays(0..self.rays.rays_of(i), self.seed_of(i)).map(|ray| of_ray(ray.origin)).collect()
+    }
+
     fn seed_of(&self, i: usize) -> u64 {
         mix(&[self.options.seed, i as u64])
     }
@@ -217,7 +287,7 @@ impl Samples {
                 };
                 let replicate = ranges.partition_point(|range| range.end <= index);
                 let there = patches.local(j, hit.barycentric);
-                sums[replicate].add(basis, &light.more(scene, there, j, &hit));
+                sums[replicate].add(basis, &light.more(there, j, || hit.reflectance(scene)));
             });
         }
         let count = f64::from(rays);
@@ -241,16 +311,17 @@ impl Samples {
 }
 
 impl<const C: usize> Varying<'_, C> {
-    /// Reflected light at the point where a ray hits patch `j`, minus the mean of the patch.
+    /// Reflected light at a point of patch `j`, minus the mean of the patch. `there` are barycentric coordinates in the
+    /// patch.
     #[inline]
-    fn more(&self, scene: &Scene, there: [f64; 3], j: usize, hit: &Hit) -> [f64; C] {
+    fn more(&self, there: [f64; 3], j: usize, at_point: impl FnOnce() -> [f64; 3]) -> [f64; C] {
         let (reflectance, slopes) = (&self.reflectance[j], &self.slopes[j]);
         let basis = basis(there);
         let rises = |c: usize| rise(&slopes[c], basis);
         if !self.is_mapped[j] {
             return std::array::from_fn(|c| reflectance[c] * rises(c));
         }
-        let here = hit.reflectance(scene);
+        let here = at_point();
         std::array::from_fn(|c| {
             let irradiance = self.irradiance[j][c];
             here[c] * (irradiance + rises(c)) - reflectance[c] * irradiance

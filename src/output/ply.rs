@@ -5,8 +5,8 @@
 //! - `face`, one per patch: `vertex_indices`; `triangle` int, the triangle of the file; `side` uchar, 0 for the front
 //!   and 1 for the back; `area` double; `irradiance_*`, `radiosity_*` and `error_*` float. `error_*` is the standard
 //!   error of the irradiance, or NaN if it is unknown.
-//! - Further float values of a face, if they were computed: `discretisation_*`, the change of the irradiance if patches
-//!   were twice as large; `lambert_*`, irradiance with the given materials minus irradiance with Lambertian ones, and
+//! - Further float values of a face, if they were computed: `discretisation_*`, the estimated error of the irradiance from
+//!   the size of patches; `lambert_*`, irradiance with the given materials minus irradiance with Lambertian ones, and
 //!   `lambert_error_*`, its standard error. The last two are NaN on backs.
 //!
 //! A face shows the side of its patch that has more light, and faces never lie on each other. So viewers that draw both
@@ -53,7 +53,7 @@ use crate::{
 pub struct PlyOptions<'a> {
     /// Standard error of each patch's irradiance, with interleaved channels. `None` is written as NaN.
     pub standard_errors: Option<&'a [f64]>,
-    /// Change of each patch's irradiance if patches were twice as large, with interleaved channels. `None` is not
+    /// Estimated error of each patch's irradiance from the size of patches, with interleaved channels. `None` is not
     /// written.
     pub discretisation: Option<&'a [f64]>,
     /// For each front patch, irradiance with the given materials minus irradiance with Lambertian ones. `None` is not

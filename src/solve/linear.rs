@@ -98,28 +98,15 @@ fn corrected<const C: usize>(
         values.as_chunks::<C>().0.iter().map(|values| values.map(|x| x / unit)).collect()
     };
     let (emission, irradiance) = (scaled(radiometry.emission), scaled(&constant.irradiance));
-    let without = |emitters: &dyn Fn(usize) -> bool| -> Vec<[f64; C]> {
-        let mut light = scaled(&constant.radiosity);
-        for i in (0..light.len()).filter(|&i| emitters(i)) {
-            light[i] = std::array::from_fn(|c| light[i][c] - emission[i][c]);
-        }
-        light
-    };
-    let carried = without(&|i| form_factors.is_lamp(i));
-    let slopes_of = |light: &[[f64; C]]| {
-        form_factors.carried_slopes(tracer, patches, light).expect("the form factors were sampled")
-    };
-    let direct = form_factors.direct_slopes(tracer, patches, (&emission, unit));
-    let direct = direct.expect("the form factors were sampled");
-    let arriving = slopes_of(&carried);
-    let mut slopes: Vec<Slopes<C>> =
-        direct.iter().zip(&arriving).map(|(d, r)| believed(&d.plus(r))).collect();
-    let is_dim = |i: usize| !form_factors.is_lamp(i) && emission[i] != [0.0; C];
-    let reflected = if (0..emission.len()).any(is_dim) { slopes_of(&without(&|_| true)) } else { arriving };
-    let mut reflected: Vec<Slopes<C>> = reflected.iter().map(believed).collect();
-    drop(direct);
+    let radiosity = scaled(&constant.radiosity);
+    let carried = without(&radiosity, &emission, |i| form_factors.is_lamp(i));
+    let slopes = slopes::<C>(tracer, form_factors, patches, &radiosity, unit);
+    let mut slopes = slopes.expect("the form factors were sampled");
     keep_positive(&mut slopes, &irradiance);
-    let is_mapped: Vec<bool> = (0..patches.len()).map(|i| varies(scene, patches.triangle(i))).collect();
+    let reflected = form_factors.carried_slopes(tracer, patches, &without(&radiosity, &emission, |_| true));
+    let reflected = reflected.expect("the form factors were sampled");
+    let mut reflected: Vec<Slopes<C>> = reflected.iter().map(believed).collect();
+    let is_mapped: Vec<bool> = (0..patches.len()).map(|i| is_textured(scene, patches.triangle(i))).collect();
     let light = Varying { irradiance: &irradiance, slopes: &slopes, reflectance, is_mapped: &is_mapped };
     let shifted = form_factors.shift((scene, tracer, patches), &light, progress)?;
     let mut shifted = shifted.expect("the form factors were sampled");
@@ -157,8 +144,38 @@ fn corrected<const C: usize>(
     })
 }
 
+/// Slopes of the irradiance of a solution with constant light, without the light of the sky. The radiosity and the
+/// result are in multiples of `unit`. `None` if the form factors were not sampled.
+pub(crate) fn slopes<const C: usize>(
+    tracer: &Tracer,
+    form_factors: &FormFactors,
+    patches: &Patches,
+    radiosity: &[[f64; C]],
+    unit: f64,
+) -> Option<Vec<Slopes<C>>> {
+    let emission: Vec<[f64; C]> =
+        patches.emission().as_chunks().0.iter().map(|e: &[f64; C]| e.map(|e| e / unit)).collect();
+    let carried = without(radiosity, &emission, |i| form_factors.is_lamp(i));
+    let direct = form_factors.direct_slopes(tracer, patches, (&emission, unit))?;
+    let arriving = form_factors.carried_slopes(tracer, patches, &carried)?;
+    Some(direct.iter().zip(&arriving).map(|(d, r)| believed(&d.plus(r))).collect())
+}
+
+/// A radiosity without the emission of some patches.
+fn without<const C: usize>(
+    radiosity: &[[f64; C]],
+    emission: &[[f64; C]],
+    of: impl Fn(usize) -> bool,
+) -> Vec<[f64; C]> {
+    let mut light = radiosity.to_vec();
+    for i in (0..light.len()).filter(|&i| of(i)) {
+        light[i] = std::array::from_fn(|c| light[i][c] - emission[i][c]);
+    }
+    light
+}
+
 /// Whether reflectance varies over a triangle.
-fn varies(scene: &Scene, triangle: usize) -> bool {
+pub(crate) fn is_textured(scene: &Scene, triangle: usize) -> bool {
     scene.material(triangle).reflectance_map.is_some() || scene.colours.get(triangle).is_some()
 }
 

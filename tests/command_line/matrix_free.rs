@@ -140,7 +140,7 @@ fn an_error_is_reached_without_a_matrix() {
 fn an_error_below_the_discretisation_error_is_not_reached() {
     let here = Here::new("", "");
     let output =
-        here.run(&format!("solve {} --error 0.7 --memory 27MB --report r.json", mesh("cornell-box")));
+        here.run(&format!("solve {} --error 0.7 --memory 21MB --report r.json", mesh("cornell-box")));
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("warning: an error of 0.70 % is out of reach"), "{said}");

@@ -240,9 +240,9 @@ fn solved(scene: &Scene, tracer: &Tracer, patches: Patches, rays: f64) -> Solved
     Solved::of_patches(scene, tracer, patches, &cast, &options, &Progress::new()).unwrap()
 }
 
-fn discretisation(solved: &Solved) -> f64 {
+fn discretisation(scene: (&Scene, &Tracer), solved: &Solved) -> f64 {
     let Solved { patches, form_factors, solution, .. } = solved;
-    let found = Discretisation::of(form_factors, patches, solution, &Progress::new());
+    let found = Discretisation::of(scene, form_factors, patches, solution, &Progress::new());
     found.unwrap().unwrap().relative
 }
 
@@ -254,12 +254,12 @@ fn discretisation_falls_with_the_square_of_the_edge() {
     let high = rectangle(DVec3::Z, DVec3::Y, DVec3::X);
     let scene = scene(&[part(low, 0.5, 0.0), part(high, 0.5, 1.0)]);
     let tracer = Tracer::new(&scene);
-    let [coarse, fine] = [0.4, 0.2].map(|edge| {
+    let [coarse, fine] = [0.8, 0.4].map(|edge| {
         let uniform = Patches::subdivide(&scene, &Subdivision::Edge(edge));
         let near = |i: usize| corners_of(&scene, &uniform, i).iter().all(|p| p.x <= 0.5);
         let patches = uniform.refined(&scene, &(0..uniform.len()).map(near).collect::<Vec<bool>>());
         assert!(!patches.is_uniform(0));
-        discretisation(&solved(&scene, &tracer, patches, 4096.0))
+        discretisation((&scene, &tracer), &solved(&scene, &tracer, patches, 4096.0))
     });
     println!("{coarse:e} {fine:e}");
     assert!(fine < coarse * 0.5f64.powf(1.5) && fine > coarse / 8.0, "{coarse} {fine}");
@@ -280,7 +280,7 @@ fn patches_where_light_varies_pay() {
                 patches = finer(&scene, &solved, &solution, 2.0);
             }
             let solved = solved(&scene, &tracer, patches, 64.0);
-            let change = discretisation(&solved);
+            let change = discretisation((&scene, &tracer), &solved);
             (scene, tracer, solved, change)
         })
     };
@@ -295,7 +295,7 @@ fn patches_where_light_varies_pay() {
     assert!(uniform.len() > count * 3 / 2);
     // With the same number of uniform patches the error is larger in proportion to their edge.
     let more = (uniform.len() as f64 / count as f64).sqrt();
-    let uniform = more * discretisation(&solved(&scene, &tracer, uniform, 64.0));
+    let uniform = more * discretisation((&scene, &tracer), &solved(&scene, &tracer, uniform, 64.0));
     println!("{count}: {change:.5}, uniform: {uniform:.5}");
     assert!(change < uniform, "{change} {uniform}");
 }

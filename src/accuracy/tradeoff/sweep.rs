@@ -73,9 +73,9 @@ impl<'a> Sweep<'a> {
         let first = solved(0)?;
         let one = averaged(&common, &first.patches, &first.solution.irradiance);
         let Solved { patches, form_factors, solution, .. } = &first;
-        let size = Discretisation::of(form_factors, patches, solution, progress)?;
+        let size = Discretisation::of((scene, tracer), form_factors, patches, solution, progress)?;
         let (count, rays) = (patches.len(), rays_a_patch(form_factors));
-        let change = size.map(|size| averaged(&common, patches, &size.change));
+        let size = size.map(|size| averaged(&common, patches, &size.error));
         drop(first);
         let second = solved(1)?;
         let two = averaged(&common, &second.patches, &second.solution.irradiance);
@@ -84,7 +84,7 @@ impl<'a> Sweep<'a> {
             patches: count,
             rays,
             sampling: relative_rms(&half, &one, &areas),
-            discretisation: change.map_or(0.0, |change| relative_rms(&change, &one, &areas)),
+            discretisation: size.map_or(0.0, |size| relative_rms(&size, &one, &areas)),
         };
         let (seed, truth) = (options.seed, [one, two]);
         Ok(Sweep { scene, tracer, progress, seed, extent, common, areas, truth, reference })
@@ -282,8 +282,9 @@ impl<'a> Sweep<'a> {
         let start = Instant::now();
         let error_bars = ErrorBars::of(form_factors, patches, &solution).expect("rays were cast");
         let seconds = Times { casting, solving, error_bars: start.elapsed().as_secs_f64() };
-        let size = Discretisation::of(form_factors, patches, &solution, self.progress)?;
-        let change = size.map(|size| averaged(&self.common, patches, &size.change));
+        let size =
+            Discretisation::of((self.scene, self.tracer), form_factors, patches, &solution, self.progress)?;
+        let size = size.map(|size| averaged(&self.common, patches, &size.error));
         let errors = averaged_errors(&self.common, patches, &error_bars.standard_error);
         let point = Point {
             series,
@@ -295,7 +296,7 @@ impl<'a> Sweep<'a> {
             error: 0.0,
             believed: false,
             estimated_sampling: self.relative(&errors),
-            estimated_discretisation: change.map(|change| self.relative(&change)),
+            estimated_discretisation: size.map(|size| self.relative(&size)),
             seconds,
             runs: 0,
             bytes: form_factors.bytes(),

@@ -74,7 +74,7 @@ impl<'a> Method<'a> {
 pub struct PageOptions<'a> {
     /// The title.
     pub title: &'a str,
-    /// By how much the irradiance of the first method would change were patches twice as large; interleaved channels.
+    /// Estimated error of the irradiance of the first method from the size of patches; interleaved channels.
     pub discretisation: Option<&'a [f64]>,
     /// How bright the first picture is; by [`exposure::of_radiosity`] where `None`.
     pub exposure: Option<Exposure>,
