@@ -525,8 +525,8 @@ fn target_verdict(report: &SolveReport) -> Outcome {
     };
     let total = rms_relative.map(|sampling| sampling.hypot(discretisation_relative.unwrap_or(0.0)));
     let parts = [
-        ("sampling error", rms_relative),
         ("discretisation error", discretisation_relative),
+        ("sampling error", rms_relative),
         ("total error of sampling and discretisation", total),
     ];
     let missed = parts.into_iter().find_map(|(name, error)| Some((name, error.filter(|e| !(*e <= target))?)));
