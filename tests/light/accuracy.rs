@@ -212,9 +212,8 @@ fn discretisation_falls_with_the_square_of_the_edge() {
     assert!(fine < coarse * 0.5 && fine > coarse / 16.0, "{coarse} {fine}");
 }
 
-/// Whole triangles have an estimate of the discretisation error too. It is larger than the error of the
-/// smaller patches of the reference. The bias of 8192 rays is
-/// below the noise: it vanishes within four standard errors of the mean irradiance.
+/// Whole triangles have an estimate of the discretisation error too. It is larger than that of the smaller patches of the
+/// reference. The bias of 8192 rays is below the noise: it vanishes within four standard errors of the mean irradiance.
 #[test]
 fn whole_triangles_have_an_estimate_and_there_is_no_bias_beyond_noise() {
     let case = Case::new("cornell-box.obj");
