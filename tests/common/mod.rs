@@ -244,12 +244,18 @@ pub fn cast_whole(parts: &[Part], rays: f64, estimator: Estimator, seed: u64) ->
     cast(scene(parts), Subdivision::Edge(f64::INFINITY), options)
 }
 
+/// The irradiance from emitters without reflections and its standard errors, in one channel, one value per patch.
+pub fn lit(f: &FormFactors, emission: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let zero = vec![0.0; emission.len()];
+    let dark = Radiometry { channels: 1, emission, reflectance: &zero };
+    let known = solve(f, dark, &SolveOptions::default(), &Progress::new()).unwrap();
+    let errors = ErrorBars::of(f, dark, &known).unwrap().standard_error;
+    (known.irradiance, errors)
+}
+
 /// Standard errors of the irradiance, one per patch, from one channel of known radiosity without reflections.
 pub fn standard_errors(f: &FormFactors, radiosity: &[f64]) -> Vec<f64> {
-    let zero = vec![0.0; radiosity.len()];
-    let dark = Radiometry { channels: 1, emission: radiosity, reflectance: &zero };
-    let known = solve(f, dark, &SolveOptions::default(), &Progress::new()).unwrap();
-    ErrorBars::of(f, dark, &known).unwrap().standard_error
+    lit(f, radiosity).1
 }
 
 /// A measured value and its standard error.

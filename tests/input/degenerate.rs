@@ -144,10 +144,9 @@ fn of_doubled_faces_the_first_takes_part() {
             let options = CastOptions::default().with_rays(256.0);
             let cast = cast(scene(&parts), Subdivision::Edge(edge), options);
             let exitance: Vec<f64> = (0..cast.patches.len()).map(|i| cast.patches.emission()[i]).collect();
-            let irradiance = cast.form_factors.irradiance(&exitance, 1);
+            let (irradiance, errors) = lit(&cast.form_factors, &exitance);
             let floor = cast.of_part(1);
-            let mean =
-                |of: &[usize]| cast.mean(of, &irradiance, &standard_errors(&cast.form_factors, &exitance));
+            let mean = |of: &[usize]| cast.mean(of, &irradiance, &errors);
             // All, the first of two, and the second.
             let (first, second) = floor.split_at(floor.len() / 2);
             (mean(&floor), mean(first), mean(second))
