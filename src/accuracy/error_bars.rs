@@ -8,7 +8,7 @@
 //! where U is the radiosity that form factors carry: all light except the emission of lamps. The first term comes from
 //! shadow rays. The second comes from the hemisphere rays of the replicate, including their closure. These two are
 //! independent. The third term is the error that a patch inherits through the light of other patches, over all bounces
-//! ([`reflected`]).
+//! (`reflected`).
 //!
 //! If the K replicates were independent, the standard error of their mean would be sqrt(Σ dE_k² / (K (K - 1))). But
 //! they are parts of one stratified sequence, so their mean has a smaller error. The gain differs between patches; see
