@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs `solve` under mpirun: the same bytes for any number of ranks, after kills, and with other numbers of ranks. Installs
-# MPI where apt-get can. Exit status 77: it cannot.
+# MPI where apt-get can. Exit status 77: it cannot, or MPI does not run here.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 
@@ -28,6 +28,10 @@ flags=()
 if mpirun --version | grep -q "Open MPI"; then
     flags=(--oversubscribe)
     if [[ $(id -u) == 0 ]]; then flags+=(--allow-run-as-root); fi
+fi
+if ! mpirun "${flags[@]}" -n 2 true; then
+    echo "mpirun starts no processes here" >&2
+    exit 77
 fi
 ranks() { # COUNT ARGUMENTS...
     mpirun "${flags[@]}" -n "$1" "$program" "${@:2}"
@@ -84,7 +88,10 @@ rm rays.*
 # Signals and a full disk end all ranks.
 mpirun "${flags[@]}" -n 2 "$program" "${long[@]}" "${outputs[@]}" --checkpoint rays > stopped.txt 2>&1 &
 job=$!
-until [[ -s rays.1 && $(stat -c %s rays.1) -gt 100000 ]]; do sleep 0.02; done
+until [[ -s rays.1 && $(stat -c %s rays.1) -gt 100000 ]]; do
+    kill -0 $job 2> /dev/null || fail "the job ended before it could be stopped: $(cat stopped.txt)"
+    sleep 0.02
+done
 kill -INT $job
 if wait $job; then fail "Ctrl-C did not end the job"; fi
 [[ ! -e out.ply ]] || fail "a stopped job left an output"
