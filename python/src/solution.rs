@@ -72,7 +72,13 @@ impl Answer {
         progress: &Progress,
     ) -> radiosity::Result<Answer> {
         let Solved { patches, form_factors, solution, error_bars } = solved;
-        let discretisation = Discretisation::of((data.lambertian(), data.tracer()), &form_factors, &patches, &solution, progress)?;
+        let discretisation = Discretisation::of(
+            (data.lambertian(), data.tracer()),
+            &form_factors,
+            &patches,
+            &solution,
+            progress,
+        )?;
         let bias = bias::relative(&form_factors, data.tracer(), &patches, &solution, &job.solve, progress)?;
         let mut answer = Answer::of_light(data, patches, &form_factors, solution, error_bars);
         answer.errors.bias = bias;
