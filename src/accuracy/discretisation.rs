@@ -19,7 +19,7 @@ use std::ops::Range;
 use crate::{
     Progress, Result,
     accuracy::error_bars::relative_rms,
-    form_factor::{FormFactors, magnitude, moments::Varying, ordered_sum, rays::REPLICATES, together},
+    form_factor::{FormFactors, magnitude, moments::Varying, ordered_sum, together},
     patch::Patches,
     scene::Scene,
     solve::{
@@ -91,14 +91,7 @@ fn estimate<const C: usize>(
     let reflectance: &[[f64; C]] = patches.reflectance().as_chunks().0;
     let is_mapped: Vec<bool> = (0..patches.len()).map(|i| is_textured(scene, patches.triangle(i))).collect();
     let varying = Varying { irradiance: &irradiance, slopes: &slopes, reflectance, is_mapped: &is_mapped };
-    let Some(parts) = form_factors.brought((scene, tracer, patches), &varying) else { return Ok(None) };
-    let halves: [Vec<[f64; C]>; 2] = [0..REPLICATES / 2, REPLICATES / 2..REPLICATES].map(|half| {
-        let mean = |parts: &[f32; REPLICATES]| {
-            parts[half.clone()].iter().copied().map(f64::from).sum::<f64>() / half.len() as f64
-        };
-        parts.iter().map(|parts| std::array::from_fn(|c| mean(&parts[c]))).collect()
-    });
-    drop(parts);
+    let Some(halves) = form_factors.brought((scene, tracer, patches), &varying) else { return Ok(None) };
     let brought = |i: usize, c: usize| 0.5 * (halves[0][i][c] + halves[1][i][c]);
     let brought: Vec<[f64; C]> = (0..patches.len()).map(|i| std::array::from_fn(|c| brought(i, c))).collect();
     let inherited = inherited(form_factors, reflectance, &brought, progress)?;

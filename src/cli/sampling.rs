@@ -161,12 +161,14 @@ impl Sampling<'_> {
         times: &mut Seconds,
     ) -> Result<(Answer, Vec<Round>)> {
         let target = plan.error;
+        let mut of_last = None;
         let next = |solved: &Solved, rounds: &[Round]| {
             if plan == Plan::default() {
                 return Ok(None);
             }
             if let Some(wanted) = wanted {
-                let of_patches = self.discretisation(solved)?;
+                of_last = self.discretisation(solved)?;
+                let of_patches = of_last.as_ref().map(|found| found.relative);
                 if let (1, Some(error)) = (rounds.len(), of_patches) {
                     self.warn_of_patches(error, wanted);
                 }
@@ -190,7 +192,7 @@ impl Sampling<'_> {
         times.form_factors = rounds.iter().map(|round| round.casting).sum();
         times.solve = all - times.form_factors;
         if !self.goes_on_without_matrix(&plan, &rounds, solved.patches.fronts() as f64) {
-            let (errors, seconds) = self.watch.stage("errors", || self.errors(&solved))?;
+            let (errors, seconds) = self.watch.stage("errors", || self.errors(&solved, of_last))?;
             times.solve += seconds;
             let leak = errors.energy.relative_leak();
             if leak != 0.0 {
@@ -231,8 +233,11 @@ impl Sampling<'_> {
             .map_err(|error| self.blame(error))
     }
 
-    fn errors(&self, solved: &Solved) -> Result<Errors> {
-        Errors::of(&self.args.solve_options(), (self.scene, self.tracer), solved, self.watch.progress())
+    /// The errors of a solution, whose discretisation error may be known already.
+    fn errors(&self, solved: &Solved, known: Option<Discretisation>) -> Result<Errors> {
+        let discretisation = known.map_or_else(|| self.discretisation(solved), |known| Ok(Some(known)))?;
+        let (options, progress) = (self.args.solve_options(), self.watch.progress());
+        Errors::of(&options, self.tracer, solved, discretisation, progress)
     }
 
     fn blame(&self, error: Error) -> Error {
@@ -242,7 +247,7 @@ impl Sampling<'_> {
     /// Seconds for the work after the last round, measured by doing it once.
     fn seconds_after(&self, solved: &Solved) -> Result<f64> {
         let start = Instant::now();
-        self.errors(solved)?;
+        self.errors(solved, None)?;
         if let Some(camera) = self.camera {
             let light = (&solved.patches, (&solved.solution).into());
             view(camera, (self.scene, self.tracer), light, self.watch.progress())?;
@@ -278,12 +283,10 @@ impl Sampling<'_> {
         Ok(found)
     }
 
-    /// The discretisation error relative to the mean irradiance, if it is known.
-    fn discretisation(&self, solved: &Solved) -> Result<Option<f64>> {
+    fn discretisation(&self, solved: &Solved) -> Result<Option<Discretisation>> {
         let Solved { patches, form_factors, solution, .. } = solved;
-        let (scene, progress) = ((self.scene, self.tracer), self.watch.progress());
-        let found = Discretisation::of(scene, form_factors, patches, solution, progress)?;
-        Ok(found.map(|found| found.relative))
+        let scene = (self.scene, self.tracer);
+        Discretisation::of(scene, form_factors, patches, solution, self.watch.progress())
     }
 
     /// Warns if the patches from the options are too large for an error of `wanted`.

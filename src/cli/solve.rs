@@ -417,8 +417,9 @@ impl Errors {
 
     pub fn of(
         options: &SolveOptions,
-        (scene, tracer): (&Scene, &Tracer),
+        tracer: &Tracer,
         solved: &Solved,
+        discretisation: Option<Discretisation>,
         progress: &Progress,
     ) -> Result<Errors> {
         let Solved { patches, form_factors, solution, .. } = solved;
@@ -428,7 +429,7 @@ impl Errors {
         let unit = relative_rms(&unit, &solution.irradiance, &seen);
         Ok(Errors {
             energy: EnergyLedger::of(form_factors, patches, solution),
-            discretisation: Discretisation::of((scene, tracer), form_factors, patches, solution, progress)?,
+            discretisation,
             bias: bias::relative(form_factors, tracer, patches, solution, options, progress)?,
             solver: Some(solution.error_bound * unit).filter(|x| x.is_finite() && unit > 0.0),
         })

@@ -150,7 +150,7 @@ const BLOCK: usize = 1024;
 
 impl FormFactors {
     /// The difference between linear and constant light that the rays bring to the patches they hit, if they carry the
-    /// light of their start points: the irradiance of each patch by each replicate of all rays. `None` if the form
+    /// light of their start points: the irradiance of each patch by each half of the replicates. `None` if the form
     /// factors were not sampled.
     ///
     /// A ray from patch i stands for the exchange area A_i / R_i, in both directions.
@@ -158,9 +158,10 @@ impl FormFactors {
         &self,
         (scene, tracer, patches): (&Scene, &Tracer, &Patches),
         light: &Varying<C>,
-    ) -> Option<Vec<[[f32; REPLICATES]; C]>> {
+    ) -> Option<[Vec<[f64; C]>; 2]> {
+        const HALF: usize = REPLICATES / 2;
         let samples = self.samples.as_ref()?;
-        let mut brought = vec![[[0.0; REPLICATES]; C]; patches.len()];
+        let mut brought = [0, 1].map(|_| vec![[0.0; C]; patches.len()]);
         for start in (0..patches.len()).step_by(BLOCK) {
             let block = start..(start + BLOCK).min(patches.len());
             let carried: Vec<Vec<[f32; C]>> = block
@@ -173,13 +174,14 @@ impl FormFactors {
                 let targets = samples.rays.of(i);
                 for k in 0..REPLICATES {
                     let range = part(targets.len() as u32, k);
-                    let exchanged = samples.areas[i] / range.len() as f64;
+                    let exchanged = samples.areas[i] / (HALF * range.len()) as f64;
                     // Without slopes a patch carries nothing, and `carried` is empty.
                     for (&j, carried) in targets[range.clone()].iter().zip(carried.get(range).unwrap_or(&[]))
                     {
                         if j != ESCAPED {
-                            let weight = (exchanged / samples.areas[j as usize]) as f32;
-                            (0..C).for_each(|c| brought[j as usize][c][k] += weight * carried[c]);
+                            let weight = exchanged / samples.areas[j as usize];
+                            let brought = &mut brought[k / HALF][j as usize];
+                            (0..C).for_each(|c| brought[c] += weight * f64::from(carried[c]));
                         }
                     }
                 }
