@@ -16,13 +16,12 @@ trap 'rm -rf "$work"' EXIT
 "$python" -m venv "$work/env"
 pip=("$work/env/bin/python" -m pip --quiet --disable-pip-version-check)
 "${pip[@]}" install "maturin>=1.9,<2" || exit $unavailable
-# A lock file that is not up to date is an error, unlike an index that does not answer.
-cargo metadata --offline --locked --format-version 1 > /dev/null 2> "$work/lock.txt" || true
-if grep -q "cannot update the lock file" "$work/lock.txt"; then
-    cat "$work/lock.txt" >&2
-    exit 1
+if ! cargo fetch --quiet --locked 2> "$work/fetched"; then
+    cat "$work/fetched" >&2
+    # A lock file that is not up to date is an error, unlike an index that does not answer.
+    if grep -q "cannot update the lock file" "$work/fetched"; then exit 1; fi
+    exit $unavailable
 fi
-cargo fetch --quiet --locked || exit $unavailable
 
 cargo fmt --check
 "$work/env/bin/maturin" build --quiet --locked --profile "$profile" --interpreter "$work/env/bin/python" --out "$work/wheels"

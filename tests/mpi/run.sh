@@ -40,6 +40,12 @@ fail() {
     echo "failed: $*" >&2
     exit 1
 }
+await() { # FILE SIZE MESSAGES: $job has written more than SIZE bytes.
+    until [[ -s "$1" && $(stat -c %s "$1") -gt $2 ]]; do
+        kill -0 $job 2> /dev/null || fail "the job ended too early: $(cat "$3")"
+        sleep 0.02
+    done
+}
 # The report without what differs between runs.
 figures() {
     sed '/"seconds": {/,/}/d; /"ranks": {/,/}/d; /"peak_bytes"/d; /"bytes"/d; /"elapsed"/d' "$1"
@@ -72,10 +78,7 @@ long=("${base[@]}" --rays 1024)
 "$program" "${long[@]}" -o one.ply --report one.json
 mpirun "${flags[@]}" -n 4 "$program" "${long[@]}" "${outputs[@]}" --checkpoint rays > killed.txt 2>&1 &
 job=$!
-until [[ -s rays.2 && $(stat -c %s rays.2) -gt 1000000 ]]; do
-    kill -0 $job 2> /dev/null || fail "the job ended before it could be killed: $(cat killed.txt)"
-    sleep 0.02
-done
+await rays.2 1000000 killed.txt
 kill -9 "$(pgrep -P $job | tail -1)"
 if wait $job; then fail "a killed rank did not end the job"; fi
 [[ ! -e out.ply && ! -e r.json ]] || fail "a killed job left an output"
@@ -88,10 +91,7 @@ rm rays.*
 # Signals and a full disk end all ranks.
 mpirun "${flags[@]}" -n 2 "$program" "${long[@]}" "${outputs[@]}" --checkpoint rays > stopped.txt 2>&1 &
 job=$!
-until [[ -s rays.1 && $(stat -c %s rays.1) -gt 100000 ]]; do
-    kill -0 $job 2> /dev/null || fail "the job ended before it could be stopped: $(cat stopped.txt)"
-    sleep 0.02
-done
+await rays.1 100000 stopped.txt
 kill -INT $job
 if wait $job; then fail "Ctrl-C did not end the job"; fi
 [[ ! -e out.ply ]] || fail "a stopped job left an output"
