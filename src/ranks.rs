@@ -217,6 +217,19 @@ pub(crate) trait Words {
     fn words_mut(&mut self) -> &mut [Self::Word];
 }
 
+impl Words for u32 {
+    type Word = u32;
+    const COUNT: usize = 1;
+
+    fn words(&self) -> &[u32] {
+        std::slice::from_ref(self)
+    }
+
+    fn words_mut(&mut self) -> &mut [u32] {
+        std::slice::from_mut(self)
+    }
+}
+
 impl<T: Word, const N: usize> Words for [T; N] {
     type Word = T;
     const COUNT: usize = N;

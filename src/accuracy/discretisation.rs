@@ -19,7 +19,8 @@ use std::ops::Range;
 use crate::{
     Progress, Result,
     accuracy::error_bars::relative_rms,
-    form_factor::{FormFactors, magnitude, moments::Varying, ordered_sum, together},
+    form_factor::{FormFactors, magnitude, ordered_sum, together},
+    moments::Varying,
     patch::Patches,
     scene::Scene,
     solve::{

@@ -18,13 +18,12 @@ use rayon::prelude::*;
 
 use crate::{
     direct::{Deviation, DirectLight},
-    form_factor::{
-        Estimator, FormFactors, magnitude, ordered_sum,
-        rays::REPLICATES,
+    form_factor::{Estimator, FormFactors, magnitude, ordered_sum, together},
+    rays::{
+        REPLICATES,
         regions::Regions,
         siblings::with_mean,
         stratification::{half_differences, variance_of_all, variance_of_nets},
-        together,
     },
     solve::{Radiometry, Solution},
 };

@@ -1,11 +1,6 @@
 //! A forecast of the memory that a solution needs. All constants are in bytes.
 
-use crate::{
-    direct::{Constants, REPLICATES},
-    form_factor::Estimator,
-    scene::Scene,
-    solve::Solver,
-};
+use crate::{direct::Constants, form_factor::Estimator, rays::REPLICATES, scene::Scene, solve::Solver};
 
 /// For the program, its threads, and the buffers of output files.
 const BASE: f64 = 17.0 * 1024.0 * 1024.0;

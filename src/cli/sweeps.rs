@@ -8,10 +8,12 @@ use radiosity::{
         memory::without_matrix,
         refinement::{Plan, Round},
     },
-    form_factor::sweep::Sweeper,
     output::report::Seconds,
     patch::Patches,
-    solve::stochastic_jacobi::{self, Reached, StochasticOptions},
+    solve::{
+        stochastic_jacobi::{self, Reached, StochasticOptions},
+        sweep::Sweeper,
+    },
 };
 
 use super::{

@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use super::SkyParts;
 use crate::{
     Error, Progress, Result,
-    direct::footprint::Footprint,
-    form_factor::{CastOptions, FormFactors, rays::ESCAPED},
+    form_factor::{CastOptions, FormFactors},
     patch::Patches,
+    rays::{ESCAPED, footprint::Footprint},
     scene::{
         Scene,
         light::{Lights, Sky, Up},

@@ -16,10 +16,13 @@
 use rayon::prelude::*;
 
 use super::{
-    Constants, REPLICATES, part,
+    Constants,
     shadow::{HALVES, ShadowRays},
 };
-use crate::parallel::{SHORT, ordered_sum};
+use crate::{
+    parallel::{SHORT, ordered_sum},
+    rays::{REPLICATES, part},
+};
 
 /// Deviation of the irradiance of a patch in each replicate from the mean of all, by channel.
 pub(crate) type Deviation<const C: usize> = [[f32; REPLICATES]; C];
@@ -203,10 +206,10 @@ impl ShadowRays {
             let count = range.len() as f64;
             for s in range {
                 let (ray, half) = (rays[s], s % HALVES);
-                let piece = ray.piece as usize;
+                let piece = ray.piece();
                 let counts = self.lamps.pieces[piece].is_remote() == remote;
                 let free = scratch.free[half].get(self.lamps.pieces[piece].lamp).copied().unwrap_or(0.0);
-                let weight = f64::from(ray.weight);
+                let weight = f64::from(ray.weight());
                 let left = if counts { weight.max(0.0) - free * weight.abs() } else { 0.0 };
                 for c in 0..C {
                     parts[c][k] += (left * sent[piece][c] + controlled[half][c]) / count;
@@ -258,8 +261,8 @@ impl Scratch {
         let mut whole = [Seen::default(); HALVES];
         self.seen.iter_mut().for_each(|seen| seen.fill(Seen::default()));
         for (s, ray) in rays.of(i).iter().enumerate() {
-            let (half, piece) = (s % HALVES, &rays.lamps.pieces[ray.piece as usize]);
-            let weight = f64::from(ray.weight) * piece.brightness;
+            let (half, piece) = (s % HALVES, &rays.lamps.pieces[ray.piece()]);
+            let weight = f64::from(ray.weight()) * piece.brightness;
             self.seen[half][piece.lamp].add(weight);
             whole[half].add(weight);
         }
@@ -308,9 +311,10 @@ mod tests {
     use super::super::Lamps;
     use super::*;
     use crate::{
-        Progress, Ranks,
+        Progress,
         exact::{point_to_polygon, polygon_form_factor},
         patch::{Patches, Subdivision},
+        rays::RaySet,
         scene::{Material, Scene},
         trace::Tracer,
     };
@@ -349,7 +353,7 @@ mod tests {
         fn direct(&self, rays: u32, seed: u64) -> DirectLight<1> {
             let (tracer, patches) = (&self.tracer, &self.patches);
             let mut shadow = ShadowRays::none(Lamps::new(tracer, patches, &self.scene.lights, |_| true));
-            shadow.extend(tracer, patches, |_| rays, seed, (None, Ranks::alone()), &Progress::new()).unwrap();
+            shadow.extend(tracer, patches, |_| rays, seed, &RaySet::none(), &Progress::new()).unwrap();
             let areas: Vec<f64> = (0..patches.len()).map(|i| patches.area(i)).collect();
             shadow.irradiance((patches.emission().as_chunks().0, 1.0, &[]), &areas, 1.0)
         }
@@ -425,11 +429,9 @@ mod tests {
             let (tracer, patches) =
                 (Tracer::new(&scene), Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY)));
             let mut shadow = ShadowRays::none(Lamps::new(&tracer, &patches, &scene.lights, |_| true));
-            shadow
-                .extend(&tracer, &patches, |_| 1 << 14, 5, (None, Ranks::alone()), &Progress::new())
-                .unwrap();
-            let mean =
-                shadow.of(0).iter().map(|ray| f64::from(ray.weight.abs())).sum::<f64>() / f64::from(1 << 14);
+            shadow.extend(&tracer, &patches, |_| 1 << 14, 5, &RaySet::none(), &Progress::new()).unwrap();
+            let mean = shadow.of(0).iter().map(|ray| f64::from(ray.weight().abs())).sum::<f64>()
+                / f64::from(1 << 14);
             let known = shadow.unoccluded(0)[0];
             assert!((mean / known - 1.0).abs() < 3e-3, "{patch:?}: {mean} for {known}");
         }

@@ -10,7 +10,6 @@ use glam::Vec3A;
 
 use super::{
     Constants,
-    footprint::{Footprint, is_hidden, kernel},
     remote::Remote,
     solid_angle,
     tree::Tree,
@@ -19,6 +18,10 @@ use super::{
 use crate::{
     parallel::magnitude,
     patch::Patches,
+    rays::{
+        footprint::{Footprint, is_hidden, kernel},
+        siblings::adjoin,
+    },
     scene::light::{Lights, SKY, Sky},
     trace::{
         Tracer, UnitTriangle,
@@ -26,14 +29,6 @@ use crate::{
     },
 };
 use rayon::prelude::*;
-
-/// Smallest cosine between the normals of coplanar neighbours.
-const FLAT: f32 = 0.999;
-
-/// Whether two triangles are coplanar and share a corner.
-pub(crate) fn adjoin(p: &UnitTriangle, q: &UnitTriangle) -> bool {
-    p.normal.dot(q.normal) > FLAT && p.corners.iter().any(|corner| q.corners.contains(corner))
-}
 
 /// A source of samples: a part of a surface, or a light that is not a surface.
 #[derive(Debug, Clone)]

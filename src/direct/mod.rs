@@ -4,30 +4,20 @@
 //! matrix. Every patch casts [shadow rays](shadow) to points on [lamps], chosen with probabilities close to their
 //! contributions. [`irradiance`] turns the rays into irradiance.
 
-pub(crate) mod footprint;
+pub(crate) mod brightness;
 mod irradiance;
 mod lamps;
 pub(crate) mod moments;
 mod remote;
 mod shadow;
+pub(crate) mod sky;
 mod solid_angle;
 mod tree;
 mod unoccluded;
 
 pub(crate) use irradiance::{Deviation, DirectLight};
-pub(crate) use lamps::{Lamps, adjoin};
-pub(crate) use shadow::{Keep, ShadowRay, ShadowRays};
-
-/// Number of replicates: equal parts of the rays of each patch. With 16 the standard error has 15 degrees of freedom,
-/// and intervals of two standard errors contain the true value for about 94 % of patches. With 4 parts they did so for
-/// 85 %.
-pub const REPLICATES: usize = 16;
-
-/// The rays of a replicate. Their numbers differ by at most one.
-pub(crate) fn part(rays: u32, replicate: usize) -> std::ops::Range<usize> {
-    let start = |k: usize| k * rays as usize / REPLICATES;
-    start(replicate)..start(replicate + 1)
-}
+pub(crate) use lamps::Lamps;
+pub(crate) use shadow::ShadowRays;
 
 /// Constants chosen by experiments.
 pub(crate) struct Constants;

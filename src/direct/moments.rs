@@ -8,14 +8,12 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::{
-    REPLICATES,
-    footprint::Footprint,
     irradiance::Scratch,
-    part,
     shadow::{HALVES, ShadowRays, paths},
 };
 use crate::{
     patch::Patches,
+    rays::{REPLICATES, footprint::Footprint, part},
     slopes::{Measured, SQUARES, basis},
     trace::{Tracer, sampling::mix},
 };
@@ -144,9 +142,9 @@ impl ShadowRays {
         let seed = mix(&[seed, i as u64, 1]);
         for (index, path) in paths(&self.lamps, &choice, &from, 0..rays.len() as u32, seed) {
             let (s, ray) = (index as usize, rays[index as usize]);
-            let piece = ray.piece as usize;
+            let piece = ray.piece();
             let free = if known { scratch.free[s % HALVES][self.lamps.pieces[piece].lamp] } else { 0.0 };
-            let weight = f64::from(ray.weight);
+            let weight = f64::from(ray.weight());
             let left = weight.max(0.0) - free * weight.abs();
             if left == 0.0 {
                 continue;

@@ -2,8 +2,9 @@
 
 use glam::{DVec3, Vec3A};
 
-use super::{Constants, footprint::Footprint, solid_angle, unoccluded::Facing};
+use super::{Constants, solid_angle, unoccluded::Facing};
 use crate::{
+    rays::footprint::Footprint,
     scene::light::{Area, Cell, Distant, Distribution, LightKind},
     trace::{Tracer, sampling::square_to_triangle},
 };

@@ -9,13 +9,12 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::{
-    footprint::Footprint,
-    lamps::{Choice, Lamps, Path},
-};
+use super::lamps::{Choice, Lamps, Path};
 use crate::{
-    Progress, Ranks, Result,
+    Progress, Result,
     patch::Patches,
+    ranks::Words,
+    rays::{RaySet, casting::Names, footprint::Footprint, lists::Lists},
     trace::{
         Tracer,
         sampling::mix,
@@ -29,9 +28,9 @@ pub(super) const HALVES: usize = 2;
 /// A shadow ray: the piece of the lamps that it went to, and its weight. The weight is negative if the ray was blocked,
 /// and zero if the two points do not face each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct ShadowRay {
-    pub(crate) piece: u32,
-    pub(crate) weight: f32,
+pub(super) struct ShadowRay {
+    /// The piece, and the bits of the weight.
+    words: [u32; 2],
 }
 
 /// A shadow ray that is not stored.
@@ -50,57 +49,76 @@ pub(crate) struct Sample<const C: usize> {
 }
 
 impl ShadowRay {
-    const NONE: ShadowRay = ShadowRay { piece: 0, weight: 0.0 };
+    const NONE: ShadowRay = ShadowRay { words: [0; 2] };
+
+    fn new(piece: u32, weight: f32) -> ShadowRay {
+        ShadowRay { words: [piece, weight.to_bits()] }
+    }
+
+    pub(super) fn piece(self) -> usize {
+        self.words[0] as usize
+    }
+
+    pub(super) fn weight(self) -> f32 {
+        f32::from_bits(self.words[1])
+    }
+
+    /// The ray as it is in a checkpoint.
+    fn bytes(self) -> [u8; 8] {
+        std::array::from_fn(|b| self.words[b / 4].to_le_bytes()[b % 4])
+    }
+
+    /// The ray from a checkpoint; `None` if there is no such ray among this number of pieces.
+    fn from_bytes(bytes: [u8; 8], pieces: usize) -> Option<ShadowRay> {
+        let word = |k: usize| u32::from_le_bytes(std::array::from_fn(|b| bytes[4 * k + b]));
+        let ray = ShadowRay { words: [word(0), word(1)] };
+        (ray.piece() < pieces && ray.weight().is_finite()).then_some(ray)
+    }
+}
+
+impl Words for ShadowRay {
+    type Word = u32;
+    const COUNT: usize = 2;
+
+    fn words(&self) -> &[u32] {
+        &self.words
+    }
+
+    fn words_mut(&mut self) -> &mut [u32] {
+        &mut self.words
+    }
 }
 
 /// The shadow rays of all patches.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ShadowRays {
     pub(crate) lamps: Lamps,
-    /// Index in `rays` of the first ray of each patch.
-    offsets: Vec<usize>,
-    rays: Vec<ShadowRay>,
+    rays: Lists<ShadowRay>,
     /// The unblocked form factor of each patch to each piece; empty if there are too many pieces.
     unoccluded: Vec<f64>,
     /// Whether any light can reach each patch.
     is_faced: Vec<bool>,
 }
 
-/// A store of shadow rays.
-pub(crate) trait Keep: Sync {
-    /// The stored rays among the `wanted` numbers of a patch, without gaps from the first on.
-    fn known(&self, patch: usize, wanted: Range<u32>) -> Result<Vec<ShadowRay>>;
-    /// Whether to cast the rays of a patch that are not stored, in a stage of `new` rays. If not, notes that `missing` rays
-    /// are missing.
-    fn casts(&self, patch: usize, missing: u32, new: u64) -> bool;
-    /// Stores rays of patches, given as (patch, number of the first ray, all rays from it on).
-    fn keep(&self, rays: &[(usize, u32, &[ShadowRay])]) -> Result<()>;
-}
-
 impl ShadowRays {
     /// A set without rays.
     pub(crate) fn none(lamps: Lamps) -> ShadowRays {
-        ShadowRays { lamps, offsets: vec![0], ..ShadowRays::default() }
-    }
-
-    /// Number of patches for which rays were cast.
-    fn len(&self) -> usize {
-        self.offsets.len().max(1) - 1
+        ShadowRays { lamps, ..ShadowRays::default() }
     }
 
     /// Number of rays of all patches.
     pub(crate) fn rays(&self) -> u64 {
-        self.rays.len() as u64
+        self.rays.all.len() as u64
     }
 
     /// Number of rays of patch `i`.
     pub(crate) fn count(&self, i: usize) -> u32 {
-        if i < self.len() { (self.offsets[i + 1] - self.offsets[i]) as u32 } else { 0 }
+        self.rays.count(i)
     }
 
     /// The rays of patch `i`.
     pub(super) fn of(&self, i: usize) -> &[ShadowRay] {
-        if i < self.len() { &self.rays[self.offsets[i]..self.offsets[i + 1]] } else { &[] }
+        self.rays.of(i)
     }
 
     /// The unblocked form factors of patch `i` to all pieces; empty if they are not known.
@@ -111,35 +129,19 @@ impl ShadowRays {
 
     /// Bytes held.
     pub(crate) fn bytes(&self) -> usize {
-        size_of_val(&self.rays[..]) + size_of_val(&self.unoccluded[..]) + 9 * self.len()
+        self.rays.bytes() + size_of_val(&self.unoccluded[..]) + self.is_faced.len()
     }
 
     /// The first or second half of every patch's rays; `None` if some patch has only one ray.
     pub(crate) fn half(&self, half: usize) -> Option<ShadowRays> {
-        let mut part = ShadowRays {
-            lamps: self.lamps.clone(),
-            offsets: vec![0],
-            rays: Vec::with_capacity(self.rays.len().div_ceil(2)),
-            unoccluded: self.unoccluded.clone(),
-            is_faced: self.is_faced.clone(),
-        };
-        for i in 0..self.len() {
-            let (all, middle) = (self.of(i), self.of(i).len() / 2);
-            if all.len() == 1 {
-                return None;
-            }
-            part.rays.extend_from_slice([&all[..middle], &all[middle..]][half]);
-            part.offsets.push(part.rays.len());
-        }
-        Some(part)
+        let (rays, lamps) = (self.rays.half(half)?, self.lamps.clone());
+        let (unoccluded, is_faced) = (self.unoccluded.clone(), self.is_faced.clone());
+        Some(ShadowRays { lamps, rays, unoccluded, is_faced })
     }
 
     /// Removes all light from these patches, which are sorted.
     pub(crate) fn withdraw(&mut self, patches: &[usize]) {
-        let cast = self.len();
-        for &i in patches.iter().filter(|&&i| i < cast) {
-            self.rays[self.offsets[i]..self.offsets[i + 1]].fill(ShadowRay::NONE);
-        }
+        patches.iter().for_each(|&i| self.rays.fill(i, ShadowRay::NONE));
     }
 
     /// Computes the unblocked form factors of patches to lamps, and which patches light can reach.
@@ -191,13 +193,13 @@ impl ShadowRays {
         mut found: impl FnMut(&Sample<C>),
     ) {
         cast(tracer, &self.lamps, from, self.unoccluded(i), indices, seed, |index, ray| {
-            let piece = &self.lamps.pieces[ray.piece as usize];
-            let weight = f64::from(ray.weight.abs());
+            let piece = &self.lamps.pieces[ray.piece()];
+            let weight = f64::from(ray.weight().abs());
             found(&Sample {
                 half: index as usize % HALVES,
                 light: piece.sent(emission, 1.0).map(|sent| weight * sent),
                 known: if piece.is_known() { weight * piece.brightness } else { 0.0 },
-                is_free: ray.weight > 0.0,
+                is_free: ray.weight() > 0.0,
                 is_remote: piece.is_remote(),
             });
         });
@@ -208,104 +210,49 @@ impl ShadowRays {
         self.is_faced[i]
     }
 
-    /// Casts rays until every patch that light can reach has the `wanted` number. Rays cast before are kept.
+    /// Casts rays until every patch that light can reach has the `wanted` number. Rays cast before are kept. The checkpoint
+    /// and the ranks are those of the `hemisphere` rays.
     ///
     /// # Errors
-    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so, and the errors of `keep`.
+    /// [`Error::Stopped`](crate::Error::Stopped) when `progress` says so, and those of the checkpoint.
     pub(crate) fn extend(
         &mut self,
         tracer: &Tracer,
         patches: &Patches,
         wanted: impl Fn(usize) -> u32,
         seed: u64,
-        (keep, ranks): (Option<&dyn Keep>, Ranks),
+        hemisphere: &RaySet,
         progress: &Progress,
     ) -> Result<()> {
         if self.lamps.is_empty() {
             return Ok(());
         }
         self.face(tracer, patches);
-        let n = patches.len();
-        let mut offsets = vec![0];
-        for i in 0..n {
-            let want = if self.is_faced[i] { wanted(i) } else { 0 };
-            offsets.push(offsets[i] + want.max(self.count(i)) as usize);
-        }
-        let mut rays = vec![ShadowRay::NONE; offsets[n]];
-        (0..self.len()).for_each(|i| rays[offsets[i]..][..self.of(i).len()].copy_from_slice(self.of(i)));
-        let stage = (offsets[n] - self.rays.len()) as u64;
-        progress.begin("casting shadow rays", stage);
-        const BLOCK: usize = 32;
-        let mut rest = &mut rays[..];
-        let mut work = Vec::new();
-        for start in (0..n).step_by(BLOCK) {
-            let end = (start + BLOCK).min(n);
-            let (block, tail) = rest.split_at_mut(offsets[end] - offsets[start]);
-            work.push((start..end, block));
-            rest = tail;
-        }
-        let this = &*self;
-        let owner = |i: usize| ranks.of_turn(i / BLOCK);
-        work.into_par_iter().try_for_each(|(range, mut rest)| {
-            let mut cast = Vec::new();
-            if owner(range.start) != ranks.rank() {
-                range.for_each(|i| {
-                    progress.advance((offsets[i + 1] - offsets[i]) as u64 - u64::from(this.count(i)))
-                });
-                return Ok(());
-            }
-            for i in range {
-                progress.check()?;
-                let (own, tail) = rest.split_at_mut(offsets[i + 1] - offsets[i]);
-                rest = tail;
-                let mut had = this.count(i);
-                let new = own.len() as u32 - had;
-                if let Some(keep) = keep.filter(|_| new > 0) {
-                    let known = keep.known(i, had..own.len() as u32)?;
-                    own[had as usize..][..known.len()].copy_from_slice(&known);
-                    had += known.len() as u32;
-                    let missing = own.len() as u32 - had;
-                    if missing > 0 && !keep.casts(i, missing, stage) {
-                        continue;
-                    }
+        let mut rays = std::mem::take(&mut self.rays);
+        let before = rays.all.len();
+        let wanted = |i: usize| if self.is_faced[i] { wanted(i) } else { 0 };
+        let old = rays.make_room(0..patches.len(), wanted, ShadowRay::NONE);
+        let new = (rays.all.len() - before) as u64;
+        progress.begin("casting shadow rays", new);
+        let section = hemisphere.checkpoint.as_ref().map(|section| section.of_kind(self.lamps.digest()));
+        let (names, pieces) = (Names::new(patches), self.lamps.pieces());
+        let decode = |bytes| ShadowRay::from_bytes(bytes, pieces);
+        let found = rays.cast(
+            (0, &old),
+            (section.as_ref(), hemisphere.rays() + new, hemisphere.ranks),
+            (&names, ShadowRay::bytes, decode),
+            progress,
+            |i, indices, own| {
+                if !indices.is_empty() {
+                    let (from, seed) = (Footprint::new(tracer, patches, i), mix(&[seed, i as u64, 1]));
+                    cast(tracer, &self.lamps, &from, self.unoccluded(i), indices, seed, |index, ray| {
+                        own[index as usize] = ray;
+                    });
                 }
-                this.cast(
-                    tracer,
-                    &Footprint::new(tracer, patches, i),
-                    i,
-                    had,
-                    own,
-                    mix(&[seed, i as u64, 1]),
-                );
-                progress.advance(new.into());
-                cast.push((i, had, &*own));
-            }
-            let cast: Vec<_> = cast
-                .into_iter()
-                .map(|(i, had, own)| (i, had, &own[had as usize..]))
-                .filter(|(.., own)| !own.is_empty())
-                .collect();
-            keep.map_or(Ok(()), |keep| keep.keep(&cast))
-        })?;
-        if ranks.count() > 1 {
-            let new = |i: usize| (offsets[i] + self.count(i) as usize..offsets[i + 1], owner(i));
-            let mut words: Vec<[u32; 2]> = rays.iter().map(|ray| [ray.piece, ray.weight.to_bits()]).collect();
-            ranks.share(&mut words, (0..n).map(new));
-            let ray = |[piece, weight]: [u32; 2]| ShadowRay { piece, weight: f32::from_bits(weight) };
-            rays.iter_mut().zip(words).for_each(|(to, words)| *to = ray(words));
-        }
-        (self.rays, self.offsets) = (rays, offsets);
-        Ok(())
-    }
-
-    /// Casts the rays of a patch from number `had` on.
-    fn cast(&self, tracer: &Tracer, from: &Footprint, i: usize, had: u32, own: &mut [ShadowRay], seed: u64) {
-        let indices = had..own.len() as u32;
-        if !indices.is_empty() {
-            cast(tracer, &self.lamps, from, self.unoccluded(i), indices, seed, |index, ray| {
-                own[index as usize] = ray;
-            });
-        }
+            },
+        );
+        self.rays = rays;
+        found
     }
 }
 
@@ -322,9 +269,9 @@ fn cast(
 ) {
     let Some(choice) = lamps.choice(from, unoccluded) else { return };
     let rays = paths(lamps, &choice, from, indices, seed)
-        .map(|(index, Path { from, to, piece, weight })| ((index, ShadowRay { piece, weight }), from, to));
-    tracer.visible_each(rays, |(index, ray), visible| {
-        found(index, if visible { ray } else { ShadowRay { weight: -ray.weight, ..ray } });
+        .map(|(index, Path { from, to, piece, weight })| ((index, piece, weight), from, to));
+    tracer.visible_each(rays, |(index, piece, weight), visible| {
+        found(index, ShadowRay::new(piece, if visible { weight } else { -weight }));
     });
 }
 

@@ -6,20 +6,19 @@ use rayon::prelude::*;
 
 use super::{
     BeforeAfter, CastOptions, Estimator, FormFactors, Matrix, SHORT, Stored,
-    blocks::Blocks,
-    brightness,
     calibration::{self, Measured},
     closure,
     pooling::{self, Buckets, Densities},
-    rays::RaySet,
-    regions::Regions,
     replicates::Samples,
-    siblings,
-    sky::SkyLight,
-    symmetric::Symmetric,
     together,
 };
-use crate::{direct::ShadowRays, patch::Patches, trace::Tracer};
+use crate::{
+    direct::{ShadowRays, brightness, sky::SkyLight},
+    patch::Patches,
+    rays::{RaySet, regions::Regions, siblings},
+    symmetric::{Symmetric, blocks::Blocks},
+    trace::Tracer,
+};
 
 /// Patches smaller than this share of the mean area are given that area. Otherwise their exchange areas would leave the
 /// range of single precision. The energy this adds is below the rounding of double precision.

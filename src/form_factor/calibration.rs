@@ -22,11 +22,12 @@ use super::{
     SHORT,
     closure::LEAST_LANDING,
     pooling::{Buckets, Densities},
-    rays::RaySet,
-    regions::Regions,
+};
+use crate::{
+    patch::Patches,
+    rays::{RaySet, regions::Regions},
     symmetric::Symmetric,
 };
-use crate::patch::Patches;
 
 /// Weight of a patch's own ray relative to a ray that arrives from another patch. RMS errors of irradiance on two
 /// Cornell boxes at 64 rays a patch, with weights 1, 4 and 16: 6.5, 6.4, 6.7 and 5.4, 5.5, 6.2 %; at 1024 rays: 1.35,

@@ -16,7 +16,8 @@
 
 use rayon::prelude::*;
 
-use super::{SHORT, ordered_sum, symmetric::Symmetric};
+use super::{SHORT, ordered_sum};
+use crate::symmetric::Symmetric;
 
 /// The scaling, and the deviation that it repaired.
 pub(super) struct Closed {

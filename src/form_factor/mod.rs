@@ -6,61 +6,47 @@
 //! module `direct` computes it. [`exact`] has the closed forms that test all of this.
 //! [`view_factor`](crate::view_factor) computes view factors between single surfaces, each accurate by itself.
 
-mod allocation;
 mod assembly;
-mod blocks;
-mod brightness;
 mod calibration;
-mod checkpoint;
 pub mod closure;
 mod compressed;
-pub(crate) mod moments;
 mod pooling;
 mod product;
-pub mod rays;
-pub(crate) mod regions;
 pub(crate) mod replicates;
-pub(crate) mod siblings;
-mod sky;
-pub(crate) mod stratification;
-pub mod sweep;
-mod symmetric;
 
 use std::{borrow::Cow, ops::Range, sync::Arc};
 
 use rayon::prelude::*;
-use sprs::CsMatI;
 
 use crate::{
     Progress, Ranks, Result,
-    direct::{Keep, Lamps, ShadowRay, ShadowRays},
+    direct::{Lamps, ShadowRays, brightness, sky::SkyLight},
     patch::Patches,
+    rays::{
+        RaySet,
+        allocation::{self, Share},
+        checkpoint::Section,
+        regions::Regions,
+    },
     scene::Scene,
+    symmetric::Symmetric,
     trace::{Tracer, sampling::mix},
 };
 use assembly::Assembled;
-use checkpoint::{Record, Section};
-use rays::{RaySet, casting::Names};
-use regions::Regions;
-use replicates::Samples;
-use sky::SkyLight;
-pub(crate) use symmetric::Real;
-use symmetric::Symmetric;
+pub(crate) use replicates::Samples;
 
-pub use crate::exact;
 pub(crate) use crate::{
-    direct::{
-        DirectLight,
-        footprint::{is_hidden, kernel},
-    },
+    direct::DirectLight,
     parallel::{SHORT, magnitude, ordered_sum, together},
+    rays::footprint::{is_hidden, kernel},
+    symmetric::{Real, row},
 };
-pub use checkpoint::{Checkpoint, Part};
+pub use crate::{
+    exact, rays,
+    rays::{Checkpoint, Part},
+    symmetric::Matrix,
+};
 pub use compressed::CompressedRows;
-
-/// Sparse matrix by rows, 8 bytes a non-zero: single-precision values (sums run in double precision) and 32-bit
-/// columns. It passes form factors in and out, and serves solvers that need whole rows.
-pub type Matrix = CsMatI<f32, u32, usize>;
 
 /// Allowed excess of a form factor over 1, about the precision of the closure.
 const ROUNDING: f64 = 1e-12;
@@ -127,6 +113,11 @@ impl CastOptions {
             shadow_share: if needed { CastOptions::default().shadow_share } else { self.shadow_share },
             ..*self
         }
+    }
+
+    /// The same number of rays for all patches, with shadow rays if there are lamps.
+    fn even(&self, rays: f64, lamps: bool) -> Share {
+        allocation::even(rays, if lamps { self.shadow_share } else { 0.0 }, self.looks_first())
     }
 
     /// Whether variances distribute a part of the rays.
@@ -298,7 +289,7 @@ impl FormFactors {
         set.ranks = options.ranks;
         set.checkpoint = checkpoint.map(|file| Section::new(file, digest(patches), options.seed));
         let emits = apart && patches.emission().iter().any(|&b| b > 0.0);
-        let mut share = allocation::even(options, rays, emits || scene.lights.need_shadow_rays());
+        let mut share = options.even(rays, emits || scene.lights.need_shadow_rays());
         set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
         // The choice of lamps depends on all hemisphere rays.
         if set.is_lacking() {
@@ -311,11 +302,11 @@ impl FormFactors {
         let lamps = Lamps::new(tracer, patches, &scene.lights, |i| shines[i]);
         if share.shadow > 0 && lamps.is_empty() {
             // Without lamps all rays are hemisphere rays.
-            share = allocation::even(options, rays, false);
+            share = options.even(rays, false);
             set.extend(scene, tracer, patches, |_| share.hemisphere, options.seed, progress)?;
         }
         let mut shadow = ShadowRays::none(lamps);
-        cast_shadow(&mut shadow, &set, tracer, patches, |_| share.shadow, options.seed, progress)?;
+        shadow.extend(tracer, patches, |_| share.shadow, options.seed, &set, progress)?;
         if set.is_lacking() {
             return Ok(Sampled::Lacking { last: !options.looks_first() });
         }
@@ -368,10 +359,10 @@ impl FormFactors {
         let Samples { rays: mut set, mut shadow, radiosity, .. } = samples;
         // Without variances the result must not depend on the number of rounds: each starts anew.
         let start = if options.looks_first() { radiosity } else { Vec::new() };
-        let even = allocation::even(&options, rays, !shadow.lamps.is_empty());
+        let even = options.even(rays, !shadow.lamps.is_empty());
         let share = |i: usize| shares.get(i).copied().unwrap_or(even);
         set.extend(scene, tracer, patches, |i| share(i).hemisphere, options.seed, progress)?;
-        cast_shadow(&mut shadow, &set, tracer, patches, |i| share(i).shadow, options.seed, progress)?;
+        shadow.extend(tracer, patches, |i| share(i).shadow, options.seed, &set, progress)?;
         if set.is_lacking() {
             return Ok(Sampled::Lacking { last: true });
         }
@@ -444,6 +435,16 @@ impl FormFactors {
     /// Whether patch `i` is a part of a lamp. The emission of lamps arrives by direct light, not through form factors.
     pub(crate) fn is_lamp(&self, i: usize) -> bool {
         self.samples.as_ref().is_some_and(|samples| samples.shadow.lamps.contains(i))
+    }
+
+    /// The rays; `None` if the form factors were not cast from rays.
+    pub(crate) fn samples(&self) -> Option<&Samples> {
+        self.samples.as_deref()
+    }
+
+    /// Names of lights that are not surfaces and send no light.
+    pub(crate) fn dark(&self) -> &[String] {
+        &self.dark
     }
 
     /// Number of shadow rays that left patch `i`.
@@ -614,76 +615,4 @@ fn digest(patches: &Patches) -> u64 {
     };
     let all: Vec<u64> = (0..patches.fronts()).into_par_iter().with_min_len(1024).map(of_patch).collect();
     mix(&all)
-}
-
-/// Casts shadow rays. Those in the checkpoint of the hemisphere rays, if there is one, are read from it.
-fn cast_shadow(
-    shadow: &mut ShadowRays,
-    set: &RaySet,
-    tracer: &Tracer,
-    patches: &Patches,
-    wanted: impl Fn(usize) -> u32,
-    seed: u64,
-    progress: &Progress,
-) -> Result<()> {
-    let pieces = shadow.lamps.pieces();
-    let kept = set.checkpoint.as_ref().map(|section| Kept {
-        section: section.of_kind(shadow.lamps.digest()),
-        names: Names::new(patches),
-        pieces,
-        rays: set.rays(),
-    });
-    let kept = kept.as_ref().map(|kept| kept as &dyn Keep);
-    shadow.extend(tracer, patches, wanted, seed, (kept, set.ranks), progress)
-}
-
-/// Shadow rays in a checkpoint.
-struct Kept<'a> {
-    section: Section,
-    names: Names<'a>,
-    pieces: usize,
-    /// Number of hemisphere rays.
-    rays: u64,
-}
-
-impl Keep for Kept<'_> {
-    fn known(&self, patch: usize, wanted: Range<u32>) -> Result<Vec<ShadowRay>> {
-        let key = (patch as u32, self.names.lasting(patch as u32));
-        self.section.known(key, wanted, |bytes: [u8; 8]| {
-            let word = |k: usize| u32::from_le_bytes(std::array::from_fn(|b| bytes[4 * k + b]));
-            let (piece, weight) = (word(0), f32::from_bits(word(1)));
-            ((piece as usize) < self.pieces && weight.is_finite()).then_some(ShadowRay { piece, weight })
-        })
-    }
-
-    fn casts(&self, patch: usize, missing: u32, new: u64) -> bool {
-        let casts = self.section.casts(patch as u32, self.section.shares_out(new, self.rays + new));
-        if !casts {
-            self.section.lack(missing);
-        }
-        casts
-    }
-
-    fn keep(&self, rays: &[(usize, u32, &[ShadowRay])]) -> Result<()> {
-        let mut record = Record::default();
-        for &(patch, from, rays) in rays {
-            let bytes = |ray: &ShadowRay| {
-                let words = [ray.piece, ray.weight.to_bits()];
-                std::array::from_fn::<u8, 8, _>(|b| words[b / 4].to_le_bytes()[b % 4])
-            };
-            self.section.add(
-                &mut record,
-                (patch as u32, self.names.lasting(patch as u32)),
-                from,
-                rays.iter().map(bytes),
-            );
-        }
-        self.section.write(record)
-    }
-}
-
-/// Columns and values of a row.
-pub(crate) fn row(matrix: &Matrix, i: usize) -> (&[u32], &[f32]) {
-    let range = matrix.indptr().outer_inds_sz(i);
-    (&matrix.indices()[range.clone()], &matrix.data()[range])
 }

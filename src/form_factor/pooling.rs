@@ -6,16 +6,17 @@
 
 use rayon::prelude::*;
 
-use super::{
-    Matrix,
-    blocks::{Blocks, PLACE},
+use crate::{
     rays::{ESCAPED, REPLICATES, RaySet},
-    symmetric::Symmetric,
+    symmetric::{
+        Matrix, Symmetric,
+        blocks::{Blocks, PLACE},
+    },
 };
 
 /// Sampling density of each patch: R_i / A_i.
 #[derive(Debug, Clone)]
-pub(super) struct Densities(Vec<f64>);
+pub(crate) struct Densities(Vec<f64>);
 
 impl Densities {
     pub(super) fn new(rays: &RaySet, areas: &[f64]) -> Densities {

@@ -15,8 +15,9 @@ use crate::{
     Ranks,
     accuracy::{error_bars::ErrorBars, regions::RegionError},
     energy::EnergyLedger,
-    form_factor::{self, FormFactors, rays},
+    form_factor::{self, FormFactors},
     patch::Patches,
+    rays,
     scene::{Scene, light::UnitNames},
     solve::{
         Solution,

@@ -5,10 +5,12 @@ use std::ops::Range;
 use nalgebra::{SVector, Vector2};
 use rayon::prelude::*;
 
-use crate::form_factor::{
-    ordered_sum,
-    siblings::with_mean,
-    stratification::{half_differences, variance_of_all},
+use crate::{
+    form_factor::ordered_sum,
+    rays::{
+        siblings::with_mean,
+        stratification::{half_differences, variance_of_all},
+    },
 };
 
 /// Most batches.

@@ -6,13 +6,11 @@
 use nalgebra::SVector;
 use rayon::prelude::*;
 
+use super::sweep::{Sweeper, Tally, Targets};
 use crate::{
     Progress, Result,
-    form_factor::{
-        SHORT, magnitude, ordered_sum,
-        rays::ESCAPED,
-        sweep::{Sweeper, Tally, Targets},
-    },
+    form_factor::{SHORT, magnitude, ordered_sum},
+    rays::ESCAPED,
 };
 
 /// Hemisphere rays of each patch.

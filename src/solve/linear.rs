@@ -11,14 +11,10 @@
 
 use crate::{
     Progress, Result,
-    form_factor::{
-        FormFactors, magnitude,
-        moments::{Shifted, Varying},
-        ordered_sum,
-        rays::REPLICATES,
-        together,
-    },
+    form_factor::{FormFactors, magnitude, ordered_sum, together},
+    moments::{Shifted, Varying},
     patch::Patches,
+    rays::REPLICATES,
     scene::Scene,
     slopes::{CORNERS, Measured, Slopes, basis, rise, spread},
     solve::{Radiometry, Solution, SolveOptions, Solver, System, solve},

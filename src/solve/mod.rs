@@ -17,6 +17,7 @@ pub mod jacobi;
 pub mod linear;
 pub mod southwell;
 pub mod stochastic_jacobi;
+pub mod sweep;
 
 use std::borrow::Cow;
 

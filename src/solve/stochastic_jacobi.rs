@@ -22,14 +22,9 @@ use super::{
     Radiometry,
     batches::{BATCHES, Batches, balancing},
     few_rays::{FewRays, RAYS},
+    sweep::{Arrived, Outside, Sweeper, Swept, Tally},
 };
-use crate::{
-    Error, Progress, Result,
-    form_factor::{
-        ordered_sum,
-        sweep::{Arrived, Outside, Sweeper, Swept, Tally},
-    },
-};
+use crate::{Error, Progress, Result, form_factor::ordered_sum};
 
 /// Shadow rays of each patch before the first sweep.
 const FIRST_SHADOW: u32 = 32;

@@ -11,7 +11,7 @@ const COMMON: [&str; 9] =
     ["Error", "MeshError", "Setting", "Result", "Progress", "Quality", "Scene", "Connection", "Ranks"];
 
 /// Each module, the modules it may use, and the modules that its tests may use in addition.
-const LAYERS: [(&str, &[&str], &[&str]); 23] = [
+const LAYERS: [(&str, &[&str], &[&str]); 26] = [
     ("setters", &[], &[]),
     ("error", &[], &[]),
     ("progress", &[], &[]),
@@ -24,17 +24,40 @@ const LAYERS: [(&str, &[&str], &[&str]); 23] = [
     ("scene", &["tone"], &["trace"]),
     ("trace", &["scene"], &[]),
     ("patch", &["scene"], &["trace"]),
-    ("direct", &["exact", "parallel", "slopes", "scene", "trace", "patch"], &[]),
-    ("form_factor", &["ranks", "exact", "parallel", "slopes", "scene", "trace", "patch", "direct"], &[]),
+    ("rays", &["ranks", "parallel", "scene", "trace", "patch"], &[]),
+    ("symmetric", &["ranks"], &[]),
+    ("direct", &["ranks", "exact", "parallel", "slopes", "scene", "trace", "patch", "rays"], &[]),
+    (
+        "form_factor",
+        &["ranks", "exact", "parallel", "scene", "trace", "patch", "rays", "symmetric", "direct"],
+        &[],
+    ),
+    ("moments", &["slopes", "scene", "trace", "patch", "rays", "direct", "form_factor"], &[]),
     ("view_factor", &["scene", "trace", "patch", "form_factor"], &[]),
-    ("solve", &["slopes", "scene", "trace", "patch", "form_factor"], &[]),
-    ("daylight", &["scene", "trace", "patch", "direct", "form_factor"], &[]),
+    (
+        "solve",
+        &["slopes", "parallel", "scene", "trace", "patch", "rays", "direct", "form_factor", "moments"],
+        &[],
+    ),
+    ("daylight", &["scene", "trace", "patch", "rays", "direct", "form_factor"], &[]),
     ("heat", &["form_factor", "view_factor", "solve"], &[]),
     ("energy", &["patch", "form_factor", "solve"], &["scene", "trace"]),
     ("monte_carlo", &["tone", "scene", "trace"], &[]),
     (
         "accuracy",
-        &["tone", "scene", "trace", "patch", "direct", "form_factor", "solve", "energy", "monte_carlo"],
+        &[
+            "tone",
+            "scene",
+            "trace",
+            "patch",
+            "rays",
+            "direct",
+            "form_factor",
+            "moments",
+            "solve",
+            "energy",
+            "monte_carlo",
+        ],
         &[],
     ),
     (
@@ -45,6 +68,7 @@ const LAYERS: [(&str, &[&str], &[&str]); 23] = [
             "scene",
             "trace",
             "patch",
+            "rays",
             "form_factor",
             "view_factor",
             "solve",

@@ -5,12 +5,13 @@ use radiosity::{
     Progress, Scene,
     accuracy::error_bars::T_QUANTILE,
     energy::EnergyLedger,
-    form_factor::{CastOptions, FormFactors, sweep::Sweeper},
+    form_factor::{CastOptions, FormFactors},
     patch::{Patches, Subdivision},
     scene::light::{Distant, Light, LightKind, PointLight, SUN_DIAMETER, Sky, SkyModel, Up},
     solve::{
         SolveOptions, solve,
         stochastic_jacobi::{self, Reached, StochasticOptions, StochasticSolution},
+        sweep::Sweeper,
     },
     trace::Tracer,
 };

@@ -6,26 +6,24 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::{
-    CastOptions, Estimator, FormFactors, allocation,
-    allocation::Share,
-    pooling::Densities,
-    rays::{ESCAPED, REPLICATES, RaySet},
-    regions::Regions,
-    sky::SkyLight,
-};
+use super::{CastOptions, Estimator, FormFactors, pooling::Densities};
 use crate::{
-    direct::{Deviation, DirectLight, ShadowRays},
+    direct::{Deviation, DirectLight, ShadowRays, sky::SkyLight},
     patch::Patches,
+    rays::{
+        ESCAPED, REPLICATES, RaySet,
+        allocation::{self, Share},
+        regions::Regions,
+    },
     scene::light::SKY,
 };
 use sums::{Counted, Sums, WhichRays};
 
 /// The samples behind the form factors, kept for error bars.
 #[derive(Debug, Clone)]
-pub(super) struct Samples {
-    pub(super) rays: RaySet,
-    pub(super) shadow: ShadowRays,
+pub(crate) struct Samples {
+    pub(crate) rays: RaySet,
+    pub(crate) shadow: ShadowRays,
     /// Irradiance from the sky, if there is one.
     pub(super) sky: Option<SkyLight>,
     pub(super) densities: Densities,
@@ -34,14 +32,14 @@ pub(super) struct Samples {
     /// The share of all light leaving patches that leaves the scene; 0 without lamps.
     pub(super) escaping: f64,
     /// Areas in the unit of `densities`.
-    pub(super) areas: Vec<f64>,
+    pub(crate) areas: Vec<f64>,
     /// The radiosity after some bounces without the emission of lamps, interleaved channels, in the unit of emission.
     pub(super) radiosity: Vec<f32>,
     /// Runs of patches that are close to each other.
     pub(super) siblings: Vec<Range<usize>>,
     pub(super) regions: Regions,
     /// Options of the rays.
-    pub(super) options: CastOptions,
+    pub(crate) options: CastOptions,
 }
 
 impl FormFactors {

@@ -3,14 +3,12 @@
 use rayon::prelude::*;
 
 use super::{
-    super::{
-        Estimator, SHORT,
-        blocks::Blocks,
-        calibration,
-        pooling::Buckets,
-        rays::{ESCAPED, REPLICATES, RaySet},
-    },
+    super::{Estimator, SHORT, calibration, pooling::Buckets},
     Samples,
+};
+use crate::{
+    rays::{ESCAPED, REPLICATES, RaySet},
+    symmetric::blocks::Blocks,
 };
 
 /// Most patches of a block whose sums are made together: a megabyte of sums with random access.

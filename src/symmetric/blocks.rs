@@ -12,7 +12,7 @@ use crate::ranks::{Ranks, Words};
 /// tiles would have no more entries than rows, and reading the rows would take all the time.
 const MOST_ROWS: usize = 1 << PLACE;
 /// Bits of a place within a block.
-pub(super) const PLACE: u32 = u16::BITS;
+pub(crate) const PLACE: u32 = u16::BITS;
 /// Fewest rows of a block: smaller tiles are not worth a task.
 const LEAST_ROWS: usize = 1 << 9;
 /// Fewest blocks, for threads to share: each tile occupies two. Tiles differ much in their number of entries. With half
@@ -21,7 +21,7 @@ const ENOUGH_BLOCKS: usize = 16;
 
 /// How patches are divided into blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Blocks {
+pub(crate) struct Blocks {
     len: usize,
     /// Logarithm of the number of rows of a block.
     bits: u32,
@@ -30,24 +30,24 @@ pub(super) struct Blocks {
 }
 
 impl Blocks {
-    pub(super) fn new(len: usize) -> Blocks {
+    pub(crate) fn new(len: usize) -> Blocks {
         Self::of_rows(len, LEAST_ROWS, MOST_ROWS)
     }
 
     /// Blocks of between `least` and `most` rows, as a power of two, and enough of them if these bounds permit.
-    pub(super) fn of_rows(len: usize, least: usize, most: usize) -> Blocks {
+    pub(crate) fn of_rows(len: usize, least: usize, most: usize) -> Blocks {
         assert!(most <= MOST_ROWS, "places have {PLACE} bits");
         let bits = (len / ENOUGH_BLOCKS).clamp(least, most).ilog2();
         Blocks { len, bits, ranks: Ranks::alone() }
     }
 
     /// The same blocks, shared out among processes.
-    pub(super) fn among(self, ranks: Ranks) -> Blocks {
+    pub(crate) fn among(self, ranks: Ranks) -> Blocks {
         Blocks { ranks, ..self }
     }
 
     /// The processes that share out the blocks.
-    pub(super) fn ranks(self) -> Ranks {
+    pub(crate) fn ranks(self) -> Ranks {
         self.ranks
     }
 
@@ -57,53 +57,53 @@ impl Blocks {
     }
 
     /// Whether this process computes the values of a block.
-    pub(super) fn owns(self, block: usize) -> bool {
+    pub(crate) fn owns(self, block: usize) -> bool {
         self.owner(block) == self.ranks.rank()
     }
 
     /// Whether this process has a tile, because it owns one of its blocks.
-    pub(super) fn has(self, (a, b): (usize, usize)) -> bool {
+    pub(crate) fn has(self, (a, b): (usize, usize)) -> bool {
         self.owns(a) || self.owns(b)
     }
 
     /// Brings the values of all blocks to all ranks.
-    pub(super) fn share<V: Words>(self, values: &mut [V]) {
+    pub(crate) fn share<V: Words>(self, values: &mut [V]) {
         self.ranks.share(values, (0..self.count()).map(|block| (self.range(block), self.owner(block))));
     }
 
     /// Number of patches.
-    pub(super) fn len(self) -> usize {
+    pub(crate) fn len(self) -> usize {
         self.len
     }
 
     /// Number of blocks.
-    pub(super) fn count(self) -> usize {
+    pub(crate) fn count(self) -> usize {
         self.len.div_ceil(self.rows())
     }
 
     /// Number of rows of each block but the last.
-    pub(super) fn rows(self) -> usize {
+    pub(crate) fn rows(self) -> usize {
         1 << self.bits
     }
 
     /// The patches of a block.
-    pub(super) fn range(self, block: usize) -> Range<usize> {
+    pub(crate) fn range(self, block: usize) -> Range<usize> {
         block * self.rows()..((block + 1) * self.rows()).min(self.len)
     }
 
     /// The block of a patch, and its place there.
     #[inline]
-    pub(super) fn of(self, i: usize) -> (usize, u32) {
+    pub(crate) fn of(self, i: usize) -> (usize, u32) {
         (i >> self.bits, (i & (self.rows() - 1)) as u32)
     }
 
     /// The tiles, as pairs of blocks of which the second is not before the first.
-    pub(super) fn tiles(self) -> Vec<(usize, usize)> {
+    pub(crate) fn tiles(self) -> Vec<(usize, usize)> {
         (0..self.count()).flat_map(|a| (a..self.count()).map(move |b| (a, b))).collect()
     }
 
     /// Index of a tile in the order of [`Blocks::tiles`].
-    pub(super) fn tile(self, (a, b): (usize, usize)) -> usize {
+    pub(crate) fn tile(self, (a, b): (usize, usize)) -> usize {
         a * (2 * self.count() - a + 1) / 2 + b - a
     }
 
@@ -128,7 +128,7 @@ impl Blocks {
     /// Calls `work((a, b), part a of values, part b)` for all tiles. The second part is `None` on the diagonal. Each
     /// value is updated in the same order for any number of threads and of ranks. A rank works on the tiles of its own
     /// blocks. It also adds to the values of other blocks, which their owners replace.
-    pub(super) fn meet<Y: Send + Words>(
+    pub(crate) fn meet<Y: Send + Words>(
         self,
         values: &mut [Y],
         work: impl Fn((usize, usize), &mut [Y], Option<&mut [Y]>) + Sync,

@@ -9,17 +9,18 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::{CastOptions, SHORT, ordered_sum, rays::REPLICATES};
+use super::REPLICATES;
+use crate::parallel::{SHORT, ordered_sum};
 
 /// Numbers of rays of a patch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Share {
-    pub(super) hemisphere: u32,
-    pub(super) shadow: u32,
+pub(crate) struct Share {
+    pub(crate) hemisphere: u32,
+    pub(crate) shadow: u32,
 }
 
 /// Share of the rays that are cast evenly.
-pub(super) const PILOT: f64 = 0.5;
+pub(crate) const PILOT: f64 = 0.5;
 /// Weight of the mean variance of all patches in the variance of each, because the estimate of a few patches may miss
 /// rare light. RMS errors at 64 rays a patch on three rooms with 0.5, 0.25 and 0.1: 4.3, 4.1, 4.0; 3.5, 3.4, 3.4; 3.0,
 /// 2.9, 2.7 %.
@@ -42,15 +43,15 @@ const NEIGHBOURS: usize = 4;
 /// patch error bars were a tenth to a fifth too long. Nets are also better stratified.
 const STEP: u32 = REPLICATES as u32;
 
-/// The same number of rays for all patches. If variances distribute more rays later, replicates have equally many.
-pub(super) fn even(options: &CastOptions, rays: f64, lamps: bool) -> Share {
-    let shadow = if lamps { options.shadow_share } else { 0.0 };
+/// The same number of rays for all patches, of which a share are shadow rays. If variances distribute more rays later,
+/// replicates have equally many.
+pub(crate) fn even(rays: f64, shadow_share: f64, looks_first: bool) -> Share {
     let whole = |rays: f64| {
         let rays = rays.round() as u32;
-        (if options.looks_first() { rays / STEP * STEP } else { rays }).max(REPLICATES as u32)
+        (if looks_first { rays / STEP * STEP } else { rays }).max(REPLICATES as u32)
     };
-    let hemisphere = whole(rays * (1.0 - shadow));
-    Share { hemisphere, shadow: if shadow > 0.0 { whole(rays * shadow) } else { 0 } }
+    let hemisphere = whole(rays * (1.0 - shadow_share));
+    Share { hemisphere, shadow: if shadow_share > 0.0 { whole(rays * shadow_share) } else { 0 } }
 }
 
 /// Distributes `rays` over all patches, given the rays already cast and the variances (V_i / R_i, W_i / N_i) of each
@@ -62,7 +63,7 @@ pub(super) fn even(options: &CastOptions, rays: f64, lamps: bool) -> Share {
 /// light escaped. Nothing is lost, because a single patch estimates its own variance badly.
 ///
 /// `siblings` are runs of patches that are close to each other and look the same way.
-pub(super) fn by_variance(
+pub(crate) fn by_variance(
     cast: impl Fn(usize) -> Share + Sync,
     areas: &[f64],
     variances: &[[f64; 2]],

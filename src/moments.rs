@@ -8,20 +8,15 @@ use glam::Vec3A;
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 
-use super::{
-    FormFactors,
-    rays::{ESCAPED, REPLICATES},
-    replicates::Samples,
-};
 use crate::{
     Progress, Result,
     direct::{
         Deviation,
-        footprint::Footprint,
         moments::{Local, measured},
-        part,
     },
+    form_factor::{FormFactors, Samples},
     patch::Patches,
+    rays::{ESCAPED, REPLICATES, footprint::Footprint, part},
     scene::Scene,
     slopes::{Measured, SQUARES, Slopes, basis, rise},
     trace::{Tracer, sampling::mix},
@@ -88,11 +83,11 @@ impl FormFactors {
         patches: &Patches,
         (emission, unit): (&[[f64; C]], f64),
     ) -> Option<Vec<Measured<C>>> {
-        let samples = self.samples.as_ref()?;
+        let samples = self.samples()?;
         if samples.shadow.lamps.is_empty() {
             return Some(vec![Measured::NONE; patches.len()]);
         }
-        Some(samples.shadow.slopes(tracer, patches, (emission, unit, &self.dark), samples.options.seed))
+        Some(samples.shadow.slopes(tracer, patches, (emission, unit, self.dark()), samples.options.seed))
     }
 
     /// The slopes of the light that form factors carry from patches with this constant radiosity; `None` if the form
@@ -103,7 +98,7 @@ impl FormFactors {
         patches: &Patches,
         radiosity: &[[f64; C]],
     ) -> Option<Vec<Measured<C>>> {
-        let samples = self.samples.as_ref()?;
+        let samples = self.samples()?;
         let of_patch = |i: usize| samples.carried_slopes(tracer, patches, i, radiosity);
         Some((0..patches.len()).into_par_iter().with_min_len(64).map(of_patch).collect())
     }
@@ -119,7 +114,7 @@ impl FormFactors {
         light: &Varying<C>,
         progress: &Progress,
     ) -> Result<Option<Shifted<C>>> {
-        let Some(samples) = &self.samples else { return Ok(None) };
+        let Some(samples) = self.samples() else { return Ok(None) };
         progress.begin("casting rays again", samples.rays.rays());
         let of_patch = |i: usize| {
             progress.check()?;
@@ -135,7 +130,7 @@ impl FormFactors {
             slopes: Vec::with_capacity(found.len()),
             escaped: [0.0; C],
         };
-        for (found, area) in found.into_iter().zip(&self.areas) {
+        for (found, area) in found.into_iter().zip(self.areas()) {
             shifted.irradiance.push(found.irradiance);
             shifted.deviations.push(found.deviation);
             shifted.slopes.push(found.slopes);
@@ -160,7 +155,7 @@ impl FormFactors {
         light: &Varying<C>,
     ) -> Option<[Vec<[f64; C]>; 2]> {
         const HALF: usize = REPLICATES / 2;
-        let samples = self.samples.as_ref()?;
+        let samples = self.samples()?;
         let mut brought = [0, 1].map(|_| vec![[0.0; C]; patches.len()]);
         for start in (0..patches.len()).step_by(BLOCK) {
             let block = start..(start + BLOCK).min(patches.len());

@@ -17,7 +17,7 @@ use crate::{
 /// space.
 #[derive(Debug, Clone)]
 pub(crate) struct Footprint {
-    pub(super) corners: [Vec3A; 3],
+    pub(crate) corners: [Vec3A; 3],
     pub(crate) side: Side,
 }
 
@@ -48,7 +48,7 @@ impl Footprint {
 
     /// The point with these barycentric coordinates.
     #[inline]
-    pub(super) fn at(&self, b: [f32; 3]) -> Vec3A {
+    pub(crate) fn at(&self, b: [f32; 3]) -> Vec3A {
         self.corners[0] * b[0] + self.corners[1] * b[1] + self.corners[2] * b[2]
     }
 

@@ -4,18 +4,27 @@
 //! tile: the values that a tile reads and writes are close in memory, and indices within a block take 16 bits.
 //! [`Blocks`] decides which tiles run at the same time.
 
+pub(crate) mod blocks;
 mod tile;
 
 use std::ops::{Add, AddAssign, Mul, Sub, SubAssign};
 
 use rayon::prelude::*;
 
-use super::{
-    Matrix,
-    blocks::{Blocks, PLACE},
-};
 use crate::ranks::{Ranks, Word, Words};
+use blocks::{Blocks, PLACE};
+use sprs::CsMatI;
 use tile::{Entry, Tile};
+
+/// Sparse matrix by rows, 8 bytes a non-zero: single-precision values (sums run in double precision) and 32-bit
+/// columns. It passes form factors in and out, and serves solvers that need whole rows.
+pub type Matrix = CsMatI<f32, u32, usize>;
+
+/// Columns and values of a row.
+pub(crate) fn row(matrix: &Matrix, i: usize) -> (&[u32], &[f32]) {
+    let range = matrix.indptr().outer_inds_sz(i);
+    (&matrix.indices()[range.clone()], &matrix.data()[range])
+}
 
 /// Single or double precision.
 pub(crate) trait Real:
@@ -48,7 +57,7 @@ impl Real for f64 {
 
 /// A symmetric matrix of non-negative values.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Symmetric {
+pub(crate) struct Symmetric {
     blocks: Blocks,
     /// Empty where another rank has the tile.
     tiles: Vec<Tile>,
@@ -61,7 +70,7 @@ pub(super) struct Symmetric {
 impl Symmetric {
     /// Builds each tile from the result of `entries`: its entries sorted by row and column, their number, and a value
     /// to return.
-    pub(super) fn from_tiles<T, I>(
+    pub(crate) fn from_tiles<T, I>(
         blocks: Blocks,
         entries: impl Fn((usize, usize)) -> (I, usize, T) + Sync,
     ) -> (Symmetric, Vec<T>)
@@ -84,7 +93,7 @@ impl Symmetric {
 
     /// Builds the matrix from lists of (i, j, s) in any order. A list may name a pair in either direction or in both.
     /// Values of the same pair are summed in the order of the lists.
-    pub(super) fn from_lists(len: usize, lists: &[Vec<(u32, u32, f32)>]) -> Symmetric {
+    pub(crate) fn from_lists(len: usize, lists: &[Vec<(u32, u32, f32)>]) -> Symmetric {
         let blocks = Blocks::new(len);
         let count = blocks.count();
         // Each list is sorted by tile separately.
@@ -131,29 +140,29 @@ impl Symmetric {
     }
 
     /// From the upper triangle of a matrix.
-    pub(super) fn from_rows(rows: &Matrix) -> Symmetric {
+    pub(crate) fn from_rows(rows: &Matrix) -> Symmetric {
         let upper = rows.iter().filter(|&(_, (i, j))| i as usize <= j as usize);
         Self::from_lists(rows.rows(), &[upper.map(|(&s, (i, j))| (i, j, s)).collect()])
     }
 
     /// Adds to the entries on the diagonal.
-    pub(super) fn add_diagonal(&mut self, more: impl Fn(usize) -> f32) {
+    pub(crate) fn add_diagonal(&mut self, more: impl Fn(usize) -> f32) {
         self.diagonal.resize(self.len(), 0.0);
         self.diagonal.iter_mut().enumerate().for_each(|(i, s)| *s += more(i));
     }
 
     /// Number of rows.
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.blocks.len()
     }
 
     /// Number of entries, counting both directions of a pair.
-    pub(super) fn non_zeros(&self) -> usize {
+    pub(crate) fn non_zeros(&self) -> usize {
         2 * self.pairs + self.diagonal.iter().filter(|&&s| s != 0.0).count()
     }
 
     /// The processes that share out the matrix.
-    pub(super) fn ranks(&self) -> Ranks {
+    pub(crate) fn ranks(&self) -> Ranks {
         self.blocks.ranks()
     }
 
@@ -163,12 +172,12 @@ impl Symmetric {
     }
 
     /// Bytes held.
-    pub(super) fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         self.tiles.iter().map(Tile::bytes).sum::<usize>() + 4 * self.diagonal.len()
     }
 
     /// The entries of each tile as (i, j, s), i < j, tiles in parallel. Over all ranks, each tile occurs once.
-    pub(super) fn tiles(
+    pub(crate) fn tiles(
         &self,
     ) -> impl ParallelIterator<Item = impl Iterator<Item = (usize, usize, f32)> + '_> + '_ {
         let rows = self.blocks.rows();
@@ -181,12 +190,12 @@ impl Symmetric {
     }
 
     /// The entries of the diagonal as (i, s).
-    pub(super) fn diagonal(&self) -> impl Iterator<Item = (usize, f32)> + '_ {
+    pub(crate) fn diagonal(&self) -> impl Iterator<Item = (usize, f32)> + '_ {
         self.diagonal.iter().copied().enumerate().filter(|&(_, s)| s != 0.0)
     }
 
     /// The entry s_ij.
-    pub(super) fn get(&self, i: usize, j: usize) -> f32 {
+    pub(crate) fn get(&self, i: usize, j: usize) -> f32 {
         if i == j {
             return self.diagonal.get(i).copied().unwrap_or(0.0);
         }
@@ -200,7 +209,7 @@ impl Symmetric {
     }
 
     /// The entries of row `i` as (j, s), sorted. Searches all tiles that contain the row.
-    pub(super) fn row(&self, i: usize) -> Vec<(usize, f32)> {
+    pub(crate) fn row(&self, i: usize) -> Vec<(usize, f32)> {
         self.assert_whole();
         let (block, place) = self.blocks.of(i);
         let mut row: Vec<(usize, f32)> =
@@ -224,7 +233,7 @@ impl Symmetric {
     }
 
     /// All rows, compressed, with both directions of every pair. Takes twice the memory.
-    pub(super) fn rows(&self) -> Matrix {
+    pub(crate) fn rows(&self) -> Matrix {
         self.assert_whole();
         let n = self.len();
         let mut rows: Vec<Vec<(u32, f32)>> = vec![Vec::new(); n];
@@ -244,7 +253,7 @@ impl Symmetric {
     }
 
     /// Replaces every value off the diagonal by `value(i, j, s)`.
-    pub(super) fn update(&mut self, value: impl Fn(usize, usize, f32) -> f32 + Sync) {
+    pub(crate) fn update(&mut self, value: impl Fn(usize, usize, f32) -> f32 + Sync) {
         let rows = self.blocks.rows();
         let at = self.blocks.tiles();
         self.tiles.par_iter_mut().with_max_len(1).zip(at).for_each(|(tile, (a, b))| {
@@ -260,7 +269,7 @@ impl Symmetric {
 
     /// Calls `pair(s_ij, z_i, z_j, y_i, y_j)` for all pairs off the diagonal. Each y is updated in the same order for
     /// any number of threads.
-    pub(super) fn accumulate<Z: Copy + Sync, Y: Copy + Send + Words>(
+    pub(crate) fn accumulate<Z: Copy + Sync, Y: Copy + Send + Words>(
         &self,
         z: &[Z],
         y: &mut [Y],
@@ -295,7 +304,7 @@ impl Symmetric {
     }
 
     /// Adds Σ_j s_ij z_j to every `out_i`, for `C` channels, in single or double precision.
-    pub(super) fn add_product<T: Real, const C: usize>(&self, z: &[[T; C]], out: &mut [[T; C]]) {
+    pub(crate) fn add_product<T: Real, const C: usize>(&self, z: &[[T; C]], out: &mut [[T; C]]) {
         for (i, s) in self.diagonal() {
             for c in 0..C {
                 out[i][c] += T::from(s) * z[i][c];
@@ -311,14 +320,14 @@ impl Symmetric {
     }
 
     /// Σ_j s_ij z_j of every row.
-    pub(super) fn product(&self, z: &[f64]) -> Vec<f64> {
+    pub(crate) fn product(&self, z: &[f64]) -> Vec<f64> {
         let mut sums = vec![[0f64]; self.len()];
         self.add_product(z.as_chunks().0, &mut sums);
         sums.into_flattened()
     }
 
     /// Σ_j s_ij of every row.
-    pub(super) fn row_sums(&self) -> Vec<f64> {
+    pub(crate) fn row_sums(&self) -> Vec<f64> {
         self.product(&vec![1.0; self.len()])
     }
 }
@@ -363,7 +372,7 @@ mod tests {
             for j in 0..n as usize {
                 assert_eq!(matrix.get(i, j), rows.get(i, j).copied().unwrap_or(0.0));
             }
-            let (columns, values) = crate::form_factor::row(&rows, i);
+            let (columns, values) = row(&rows, i);
             let row: Vec<(usize, f32)> =
                 columns.iter().map(|&j| j as usize).zip(values.iter().copied()).collect();
             assert_eq!(matrix.row(i), row);

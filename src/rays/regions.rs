@@ -5,7 +5,7 @@
 //! variances distribute, and its rows would not be calibrated. Finer distinctions are worse: with errors relative to
 //! the light that each patch sees, the error behind a door that is ajar is 30 to 60 % larger.
 
-use super::rays::{ESCAPED, RaySet};
+use super::{ESCAPED, RaySet};
 use crate::patch::{DisjointSets, Patches};
 
 /// The region of each patch.
@@ -17,7 +17,7 @@ pub(crate) struct Regions {
 
 impl Regions {
     /// Regions that these rays connect. The patches on one side of a triangle are in the same region.
-    pub(super) fn new(rays: &RaySet, patches: &Patches) -> Regions {
+    pub(crate) fn new(rays: &RaySet, patches: &Patches) -> Regions {
         let mut sets = DisjointSets::new(rays.len());
         let side = |i: usize| (patches.triangle(i), patches.is_front(i));
         for i in 0..rays.len() {
@@ -41,7 +41,7 @@ impl Regions {
     }
 
     /// The mean of a value over the region of each patch, weighted by area.
-    pub(super) fn means(&self, areas: &[f64], value: impl Fn(usize) -> f64) -> Vec<f64> {
+    pub(crate) fn means(&self, areas: &[f64], value: impl Fn(usize) -> f64) -> Vec<f64> {
         let mut sums = vec![[0.0; 2]; self.count];
         for (i, &region) in self.of.iter().enumerate() {
             let [area, sum] = &mut sums[region as usize];

@@ -5,17 +5,17 @@
 
 use rayon::prelude::*;
 
-use super::rays::{ESCAPED, REPLICATES, RaySet};
+use super::{Deviation, Lamps};
 use crate::{
-    direct::{Deviation, Lamps, footprint::Footprint, part},
     patch::Patches,
+    rays::{ESCAPED, REPLICATES, RaySet, footprint::Footprint, part},
     scene::light::Sky,
     trace::{Tracer, sampling::mix},
 };
 
 /// The irradiance of all patches that comes from the sky.
 #[derive(Debug, Clone)]
-pub(super) struct SkyLight {
+pub(crate) struct SkyLight {
     channels: usize,
     /// The unit of all values.
     unit: f64,
@@ -27,7 +27,7 @@ pub(super) struct SkyLight {
 
 impl SkyLight {
     /// The light that these rays see, if there is a sky.
-    pub(super) fn of(
+    pub(crate) fn of(
         rays: &RaySet,
         lamps: &Lamps,
         tracer: &Tracer,
@@ -54,7 +54,7 @@ impl SkyLight {
     }
 
     /// The light by the first or second half of all rays. Each replicate of the half is counted twice.
-    pub(super) fn half(&self, half: usize) -> SkyLight {
+    pub(crate) fn half(&self, half: usize) -> SkyLight {
         let of_half = REPLICATES / 2;
         let parts: Vec<[f32; REPLICATES]> =
             self.parts.iter().map(|parts| std::array::from_fn(|k| parts[half * of_half + k / 2])).collect();
@@ -64,14 +64,14 @@ impl SkyLight {
     }
 
     /// Removes all light from these patches.
-    pub(super) fn withdraw(&mut self, patches: &[usize]) {
+    pub(crate) fn withdraw(&mut self, patches: &[usize]) {
         for q in patches.iter().flat_map(|&i| self.channels * i..self.channels * (i + 1)) {
             (self.parts[q], self.irradiance[q]) = ([0.0; REPLICATES], 0.0);
         }
     }
 
     /// Irradiance of all patches and the deviations of its replicates, in multiples of `unit`.
-    pub(super) fn arriving<const C: usize>(&self, unit: f64) -> (Vec<[f64; C]>, Vec<Deviation<C>>) {
+    pub(crate) fn arriving<const C: usize>(&self, unit: f64) -> (Vec<[f64; C]>, Vec<Deviation<C>>) {
         let scale = self.unit / unit;
         let irradiance = self.irradiance.as_chunks::<C>().0.iter().map(|e| e.map(|e| scale * e)).collect();
         let deviation = |parts: &[f32; REPLICATES]| {
@@ -83,7 +83,7 @@ impl SkyLight {
     }
 
     /// Bytes held.
-    pub(super) fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         size_of_val(&self.parts[..]) + size_of_val(&self.irradiance[..])
     }
 }

@@ -6,21 +6,30 @@
 //! patch has one sequence, which additional rays continue. It is divided into [`REPLICATES`] consecutive parts of equal
 //! size, whose spread estimates the standard error.
 
-pub(super) mod casting;
+pub(crate) mod allocation;
+pub(crate) mod casting;
+pub(crate) mod checkpoint;
+pub(crate) mod footprint;
+pub(crate) mod lists;
+pub(crate) mod regions;
+pub(crate) mod siblings;
+pub(crate) mod stratification;
 
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 use rayon::prelude::*;
 
-use super::checkpoint::Section;
-use crate::{
-    Ranks,
-    direct::{footprint::is_hidden, part},
-    patch::Patches,
-    trace::Tracer,
-};
+use crate::{Ranks, patch::Patches, trace::Tracer};
+use checkpoint::Section;
+use footprint::is_hidden;
+use lists::Lists;
 
-pub use crate::direct::REPLICATES;
+pub use checkpoint::{Checkpoint, Part};
+
+/// Number of replicates: equal parts of the rays of each patch. With 16 the standard error has 15 degrees of freedom,
+/// and intervals of two standard errors contain the true value for about 94 % of patches. With 4 parts they did so for
+/// 85 %.
+pub const REPLICATES: usize = 16;
 
 /// The target of a ray that left the scene.
 pub const ESCAPED: u32 = u32::MAX;
@@ -36,25 +45,22 @@ const BACK: u32 = 1 << 31;
 /// replicates apart.
 #[derive(Debug, Clone)]
 pub struct RaySet {
-    /// Where the rays of each patch begin in `targets`, and where the last ones end.
-    offsets: Vec<usize>,
-    targets: Vec<u32>,
+    targets: Lists<u32>,
     back_hits: u64,
     seconds: f64,
     /// Patches from which all light is withdrawn, in order.
     withdrawn: Vec<usize>,
     /// Rays are read from here if it has them, and are added to it when cast.
-    pub(super) checkpoint: Option<Section>,
+    pub(crate) checkpoint: Option<Section>,
     /// The processes that share out the casting.
-    pub(super) ranks: Ranks,
+    pub(crate) ranks: Ranks,
 }
 
 impl RaySet {
     /// No rays yet.
-    pub(super) fn none() -> RaySet {
+    pub(crate) fn none() -> RaySet {
         RaySet {
-            offsets: vec![0],
-            targets: Vec::new(),
+            targets: Lists::default(),
             back_hits: 0,
             seconds: 0.0,
             withdrawn: Vec::new(),
@@ -64,28 +70,19 @@ impl RaySet {
     }
 
     /// Whether rays of other parts are missing.
-    pub(super) fn is_lacking(&self) -> bool {
+    pub(crate) fn is_lacking(&self) -> bool {
         self.checkpoint.as_ref().is_some_and(Section::is_lacking)
     }
 
     /// The first or second half of every patch's rays; `None` if some patch has only one ray.
-    pub(super) fn half(&self, half: usize) -> Option<RaySet> {
-        let mut part = RaySet { withdrawn: self.withdrawn.clone(), ..RaySet::none() };
-        part.targets.reserve_exact(self.targets.len().div_ceil(2) + self.len());
-        for i in 0..self.len() {
-            let (all, middle) = (self.of(i), self.of(i).len() / 2);
-            if all.len() < 2 {
-                return None;
-            }
-            part.targets.extend_from_slice([&all[..middle], &all[middle..]][half]);
-            part.offsets.push(part.targets.len());
-        }
-        Some(part)
+    pub(crate) fn half(&self, half: usize) -> Option<RaySet> {
+        let targets = self.targets.half(half)?;
+        Some(RaySet { targets, withdrawn: self.withdrawn.clone(), ..RaySet::none() })
     }
 
     /// Number of patches.
     pub fn len(&self) -> usize {
-        self.offsets.len() - 1
+        self.targets.len()
     }
 
     /// Whether there is no patch.
@@ -95,7 +92,7 @@ impl RaySet {
 
     /// Number of rays of all patches.
     pub fn rays(&self) -> u64 {
-        self.targets.len() as u64
+        self.targets.all.len() as u64
     }
 
     /// Number of rays that hit the back of a surface.
@@ -110,12 +107,12 @@ impl RaySet {
 
     /// Number of rays that left patch `i`.
     pub fn rays_of(&self, i: usize) -> u32 {
-        (self.offsets[i + 1] - self.offsets[i]) as u32
+        self.targets.count(i)
     }
 
     /// Targets of the rays of patch `i`: patches, or [`ESCAPED`].
     pub fn of(&self, i: usize) -> &[u32] {
-        &self.targets[self.offsets[i]..self.offsets[i + 1]]
+        self.targets.of(i)
     }
 
     /// Targets of the rays of one replicate of patch `i`.
@@ -124,7 +121,7 @@ impl RaySet {
     }
 
     /// The share of each patch's rays that leave the scene.
-    pub(super) fn escaped(&self) -> Vec<f64> {
+    pub(crate) fn escaped(&self) -> Vec<f64> {
         let share = |i: usize| {
             let escaped = self.of(i).iter().filter(|&&j| j == ESCAPED).count();
             escaped as f64 / f64::from(self.rays_of(i))
@@ -139,14 +136,14 @@ impl RaySet {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        4 * self.targets.len() + 8 * self.offsets.len()
+        self.targets.bytes()
     }
 
     /// Withdraws all light from patches that no other patch sees. No ray hits such a patch, although another face lies
     /// at the same place, or although its own rays hit patches that should have hit it [many times](HIDDEN).
     /// Reciprocity would have to send these patches light that cannot reach them. Patches that are `kept` stay, and
     /// those known to be `hidden` are always withdrawn. Returns the withdrawn patches.
-    pub(super) fn withdraw_hidden(
+    pub(crate) fn withdraw_hidden(
         &mut self,
         areas: &[f64],
         tracer: &Tracer,
@@ -172,8 +169,14 @@ impl RaySet {
         };
         self.withdrawn = (0..self.len()).into_par_iter().filter(|&i| hidden(i) || is_hidden(i)).collect();
         for &i in &self.withdrawn {
-            self.targets[self.offsets[i]..self.offsets[i + 1]].fill(ESCAPED);
+            self.targets.fill(i, ESCAPED);
         }
         &self.withdrawn
     }
+}
+
+/// The rays of a replicate. Their numbers differ by at most one.
+pub(crate) fn part(rays: u32, replicate: usize) -> std::ops::Range<usize> {
+    let start = |k: usize| k * rays as usize / REPLICATES;
+    start(replicate)..start(replicate + 1)
 }

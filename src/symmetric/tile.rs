@@ -5,7 +5,7 @@
 //! of a run costs as much time as eight entries.
 
 /// Entry of a tile: row and column within the tile, and value.
-pub(in super::super) type Entry = (u16, u16, f32);
+pub(super) type Entry = (u16, u16, f32);
 
 /// Runs are sorted by length within groups of 2^NEAR rows. Across all rows of a large block their reads and writes
 /// would be too far apart.

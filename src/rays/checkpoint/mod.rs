@@ -40,8 +40,8 @@ use format::{HEADER, check_header, header};
 use store::Store;
 
 pub use part::Part;
-pub(super) use part::RUN;
-pub(super) use section::{Record, Section};
+pub(crate) use part::RUN;
+pub(crate) use section::{Record, Section};
 
 /// Number of attempts, a twentieth of a second apart, to lock the file.
 const PATIENCE: usize = 60;

@@ -18,14 +18,14 @@ const FEW: u64 = 8;
 
 /// The rays of one kind and one subdivision in a checkpoint.
 #[derive(Debug, Clone)]
-pub(in super::super) struct Section {
+pub(crate) struct Section {
     checkpoint: Arc<Checkpoint>,
     digest: u64,
 }
 
 /// Rays to be written to the file together.
 #[derive(Default)]
-pub(in super::super) struct Record {
+pub(crate) struct Record {
     bytes: Vec<u8>,
     pieces: Vec<(Key, Piece)>,
 }
@@ -35,13 +35,13 @@ impl Section {
     ///
     /// # Panics
     /// When the checkpoint belongs to another seed.
-    pub(in super::super) fn new(checkpoint: Arc<Checkpoint>, digest: u64, seed: u64) -> Section {
+    pub(crate) fn new(checkpoint: Arc<Checkpoint>, digest: u64, seed: u64) -> Section {
         assert_eq!(checkpoint.seed, seed, "the checkpoint belongs to another seed");
         Section { checkpoint, digest }
     }
 
     /// The section for rays of another kind with the same patches.
-    pub(in super::super) fn of_kind(&self, kind: u64) -> Section {
+    pub(crate) fn of_kind(&self, kind: u64) -> Section {
         Section { checkpoint: self.checkpoint.clone(), digest: mix(&[self.digest, kind]) }
     }
 
@@ -50,7 +50,7 @@ impl Section {
     ///
     /// # Errors
     /// [`Error::Io`], and [`Error::Input`] when the file has invalid contents.
-    pub(in super::super) fn known<const S: usize, T>(
+    pub(crate) fn known<const S: usize, T>(
         &self,
         (patch, surface): (u32, u32),
         wanted: Range<u32>,
@@ -83,29 +83,29 @@ impl Section {
     }
 
     /// Whether this run casts the rays of a patch if no file holds them. Stages with few rays are not shared out.
-    pub(in super::super) fn casts(&self, patch: u32, is_shared: bool) -> bool {
+    pub(crate) fn casts(&self, patch: u32, is_shared: bool) -> bool {
         !is_shared || self.checkpoint.part.contains(patch)
     }
 
     /// Whether to share out a stage of casting with this number of `new` rays, of `all` rays so far. Rays that every part
     /// casts for itself spare it the wait for the other parts.
-    pub(in super::super) fn shares_out(&self, new: u64, all: u64) -> bool {
+    pub(crate) fn shares_out(&self, new: u64, all: u64) -> bool {
         let parts = u64::from(self.checkpoint.part.count());
         parts > 1 && FEW * parts * new > all
     }
 
     /// Notes rays that another part has to cast.
-    pub(in super::super) fn lack(&self, rays: u32) {
+    pub(crate) fn lack(&self, rays: u32) {
         self.checkpoint.lacking.fetch_add(rays.into(), Relaxed);
     }
 
     /// Whether rays of other parts are missing.
-    pub(in super::super) fn is_lacking(&self) -> bool {
+    pub(crate) fn is_lacking(&self) -> bool {
         self.checkpoint.lacking() > 0
     }
 
     /// Adds rays of a patch to a record. `from` is the number of the first ray.
-    pub(in super::super) fn add<const S: usize>(
+    pub(crate) fn add<const S: usize>(
         &self,
         record: &mut Record,
         (patch, surface): (u32, u32),
@@ -131,7 +131,7 @@ impl Section {
     ///
     /// # Errors
     /// [`Error::Io`]. The contents of the file stay valid.
-    pub(in super::super) fn write(&self, record: Record) -> Result<()> {
+    pub(crate) fn write(&self, record: Record) -> Result<()> {
         let Record { mut bytes, pieces } = record;
         if pieces.is_empty() {
             return Ok(());

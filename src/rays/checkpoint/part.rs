@@ -4,12 +4,12 @@ use std::{fmt, str::FromStr};
 
 /// Patches that follow each other and belong to the same part: as many as share a record of the file. Parts take such
 /// runs in turn, so that every part has about the same share of each surface.
-pub(in super::super) const RUN: u32 = 32;
+pub(crate) const RUN: u32 = 32;
 
 /// One of several equal parts of the patches. A process can cast the rays of one part alone.
 ///
 /// ```
-/// use radiosity::form_factor::Part;
+/// use radiosity::rays::Part;
 ///
 /// let part: Part = "3/16".parse().unwrap();
 /// assert_eq!((part.number(), part.count()), (3, 16));

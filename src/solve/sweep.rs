@@ -12,15 +12,11 @@ use std::{
 use glam::Vec3A;
 use rayon::prelude::*;
 
-use super::{
-    brightness,
-    rays::{ESCAPED, REPLICATES, RaySet},
-    siblings::siblings,
-};
 use crate::{
     Progress, Result,
-    direct::{Lamps, ShadowRays, footprint::Footprint},
+    direct::{Lamps, ShadowRays, brightness},
     patch::Patches,
+    rays::{ESCAPED, REPLICATES, RaySet, footprint::Footprint, siblings::siblings},
     scene::Scene,
     trace::{Tracer, sampling::mix},
 };
@@ -190,7 +186,7 @@ impl<'a> Sweeper<'a> {
         self.has_outside
     }
 
-    /// The [`magnitude`](super::magnitude) of all light that is emitted or enters.
+    /// The [`magnitude`](crate::parallel::magnitude) of all light that is emitted or enters.
     pub(crate) fn magnitude(&self) -> f64 {
         self.shadow.lamps.magnitude(self.patches.emission())
     }

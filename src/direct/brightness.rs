@@ -6,8 +6,11 @@
 
 use rayon::prelude::*;
 
-use super::rays::{ESCAPED, RaySet};
-use crate::{parallel::ordered_sum, patch::Patches};
+use crate::{
+    parallel::ordered_sum,
+    patch::Patches,
+    rays::{ESCAPED, RaySet},
+};
 
 /// Light bounces until the total power grows by less than this share, at most `MOST_BOUNCES` times.
 const ENOUGH: f64 = 1e-3;
@@ -19,7 +22,7 @@ const ASKED: usize = 32;
 const BRIGHTER: f64 = 1.25;
 
 /// Estimates the radiosity at equilibrium from some rays alone, interleaved channels, in the unit of emission.
-pub(super) fn radiosity(rays: &RaySet, patches: &Patches) -> Vec<f64> {
+pub(crate) fn radiosity(rays: &RaySet, patches: &Patches) -> Vec<f64> {
     let channels = patches.channels();
     let mut radiosity = patches.emission().to_vec();
     let mut before = total(patches, &radiosity);
@@ -57,7 +60,7 @@ fn total(patches: &Patches, radiosity: &[f64]) -> f64 {
 
 /// Whether each front patch emits more than what its triangle sees on average, summed over channels. Bright emitters
 /// elsewhere do not matter: a dim lamp may be the only one behind a door.
-pub(super) fn above_what_is_seen(rays: &RaySet, patches: &Patches) -> Vec<bool> {
+pub(crate) fn above_what_is_seen(rays: &RaySet, patches: &Patches) -> Vec<bool> {
     let channels = patches.channels();
     let brightness = |b: &[f64], i: usize| b[i * channels..][..channels].iter().sum::<f64>();
     if !patches.emission().iter().any(|&b| b > 0.0) {
@@ -80,7 +83,7 @@ pub(super) fn above_what_is_seen(rays: &RaySet, patches: &Patches) -> Vec<bool> 
 }
 
 /// Estimates the share of all light leaving patches that leaves the scene, from rays alone.
-pub(super) fn escaping(rays: &RaySet, patches: &Patches, escaped: &[f64]) -> f64 {
+pub(crate) fn escaping(rays: &RaySet, patches: &Patches, escaped: &[f64]) -> f64 {
     let channels = patches.channels();
     let radiosity = radiosity(rays, patches);
     let power = |i: usize| patches.area(i) * radiosity[i * channels..][..channels].iter().sum::<f64>();

@@ -5,10 +5,21 @@
 
 use std::ops::Range;
 
-use crate::{direct::adjoin, patch::Patches, trace::Tracer};
+use crate::{
+    patch::Patches,
+    trace::{Tracer, UnitTriangle},
+};
 
 /// Most patches of a run.
 const MOST: usize = 16;
+/// Smallest cosine between the normals of coplanar neighbours.
+const FLAT: f32 = 0.999;
+
+/// Whether two triangles are coplanar and share a corner.
+pub(crate) fn adjoin(p: &UnitTriangle, q: &UnitTriangle) -> bool {
+    p.normal.dot(q.normal) > FLAT && p.corners.iter().any(|corner| q.corners.contains(corner))
+}
+
 /// Applies `make` to every value and the mean over its siblings. Returns `C` interleaved values a patch.
 pub(crate) fn with_mean<const C: usize>(
     siblings: &[Range<usize>],
@@ -28,7 +39,7 @@ pub(crate) fn with_mean<const C: usize>(
 
 /// Runs of up to 16 patches, in the order of the patches. They lie on one side of one triangle, or of coplanar
 /// triangles that follow each other in the file and share a corner.
-pub(super) fn siblings(tracer: &Tracer, patches: &Patches) -> Vec<Range<usize>> {
+pub(crate) fn siblings(tracer: &Tracer, patches: &Patches) -> Vec<Range<usize>> {
     let goes_on = |i: usize, j: usize| {
         let [p, q] = [i, j].map(|i| &tracer.triangles()[patches.triangle(i)]);
         patches.is_front(i) == patches.is_front(j) && adjoin(p, q)
