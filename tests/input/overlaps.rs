@@ -128,6 +128,51 @@ fn lamps_flush_with_a_ceiling_replace_it() {
     }
 }
 
+/// A ceiling of many faces, as exporters write it. Six digits leave its corners up to a unit beside one plane, so that
+/// narrow strips appear along the lines where the faces meet. Each strip belongs to the face whose outline it lies in.
+#[test]
+fn lamps_flush_with_a_ceiling_of_many_faces_replace_it() {
+    const N: usize = 5;
+    let at = |k: usize| 4.0 * k as f64 / N as f64;
+    let cells = (0..N).flat_map(|i| (0..N).map(move |j| (i, j)));
+    let ceiling: Vec<Face> =
+        cells.map(|(i, j)| (WALL, level([at(i), at(j)], [at(i + 1), at(j + 1)], 3.0))).collect();
+    // The upper edge of each wall has the corners of the ceiling, so that the room is closed.
+    let plain = room();
+    let walls = plain[2..].iter().map(|(material, wall)| {
+        let upper = (1..N).map(|k| wall[2].lerp(wall[3], k as f64 / N as f64));
+        (*material, [wall[0], wall[1], wall[2]].into_iter().chain(upper).chain([wall[3]]).collect())
+    });
+    let room: Vec<Face> = ceiling.into_iter().chain([plain[1].clone()]).chain(walls).collect();
+    let disc = (0..24).map(|k| std::f64::consts::TAU * f64::from(k) / 24.0);
+    let disc: Vec<DVec3> = disc.map(|a| dvec3(2.1 + 0.7 * a.cos(), 3.0, 1.9 + 0.7 * a.sin())).collect();
+    let of_disc = 12.0 * 0.49 * (std::f64::consts::TAU / 24.0).sin();
+    let halves = |x: f64| (LAMP, level([x, 1.3], [x + 0.5, 2.3], 3.0));
+    let lamps: [(&str, Vec<Face>, f64); 4] = [
+        ("square", vec![(LAMP, level([1.5, 1.5], [2.5, 2.5], 3.0))], 1.0),
+        ("turned", vec![(LAMP, turned(2.1, 1.9, 0.3))], 1.0),
+        ("disc", vec![(LAMP, disc)], of_disc),
+        ("halves", vec![halves(1.1), halves(1.6)], 1.0),
+    ];
+    for (name, lamp, lit) in lamps {
+        for last in [true, false] {
+            let mut faces = room.clone();
+            let at = if last { faces.len() } else { 0 };
+            faces.splice(at..at, lamp.clone());
+            for seed in 0..4 {
+                let turn = turn(seed);
+                let scene = scene(&faces, |p| six_digits(turn(p)));
+                let context = format!("{name}, last {last}, {seed}");
+                assert!((area(&scene, LAMP) - lit).abs() <= 2e-5 * lit, "{context}: {}", area(&scene, LAMP));
+                assert!((area(&scene, WALL) - (80.0 - lit)).abs() <= 1e-4, "{context}");
+                assert!(is_closed(&scene), "{context}: {:?}", Inspection::of(&scene).edges);
+                let hidden: Vec<&str> = scene.hidden.iter().map(|hidden| hidden.material.as_str()).collect();
+                assert_eq!(hidden, ["wall"], "{context}");
+            }
+        }
+    }
+}
+
 /// Ten micrometres in a room of five metres are a gap, which six digits can express.
 #[test]
 fn small_gaps_stay() {

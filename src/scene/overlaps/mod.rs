@@ -242,10 +242,10 @@ fn by_material(
         fronts.entry(material(back)).or_default().insert(material(front));
     }
     let name = |m: u32| scene.materials[m as usize].name.clone();
-    let of_material = |(m, area): (u32, f64)| Hidden {
-        material: name(m),
-        behind: fronts.get(&m).into_iter().flatten().map(|&front| name(front)).collect(),
-        area,
+    // A material in front of all others only changes by the rounding of its outline.
+    let of_material = |(m, area): (u32, f64)| {
+        let behind = fronts.get(&m)?.iter().map(|&front| name(front)).collect();
+        Some(Hidden { material: name(m), behind, area })
     };
-    areas.into_iter().map(of_material).collect()
+    areas.into_iter().filter_map(of_material).collect()
 }

@@ -4,7 +4,7 @@
 //! belongs to the frontmost triangle that contains it. The cells of a triangle are then triangulated again from their
 //! outline alone. So triangles in front are not cut along the edges of hidden triangles.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::{DVec2, DVec3};
 use spade::{
@@ -14,8 +14,12 @@ use spade::{
 
 use crate::scene::{
     Scene,
-    cutting::{Chain, Corner, Plane, UNNAMED, triangulate, within},
+    cutting::{Cdt, Chain, Corner, Plane, UNNAMED, triangulate, within},
 };
+
+/// Most rounds of adding vertices where rounding makes parts of edges cross. Each round moves edges by less than the one
+/// before, and one is nearly always enough.
+const MOST_ROUNDS: usize = 4;
 
 /// The visible parts of some triangles.
 pub(super) struct Overlay {
@@ -101,6 +105,29 @@ impl Straight {
     }
 }
 
+/// The edges from each corner to the next.
+fn sides<T: Copy>([a, b, c]: [T; 3]) -> [[T; 2]; 3] {
+    [[a, b], [b, c], [c, a]]
+}
+
+/// The outline of a triangle through all vertices on its edges, as edges with the inside on their left. Where the outline
+/// touches itself, the two opposite edges cancel.
+fn outline(corners: [usize; 3], lines: &HashMap<[usize; 2], &Edge>) -> HashSet<[usize; 2]> {
+    let mut outline = HashSet::new();
+    for [p, q] in sides(corners).into_iter().filter(|[p, q]| p != q) {
+        let on = lines[&[p.min(q), p.max(q)]].on.iter().map(|&(v, _)| v);
+        let between: Vec<usize> = if p < q { on.collect() } else { on.rev().collect() };
+        let mut from = p;
+        for to in between.into_iter().chain([q]) {
+            if !outline.remove(&[to, from]) {
+                outline.insert([from, to]);
+            }
+            from = to;
+        }
+    }
+    outline
+}
+
 /// The members in their plane.
 struct Sheet {
     plane: Plane,
@@ -158,6 +185,10 @@ impl Sheet {
             self.cross(scene, e, f);
         }
         self.find_on_edges(given);
+        self.sort_on_edges();
+    }
+
+    fn sort_on_edges(&mut self) {
         for edge in &mut self.edges {
             edge.on.sort_by(|(v, s), (w, t)| s.total_cmp(t).then(v.cmp(w)));
             edge.on.dedup_by_key(|(v, _)| *v);
@@ -242,30 +273,17 @@ impl Sheet {
         self.points.len() - 1
     }
 
-    /// The cells that all edges make.
+    /// The cells that all edges make. Where rounding makes parts of edges cross, the triangulation has vertices without
+    /// a name. They become vertices of the edges, and the triangulation begins again.
     fn cells(&mut self, scene: &mut Scene) -> Cells {
-        let vertices: Vec<usize> = (0..self.points.len()).collect();
-        let mut edges = Vec::new();
-        for Edge { ends: [a, b], on } in &self.edges {
-            let mut from = *a;
-            for to in on.iter().map(|&(v, _)| v).chain([*b]) {
-                edges.push([from, to]);
-                from = to;
-            }
-        }
-        let cdt = triangulate(&self.points, &vertices, &edges);
-        let unforeseen: Vec<FixedVertexHandle> =
-            cdt.vertices().filter(|v| v.data().vertex == UNNAMED).map(|v| v.fix()).collect();
-        let mut named = HashMap::new();
-        if !unforeseen.is_empty() {
-            let none = [DVec2::INFINITY, DVec2::NEG_INFINITY];
-            let [low, high] = self.points.iter().fold(none, |[l, h], &p| [l.min(p), h.max(p)]);
-            for v in unforeseen {
-                let at = cdt.vertex(v).position();
-                let at = low + DVec2::new(at.x, at.y) * (high - low).max_element();
-                let position = self.lift(scene, at);
-                named.insert(v, self.make(scene, position, at));
-            }
+        let mut cdt = self.triangulated();
+        let mut named = self.name_crossings(scene, &cdt);
+        for _ in 0..MOST_ROUNDS {
+            let Some(&first) = named.values().min() else { break };
+            self.find_on_edges(first);
+            self.sort_on_edges();
+            cdt = self.triangulated();
+            named = self.name_crossings(scene, &cdt);
         }
         let vertex = |v: VertexHandle<'_, Corner, (), _, ()>| match v.data().vertex {
             UNNAMED => named[&v.fix()],
@@ -285,6 +303,33 @@ impl Sheet {
         cells
     }
 
+    /// Makes vertices where the triangulation has vertices without a name.
+    fn name_crossings(&mut self, scene: &mut Scene, cdt: &Cdt) -> HashMap<FixedVertexHandle, usize> {
+        let none = [DVec2::INFINITY, DVec2::NEG_INFINITY];
+        let [low, high] = self.points.iter().fold(none, |[l, h], &p| [l.min(p), h.max(p)]);
+        let mut named = HashMap::new();
+        for v in cdt.vertices().filter(|v| v.data().vertex == UNNAMED) {
+            let at = low + DVec2::new(v.position().x, v.position().y) * (high - low).max_element();
+            let position = self.lift(scene, at);
+            named.insert(v.fix(), self.make(scene, position, at));
+        }
+        named
+    }
+
+    /// The triangulation of all points with the parts of all edges.
+    fn triangulated(&self) -> Cdt {
+        let vertices: Vec<usize> = (0..self.points.len()).collect();
+        let mut edges = Vec::new();
+        for Edge { ends: [a, b], on } in &self.edges {
+            let mut from = *a;
+            for to in on.iter().map(|&(v, _)| v).chain([*b]) {
+                edges.push([from, to]);
+                from = to;
+            }
+        }
+        triangulate(&self.points, &vertices, &edges)
+    }
+
     /// The point of the frontmost member's plane that projects to `at`.
     fn lift(&self, scene: &Scene, at: DVec2) -> DVec3 {
         let corners = self.triangles[0].map(|v| scene.vertices[self.vertices[v] as usize]);
@@ -294,7 +339,11 @@ impl Sheet {
         p + along * (normal.dot(corners[0] - p) / normal[self.plane.along])
     }
 
-    /// The member that each cell belongs to, if any.
+    /// The member that each cell belongs to, if any: the frontmost one whose outline runs around the cell.
+    ///
+    /// An outline bends by up to the tolerance, because it runs through vertices beside the straight edges. So the
+    /// geometry alone does not decide about narrow cells along an edge. The outline does: it consists of edges of
+    /// cells, the cells on its left are inside, and so are the cells that are reached from these without crossing it.
     fn owners(&self, cells: &Cells) -> Vec<Option<u32>> {
         let centres: Vec<DVec2> = cells
             .corners
@@ -303,25 +352,34 @@ impl Sheet {
             .collect();
         let mut order: Vec<usize> = (0..centres.len()).collect();
         order.sort_by(|&i, &j| centres[i].x.total_cmp(&centres[j].x));
+        let on_left: HashMap<[usize; 2], usize> = (0..cells.corners.len())
+            .flat_map(|k| sides(cells.corners[k]).map(|side| (side, k)))
+            .collect();
+        let lines: HashMap<[usize; 2], &Edge> = self.edges.iter().map(|edge| (edge.ends, edge)).collect();
         let mut owners = vec![None; centres.len()];
-        // An edge bends by up to the tolerance, because it runs through vertices beside it. So a cell outside all
-        // triangles may be a strip beside a triangle.
-        for slack in [0.0, self.tolerance] {
-            for (m, corners) in self.triangles.iter().enumerate() {
-                let [a, b, c] = corners.map(|v| self.points[v]);
-                let (low, high) = (a.min(b).min(c) - slack, a.max(b).max(c) + slack);
-                let start = order.partition_point(|&i| centres[i].x < low.x);
-                for &i in order[start..].iter().take_while(|&&i| centres[i].x <= high.x) {
-                    let p = centres[i];
-                    let inside = |(p, q): (DVec2, DVec2), r: DVec2| {
-                        (q - p).normalize_or_zero().perp_dot(r - p) >= -slack
-                    };
-                    if owners[i].is_none()
-                        && p.y >= low.y
-                        && p.y <= high.y
-                        && [(a, b), (b, c), (c, a)].into_iter().all(|edge| inside(edge, p))
-                    {
-                        owners[i] = Some(m as u32);
+        let slack = 2.0 * self.tolerance;
+        for (m, &corners) in self.triangles.iter().enumerate() {
+            let [a, b, c] = corners.map(|v| self.points[v]);
+            let (low, high) = (a.min(b).min(c) - slack, a.max(b).max(c) + slack);
+            let outline = outline(corners, &lines);
+            let is_near = |p: DVec2| {
+                let inside = |[p, q]: [DVec2; 2], r| (q - p).normalize_or_zero().perp_dot(r - p) >= -slack;
+                p.cmpge(low).all() && p.cmple(high).all() && sides([a, b, c]).into_iter().all(|s| inside(s, p))
+            };
+            let start = order.partition_point(|&i| centres[i].x < low.x);
+            let near = order[start..].iter().take_while(|&&i| centres[i].x <= high.x);
+            let near: HashSet<usize> = near.copied().filter(|&i| is_near(centres[i])).collect();
+            let mut open: Vec<usize> = outline.iter().filter_map(|side| on_left.get(side).copied()).collect();
+            let mut inside = HashSet::new();
+            while let Some(k) = open.pop() {
+                if !near.contains(&k) || !inside.insert(k) {
+                    continue;
+                }
+                owners[k].get_or_insert(m as u32);
+                for (side, neighbour) in std::iter::zip(sides(cells.corners[k]), cells.neighbours[k]) {
+                    let [p, q] = side;
+                    if !outline.contains(&side) && !outline.contains(&[q, p]) {
+                        open.extend(neighbour);
                     }
                 }
             }
