@@ -23,6 +23,12 @@ impl Grid {
         Grid { width: atlas.width, height: atlas.height, rows: atlas.pages * atlas.height, chart }
     }
 
+    /// A square page that one chart covers.
+    #[cfg(test)]
+    pub fn of_one_chart(side: usize) -> Grid {
+        Grid { width: side, height: side, rows: side, chart: vec![0; side * side] }
+    }
+
     /// Chart of covered texel `i`.
     pub fn chart(&self, i: usize) -> u32 {
         self.chart[i]

@@ -13,6 +13,7 @@ mod coverage;
 mod cut;
 mod denoise;
 mod dilation;
+mod fireflies;
 mod gather;
 pub mod gltf;
 mod grid;

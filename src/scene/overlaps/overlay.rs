@@ -352,9 +352,8 @@ impl Sheet {
             .collect();
         let mut order: Vec<usize> = (0..centres.len()).collect();
         order.sort_by(|&i, &j| centres[i].x.total_cmp(&centres[j].x));
-        let on_left: HashMap<[usize; 2], usize> = (0..cells.corners.len())
-            .flat_map(|k| sides(cells.corners[k]).map(|side| (side, k)))
-            .collect();
+        let on_left: HashMap<[usize; 2], usize> =
+            (0..cells.corners.len()).flat_map(|k| sides(cells.corners[k]).map(|side| (side, k))).collect();
         let lines: HashMap<[usize; 2], &Edge> = self.edges.iter().map(|edge| (edge.ends, edge)).collect();
         let mut owners = vec![None; centres.len()];
         let slack = 2.0 * self.tolerance;
@@ -364,7 +363,9 @@ impl Sheet {
             let outline = outline(corners, &lines);
             let is_near = |p: DVec2| {
                 let inside = |[p, q]: [DVec2; 2], r| (q - p).normalize_or_zero().perp_dot(r - p) >= -slack;
-                p.cmpge(low).all() && p.cmple(high).all() && sides([a, b, c]).into_iter().all(|s| inside(s, p))
+                p.cmpge(low).all()
+                    && p.cmple(high).all()
+                    && sides([a, b, c]).into_iter().all(|s| inside(s, p))
             };
             let start = order.partition_point(|&i| centres[i].x < low.x);
             let near = order[start..].iter().take_while(|&&i| centres[i].x <= high.x);
