@@ -5,7 +5,10 @@ use std::{io::Write, path::Path};
 use glam::DVec3;
 
 use super::Estimate;
-use crate::{Error, Result, scene::direction};
+use crate::{
+    Error, Result,
+    scene::{direction, text},
+};
 
 /// A point and its normal, in the coordinates of the scene file.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,15 +27,16 @@ pub struct Probe {
 /// [`Error::Io`] if the file cannot be read; [`Error::Input`] with the number of a line that is not understood.
 pub fn read_probes(path: &Path) -> Result<Vec<Probe>> {
     let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
-    let text = String::from_utf8_lossy(&bytes);
+    let text = text::decode(bytes);
     let (mut probes, mut begun) = (Vec::new(), false);
     for (i, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
-        let content = line.split('#').next().unwrap_or_default().trim();
-        if !content.is_empty() {
-            if !std::mem::replace(&mut begun, true) && is_header(content) {
+        // Spreadsheets write some columns in quotes.
+        let content = line.split('#').next().unwrap_or_default().replace('"', "");
+        if !content.trim().is_empty() {
+            if !std::mem::replace(&mut begun, true) && is_header(&content) {
                 continue;
             }
-            let probe = parse(content).map_err(|message| {
+            let probe = parse(content.trim()).map_err(|message| {
                 Error::input(path, Some(i + 1), message).with_hint("a line reads: x y z nx ny nz")
             })?;
             probes.push(probe);
@@ -59,7 +63,7 @@ fn with_decimal_commas(line: &str) -> Option<Vec<String>> {
 
 /// Whether a line names columns: it has at least as many words as there are columns, and none of them is a number.
 fn is_header(line: &str) -> bool {
-    words(line).count() >= 6 && words(line).all(|word| word.trim_matches('"').parse::<f64>().is_err())
+    words(line).count() >= 6 && words(line).all(|word| word.parse::<f64>().is_err())
 }
 
 fn parse(line: &str) -> std::result::Result<Probe, String> {
@@ -119,6 +123,7 @@ mod tests {
         for table in [
             "x,y,z,nx,ny,nz\n1,2,3,0,0,1\n4,5,6,0,1,0\n",
             "\"x\";\"y\";\"z\";\"nx\";\"ny\";\"nz\"\n1;2; 3;0;0;1\n4;5;6;0;1;0;\n",
+            "x,y,z,nx,ny,nz\n\"1\",\"2\",3,0,0,1\n4,5,6,\"0\",\"1\",0\n",
             "# sensors\nx\ty\tz\tnx\tny\tnz\n1\t2\t3\t0\t0\t1\n4, 5, 6, 0, 1, 0\n",
         ] {
             assert_eq!(read(table).unwrap(), wanted, "{table}");
@@ -135,6 +140,18 @@ mod tests {
         for (wrong, line) in [("1 2 3 0 0 1\nx y z nx ny nz", 2), ("1,x,3,0,0,1", 1), ("a b c", 1)] {
             assert!(matches!(read(wrong), Err(Error::Input { line: Some(l), .. }) if l == line), "{wrong}");
         }
+    }
+
+    /// Spreadsheets call this "Unicode text".
+    #[test]
+    fn utf_16_is_text() {
+        let table = "x\ty\tz\tnx\tny\tnz\r\n1,5\t2\t3\t0\t0\t1\r\n";
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("points.txt");
+        let bytes: Vec<u8> =
+            "\u{feff}".encode_utf16().chain(table.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+        std::fs::write(&path, bytes).unwrap();
+        assert_eq!(read_probes(&path).unwrap(), read("1.5 2 3 0 0 1").unwrap());
     }
 
     #[test]
