@@ -97,8 +97,9 @@ pub fn run(args: &DaylightArgs) -> Result<Outcome> {
     args.common.start_threads()?;
 
     let watch = Watch::new(args.common.quiet);
-    let warning = args.epw.as_ref().zip(weather.as_ref()).and_then(|(path, weather)| weather.warning(path));
-    warning.iter().for_each(|warning| watch.warn(warning));
+    if let (Some(path), Some(weather)) = (&args.epw, &weather) {
+        weather.warnings(path).iter().for_each(|warning| watch.warn(warning));
+    }
     let mut times = Seconds::default();
     let (mut scene, load) = watch.stage("reading", || pipeline::read(&args.scene, &files, &watch))?;
     times.load = load;
@@ -136,7 +137,15 @@ pub fn run(args: &DaylightArgs) -> Result<Outcome> {
     })?;
     let factors = daylight_factors(&coefficients, up);
     let exact = points.as_ref().map(|_| &places[..]);
-    let year = weather.as_ref().map(|weather| Year::of(&daylight, &coefficients, exact, weather, up));
+    let year = match &weather {
+        Some(weather) => {
+            let of_year = || Year::of(&daylight, &coefficients, exact, weather, up, watch.progress());
+            let (year, time) = watch.stage("year", of_year)?;
+            times.solve += time;
+            Some(year)
+        }
+        None => None,
+    };
 
     watch.begin_writing();
     let table = DaylightTable {
@@ -222,7 +231,7 @@ fn summary_of(report: &DaylightReport, written: &str) -> String {
     row(
         "seconds",
         format!(
-            "load {:.2}, coefficients {:.2}, points {:.2}; total {:.2}",
+            "load {:.2}, coefficients {:.2}, points and hours {:.2}; total {:.2}",
             s.load, s.form_factors, s.solve, s.total
         ),
     );

@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// Number of columns that are multiplied by the matrix at a time.
-const BLOCK: usize = 16;
+pub(super) const BLOCK: usize = 16;
 /// The iteration ends when a bounce adds less than this share of the light.
 const ENOUGH: f64 = 1e-5;
 const MOST_BOUNCES: usize = 2000;
@@ -157,10 +157,10 @@ impl<'a> Daylight<'a> {
         direct
     }
 
-    /// Solves E = D + F ρ E in blocks of columns.
+    /// Solves for all parts, in blocks of columns.
     fn solve(&self, progress: &Progress) -> Result<Vec<f32>> {
         let (n, count) = (self.patches.len(), self.options.parts.count());
-        let mut irradiance = self.direct.clone();
+        let mut irradiance = vec![0f32; n * count];
         progress.begin("solving for the parts of the sky", count.div_ceil(BLOCK) as u64);
         for first in (0..count).step_by(BLOCK) {
             let columns = BLOCK.min(count - first);
@@ -170,37 +170,43 @@ impl<'a> Daylight<'a> {
                     std::array::from_fn(|k| row.get(k).copied().unwrap_or_default())
                 })
                 .collect();
-            let (mut light, mut sent, mut arriving) =
-                (direct.clone(), vec![[0f32; BLOCK]; n], vec![[0f32; BLOCK]; n]);
-            let size =
-                |light: &[[f32; BLOCK]]| -> f64 { light.iter().flatten().map(|&e| f64::from(e)).sum() };
-            let mut before = size(&light);
-            for bounce in 0.. {
-                progress.check()?;
-                if bounce == MOST_BOUNCES {
-                    return Err(Error::NoEquilibrium);
-                }
-                sent.par_iter_mut()
-                    .zip(&light)
-                    .zip(&self.reflectance)
-                    .with_min_len(256)
-                    .for_each(|((sent, light), &rho)| *sent = light.map(|e| rho as f32 * e));
-                self.form_factors
-                    .irradiance_into::<f32, BLOCK>(sent.as_flattened(), arriving.as_flattened_mut());
-                let values = light.as_flattened_mut().iter_mut().zip(direct.as_flattened());
-                values.zip(arriving.as_flattened()).for_each(|((e, d), a)| *e = d + a);
-                let now = size(&light);
-                if now - before <= ENOUGH * now {
-                    break;
-                }
-                before = now;
-            }
+            let light = self.solve_block(direct, progress)?;
             for (i, light) in light.iter().enumerate() {
                 irradiance[i * count + first..][..columns].copy_from_slice(&light[..columns]);
             }
             progress.advance(1);
         }
         Ok(irradiance)
+    }
+
+    /// Solves E = D + F ρ E for a block of columns D.
+    pub(super) fn solve_block(
+        &self,
+        direct: Vec<[f32; BLOCK]>,
+        progress: &Progress,
+    ) -> Result<Vec<[f32; BLOCK]>> {
+        let n = self.patches.len();
+        let (mut light, mut sent, mut arriving) =
+            (direct.clone(), vec![[0f32; BLOCK]; n], vec![[0f32; BLOCK]; n]);
+        let size = |light: &[[f32; BLOCK]]| -> f64 { light.iter().flatten().map(|&e| f64::from(e)).sum() };
+        let mut before = size(&light);
+        for _ in 0..MOST_BOUNCES {
+            progress.check()?;
+            sent.par_iter_mut()
+                .zip(&light)
+                .zip(&self.reflectance)
+                .with_min_len(256)
+                .for_each(|((sent, light), &rho)| *sent = light.map(|e| rho as f32 * e));
+            self.form_factors.irradiance_into::<f32, BLOCK>(sent.as_flattened(), arriving.as_flattened_mut());
+            let values = light.as_flattened_mut().iter_mut().zip(direct.as_flattened());
+            values.zip(arriving.as_flattened()).for_each(|((e, d), a)| *e = d + a);
+            let now = size(&light);
+            if now - before <= ENOUGH * now {
+                return Ok(light);
+            }
+            before = now;
+        }
+        Err(Error::NoEquilibrium)
     }
 
     /// The coefficients of all front patches.
@@ -217,25 +223,57 @@ impl<'a> Daylight<'a> {
     /// # Errors
     /// [`Error::Stopped`].
     pub fn of_points(&self, points: &[Place], progress: &Progress) -> Result<Coefficients> {
-        let DaylightOptions { parts, up, rays_of_points, seed, .. } = self.options;
+        let DaylightOptions { parts, up, .. } = self.options;
         let count = parts.count();
+        let gathered = self.gather(points, progress, |direct: &mut Vec<f64>, towards, share| {
+            direct.resize(count, 0.0);
+            if let Some(part) = parts.at(up, towards) {
+                direct[part] += PI * share;
+            }
+        })?;
+        let of_point = |(mut direct, met): (Vec<f64>, Vec<(u32, f32)>)| {
+            direct.resize(count, 0.0);
+            let mut reflected = vec![0f64; count];
+            for (j, weight) in met {
+                let row = &self.irradiance[j as usize * count..][..count];
+                reflected.iter_mut().zip(row).for_each(|(sum, &e)| *sum += f64::from(weight) * f64::from(e));
+            }
+            let total = direct.iter().zip(&reflected).map(|(d, r)| (d + r) as f32).collect();
+            (total, reflected.into_iter().map(|r| r as f32).collect())
+        };
+        let (total, reflected): (Vec<Vec<f32>>, Vec<Vec<f32>>) =
+            gathered.into_par_iter().map(of_point).unzip();
+        Ok(Coefficients { parts, places: points.len(), total: total.concat(), reflected: reflected.concat() })
+    }
+
+    /// The patches that rays from each point hit, each with its share of the rays times its reflectance.
+    pub(super) fn met(&self, points: &[Place], progress: &Progress) -> Result<Vec<Vec<(u32, f32)>>> {
+        let gathered = self.gather(points, progress, |(): &mut (), _, _| {})?;
+        Ok(gathered.into_iter().map(|((), met)| met).collect())
+    }
+
+    /// Casts rays from points. `escape` collects the rays that leave the scene, each with its direction and its share.
+    /// The patches that the others hit are as for [`Daylight::met`].
+    fn gather<T: Default + Send>(
+        &self,
+        points: &[Place],
+        progress: &Progress,
+        escape: impl Fn(&mut T, DVec3, f64) + Sync,
+    ) -> Result<Vec<(T, Vec<(u32, f32)>)>> {
+        let DaylightOptions { rays_of_points, seed, .. } = self.options;
         progress.begin("gathering at points", points.len() as u64);
         let of_point = |(k, &(point, normal)): (usize, &Place)| {
             progress.check()?;
             let (place, side) = self.tracer.place(point, normal);
             let (origin, normal) = (side.leave(place), side.normal);
-            let (mut direct, mut met) = (vec![0f64; count], vec![0f64; self.patches.len()]);
+            let (mut escaped, mut met) = (T::default(), vec![0f64; self.patches.len()]);
             let share = 1.0 / f64::from(rays_of_points);
             let seed = mix(&[seed, k as u64, 0x706f_696e_7473]);
             for ray in 0..rays_of_points {
                 let [x, y, ..] = sobol_4d(ray, seed);
                 let towards = around(normal, square_to_cosine_hemisphere(x, y));
                 match self.tracer.closest(origin, towards) {
-                    None => {
-                        if let Some(part) = parts.at(up, towards.as_dvec3().normalize()) {
-                            direct[part] += PI * share;
-                        }
-                    }
+                    None => escape(&mut escaped, towards.as_dvec3().normalize(), share),
                     Some(hit) => {
                         if let Some(j) = self.patches.at(hit.triangle, hit.barycentric, hit.front) {
                             let rho = hit.reflectance(self.scene);
@@ -244,19 +282,25 @@ impl<'a> Daylight<'a> {
                     }
                 }
             }
-            let mut reflected = vec![0f64; count];
-            for (j, &weight) in met.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
-                let row = &self.irradiance[j * count..][..count];
-                reflected.iter_mut().zip(row).for_each(|(sum, &e)| *sum += weight * f64::from(e));
-            }
             progress.advance(1);
-            let total = direct.iter().zip(&reflected).map(|(d, r)| (d + r) as f32).collect();
-            Ok((total, reflected.into_iter().map(|r| r as f32).collect()))
+            let met = met.into_iter().enumerate().filter(|(_, weight)| *weight > 0.0);
+            Ok((escaped, met.map(|(j, weight)| (j as u32, weight as f32)).collect()))
         };
-        let found: Vec<(Vec<f32>, Vec<f32>)> =
-            points.par_iter().enumerate().map(of_point).collect::<Result<_>>()?;
-        let (total, reflected): (Vec<Vec<f32>>, Vec<Vec<f32>>) = found.into_iter().unzip();
-        Ok(Coefficients { parts, places: points.len(), total: total.concat(), reflected: reflected.concat() })
+        points.par_iter().enumerate().map(of_point).collect()
+    }
+
+    /// The options.
+    pub(super) fn options(&self) -> &DaylightOptions {
+        &self.options
+    }
+
+    pub(super) fn tracer(&self) -> &Tracer {
+        self.tracer
+    }
+
+    /// Whether a patch takes no part, because no ray can reach it.
+    pub(super) fn is_hidden(&self, i: usize) -> bool {
+        self.form_factors.ray_set().is_some_and(|set| set.is_withdrawn(i))
     }
 
     /// Whether a point receives direct light from the sun in the direction `towards`.

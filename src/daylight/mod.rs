@@ -6,6 +6,7 @@
 //! parts, so the light of every hour of a year is a weighted sum of the E_k ([`year`]).
 
 pub mod coefficients;
+mod suns;
 pub mod year;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -34,6 +35,11 @@ impl SkyParts {
     pub fn new(division: usize) -> SkyParts {
         assert!(division > 0, "the division of a sky is at least 1");
         SkyParts { division }
+    }
+
+    /// The number by which each side of Tregenza's parts is divided.
+    pub fn division(self) -> usize {
+        self.division
     }
 
     /// Number of parts.
@@ -99,16 +105,15 @@ impl SkyParts {
         0.5 * (to - from) * (high.sin().powi(2) - low.sin().powi(2))
     }
 
-    /// The mean of `seen` over a part, from `steps` by `steps` directions that are evenly spread over its solid angle.
-    pub fn mean(self, up: Up, part: usize, steps: usize, seen: impl Fn(DVec3) -> f64) -> f64 {
+    /// `steps` by `steps` directions in a part, evenly spread over its solid angle.
+    pub fn directions(self, up: Up, part: usize, steps: usize) -> impl Iterator<Item = DVec3> {
         let [[from, to], [low, high]] = self.bounds(part);
-        let step = |k: usize| (k as f64 + 0.5) / steps as f64;
-        let at = |k: usize| {
+        let step = move |k: usize| (k as f64 + 0.5) / steps as f64;
+        (0..steps * steps).map(move |k| {
             let azimuth = from + (to - from) * step(k / steps);
             let sin = low.sin() + (high.sin() - low.sin()) * step(k % steps);
-            seen(up.direction(azimuth, sin.clamp(-1.0, 1.0).asin()))
-        };
-        (0..steps * steps).map(at).sum::<f64>() / (steps * steps) as f64
+            up.direction(azimuth, sin.clamp(-1.0, 1.0).asin())
+        })
     }
 }
 

@@ -6,10 +6,14 @@ use rayon::prelude::*;
 use super::{
     SkyParts,
     coefficients::{Coefficients, Daylight, Place},
+    suns::Suns,
 };
-use crate::scene::light::{Hour, Perez, SOLAR_CONSTANT, Sky, SkyModel, Up, Weather, luminous_efficacy};
+use crate::{
+    Progress, Result,
+    scene::light::{Hour, Perez, SOLAR_CONSTANT, Sky, SkyModel, Up, Weather, luminous_efficacy},
+};
 
-/// The radiance of a sky is averaged over `STEPS` × `STEPS` directions in each part.
+/// The radiance of a sky is averaged over at least this number squared of directions in each of Tregenza's parts.
 const STEPS: usize = 3;
 
 /// Illuminance that counts for daylight autonomy, lx (IES LM-83, "Approved Method: IES Spatial Daylight Autonomy (sDA)
@@ -40,52 +44,71 @@ pub struct Year {
 /// unobstructed horizontal plane.
 pub fn daylight_factors(coefficients: &Coefficients, up: Up) -> Vec<f64> {
     let sky = Sky::with_irradiance(SkyModel::Overcast, up, [1.0; 3]);
-    let radiance = radiances(coefficients.parts, up, &sky, 1.0);
+    let radiance = Samples::new(coefficients.parts, up).radiances(&sky, 1.0);
     (0..coefficients.places).map(|i| coefficients.irradiance(i, &radiance)).collect()
 }
 
-/// Mean radiance of a sky in each of its parts, scaled so that a horizontal plane receives the given irradiance.
-/// Without scaling, the plane would receive 0.4 % less under an overcast sky, because the brighter half of each part is
-/// also the higher half.
-fn radiances(parts: SkyParts, up: Up, sky: &Sky, irradiance: f64) -> Vec<f64> {
-    let mut radiance: Vec<f64> =
-        (0..parts.count()).map(|k| parts.mean(up, k, STEPS, |d| sky.radiance(d)[0])).collect();
-    let horizontal: f64 = radiance.iter().enumerate().map(|(k, l)| l * parts.horizontal(k)).sum();
-    let scale = if horizontal > 0.0 { irradiance / horizontal } else { 0.0 };
-    radiance.iter_mut().for_each(|l| *l *= scale);
-    radiance
+/// Directions for the mean radiance of a sky in each of its parts.
+struct Samples {
+    parts: SkyParts,
+    /// The same number for each part.
+    directions: Vec<DVec3>,
 }
 
-/// The light of an hour.
+impl Samples {
+    fn new(parts: SkyParts, up: Up) -> Samples {
+        let steps = STEPS.div_ceil(parts.division());
+        let directions = (0..parts.count()).flat_map(|k| parts.directions(up, k, steps)).collect();
+        Samples { parts, directions }
+    }
+
+    /// Mean radiance of a sky in each of its parts, scaled so that a horizontal plane receives the given irradiance.
+    /// Without scaling, the plane would receive 0.4 % less under an overcast sky, because the brighter half of each
+    /// part is also the higher half.
+    fn radiances(&self, sky: &Sky, irradiance: f64) -> Vec<f64> {
+        let of_part = self.directions.len() / self.parts.count();
+        let mean = |directions: &[DVec3]| {
+            directions.iter().map(|&d| sky.radiance(d)[0]).sum::<f64>() / of_part as f64
+        };
+        let mut radiance: Vec<f64> = self.directions.chunks_exact(of_part).map(mean).collect();
+        let horizontal: f64 = radiance.iter().enumerate().map(|(k, l)| l * self.parts.horizontal(k)).sum();
+        let scale = if horizontal > 0.0 { irradiance / horizontal } else { 0.0 };
+        radiance.iter_mut().for_each(|l| *l *= scale);
+        radiance
+    }
+}
+
+/// The light of an hour: of the sun, and what the sky follows from.
 struct Light {
-    /// Directions to the sun in the course of the hour.
+    /// Directions to the sun in the course of the hour; none if it is down.
     suns: Vec<DVec3>,
-    /// Illuminance of a plane that faces the sun, lx.
+    /// Illuminance of a plane that faces the sun, in the mean of its directions, lx.
     direct: f64,
-    /// Luminance of the parts of the sky, cd/m².
-    luminance: Vec<f64>,
+    /// Illuminance of an unobstructed horizontal plane by the sky, lx.
+    diffuse: f64,
+    /// The sky, without its scale.
+    sky: Sky,
 }
 
-/// The light of an hour; `None` if there is none.
-fn light_of(hour: &Hour, parts: SkyParts, up: Up) -> Option<Light> {
-    let (azimuth, altitude) = hour.sun?;
-    if hour.is_missing || hour.direct + hour.diffuse <= 0.0 {
+/// The light of an hour; `None` if there is none. Before sunrise and after sunset, it is that of a sky without sun.
+fn light_of(hour: &Hour, up: Up) -> Option<Light> {
+    let (azimuth, altitude) = hour.sun.unwrap_or((hour.azimuth, 0.0));
+    let direct = if hour.sun.is_some() { hour.direct } else { 0.0 };
+    if hour.is_missing || direct + hour.diffuse <= 0.0 {
         return None;
     }
     let towards = up.direction(azimuth, altitude);
     let outside = SOLAR_CONSTANT * hour.eccentricity;
-    let of = [hour.direct, hour.diffuse];
-    let [direct, diffuse] = luminous_efficacy(of, altitude, outside, hour.dew_point);
-    let perez = Perez::new(hour.direct, hour.diffuse, altitude, outside);
-    let shape = SkyModel::AllWeather(perez, towards);
-    let sky = Sky::relative(shape, up);
-    let luminance = radiances(parts, up, &sky, hour.diffuse * diffuse);
+    let of = [direct, hour.diffuse];
+    let [of_direct, of_diffuse] = luminous_efficacy(of, altitude, outside, hour.dew_point);
+    let perez = Perez::new(direct, hour.diffuse, altitude, outside);
+    let sky = Sky::relative(SkyModel::AllWeather(perez, towards), up);
     let direction = |(azimuth, altitude): (f64, f64)| up.direction(azimuth, altitude);
     let mut suns: Vec<DVec3> = hour.positions.iter().flatten().copied().map(direction).collect();
-    if suns.is_empty() {
+    if suns.is_empty() && hour.sun.is_some() {
         suns.push(towards);
     }
-    Some(Light { suns, direct: hour.direct * direct, luminance })
+    Some(Light { suns, direct: direct * of_direct, diffuse: hour.diffuse * of_diffuse, sky })
 }
 
 impl Year {
@@ -98,41 +121,54 @@ impl Year {
     }
 
     /// Computes the hours of a weather file. If `points` are given, which are the places of the coefficients, a ray to
-    /// each position of the sun decides whether its direct light reaches each point. Otherwise the coefficients are those
-    /// of patches, and the light of the sun is added to the parts of the sky where it stands.
+    /// each position of the sun decides whether its direct light reaches each point. Otherwise the places are the front
+    /// patches, and shadow rays to positions in the same part of the sky find the sunlit share of each.
+    ///
+    /// # Errors
+    /// [`crate::Error::Stopped`]; [`crate::Error::NoEquilibrium`].
     pub fn of(
         daylight: &Daylight<'_>,
         coefficients: &Coefficients,
         points: Option<&[Place]>,
         weather: &Weather,
         up: Up,
-    ) -> Year {
-        let parts = coefficients.parts;
-        let of_hour = |hour: &Hour| -> Vec<f32> {
-            let Some(Light { suns, direct, mut luminance }) = light_of(hour, parts, up) else {
-                return vec![0.0; coefficients.places];
+        progress: &Progress,
+    ) -> Result<Year> {
+        let lights: Vec<Option<Light>> = weather.hours.par_iter().map(|hour| light_of(hour, up)).collect();
+        let positions = lights.iter().flatten().flat_map(|light| {
+            let each = light.direct / light.suns.len().max(1) as f64;
+            light.suns.iter().map(move |&towards| (towards, each))
+        });
+        let suns = Suns::new(daylight, points, positions.collect(), progress)?;
+        let samples = Samples::new(coefficients.parts, up);
+        progress.begin("computing hours", weather.hours.len() as u64);
+        let of_hour = |light: &Option<Light>| -> Result<Vec<f32>> {
+            progress.check()?;
+            progress.advance(1);
+            let Some(Light { suns: positions, direct, diffuse, sky }) = light else {
+                return Ok(vec![0.0; coefficients.places]);
             };
-            let sun = direct / suns.len() as f64;
-            let suns: Vec<(DVec3, usize)> =
-                suns.into_iter().filter_map(|towards| Some((towards, parts.at(up, towards)?))).collect();
-            if points.is_none() {
-                suns.iter().for_each(|&(_, part)| luminance[part] += sun / parts.solid_angle(part));
-            }
+            let luminance = samples.radiances(sky, *diffuse);
+            let each = direct / positions.len().max(1) as f64;
+            let positions: Vec<(DVec3, usize)> = positions
+                .iter()
+                .filter_map(|&towards| Some((towards, suns.group(daylight, towards)?)))
+                .collect();
             let of_place = |i: usize| {
                 let mut light = coefficients.irradiance(i, &luminance);
-                for &(towards, part) in suns.iter().filter(|_| points.is_some()) {
-                    light += sun * coefficients.of_sun(i, part);
+                for &(towards, group) in &positions {
+                    light += each * suns.of(i, group);
                     if let Some(point) = points.map(|points| &points[i])
                         && daylight.sees(point, towards)
                     {
-                        light += sun * point.1.normalize().dot(towards);
+                        light += each * point.1.normalize().dot(towards);
                     }
                 }
                 light as f32
             };
-            (0..coefficients.places).map(of_place).collect()
+            Ok((0..coefficients.places).map(of_place).collect())
         };
-        let hours: Vec<Vec<f32>> = weather.hours.par_iter().map(of_hour).collect();
+        let hours: Vec<Vec<f32>> = lights.par_iter().map(of_hour).collect::<Result<_>>()?;
         let is_occupied =
             |hour: &Hour| (OCCUPIED[0]..=OCCUPIED[1]).contains(&hour.label[2]) && !hour.is_missing;
         let occupied: Vec<&Vec<f32>> =
@@ -144,12 +180,12 @@ impl Year {
             })
             .collect();
         let enough = autonomy.iter().filter(|&&share| share >= ENOUGH_HOURS).count();
-        Year {
+        Ok(Year {
             labels: weather.hours.iter().map(|hour| hour.label).collect(),
             illuminance: hours.concat(),
             is_missing: weather.hours.iter().map(|hour| hour.is_missing).collect(),
             spatial_autonomy: enough as f64 / autonomy.len().max(1) as f64,
             autonomy,
-        }
+        })
     }
 }

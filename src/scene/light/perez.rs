@@ -76,6 +76,11 @@ const TABLE: [[[f64; 4]; 5]; 8] = [
     ],
 ];
 
+/// Sine of the lowest altitude in the measurements of the model, 6 degrees. If b is positive, which happens with bright
+/// skies and the sun at the horizon, the model would send nearly all light from the horizon itself. The radiance is then
+/// constant below this altitude.
+const LOWEST_SCAN: f64 = 0.104_528;
+
 /// The coefficients a to e of a sky.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Perez([f64; 5]);
@@ -164,7 +169,8 @@ impl Perez {
     pub(super) fn shape(&self, sin: f64, cos_sun: f64) -> f64 {
         let [a, b, c, d, e] = self.0;
         let gamma = cos_sun.clamp(-1.0, 1.0).acos();
-        let gradation = 1.0 + a * (b / sin.max(0.01)).exp();
+        let lowest = if b > 0.0 { LOWEST_SCAN } else { 0.01 };
+        let gradation = 1.0 + a * (b / sin.max(lowest)).exp();
         (gradation * (1.0 + c * (d * gamma).exp() + e * cos_sun * cos_sun)).max(0.0)
     }
 }

@@ -22,6 +22,9 @@ const USUAL_DEW_POINT: f64 = 10.0;
 const MOST_HOURS: usize = 100_000;
 /// Irradiances from this value on mean that the value is missing. So do negative ones.
 const MISSING: f64 = 9999.0;
+/// More direct normal irradiance than this in an hour without sun is a contradiction, W/m² (`gendaymtx` of RADIANCE warns
+/// from the same value).
+const NIGHT: f64 = 20.0;
 /// Positions of the sun in an hour for its direct light. Beside a window frame the light comes and goes within the hour. In
 /// a room with a window in Seville, the mean illuminance of a year was wrong by up to 5.6 % at single points with one
 /// position, 2.5 % with two, 0.7 % with four and 0.6 % with six, compared with every minute.
@@ -47,6 +50,8 @@ pub struct Hour {
     pub dew_point: f64,
     /// Azimuth and altitude of the sun in radians, if it is up in any part of the hour.
     pub sun: Option<(f64, f64)>,
+    /// Azimuth of the sun in the middle of the hour in radians, also when it is down.
+    pub azimuth: f64,
     /// Azimuth and altitude of the sun in the middle of each part of the hour, where it is up.
     pub positions: [Option<(f64, f64)>; POSITIONS],
     /// The factor of the solar constant on that day.
@@ -66,17 +71,30 @@ pub struct Weather {
 }
 
 impl Weather {
-    /// A warning if irradiance is missing while the sun is up.
-    pub fn warning(&self, path: &Path) -> Option<String> {
-        let mut missing = self.hours.iter().filter(|hour| hour.is_missing);
-        let first = missing.next()?;
-        let (count, day) = (1 + missing.count(), self.hours.iter().filter(|hour| hour.sun.is_some()).count());
-        Some(format!(
-            "{}:{}: irradiance is missing in {count} of the {day} hours with the sun up: illuminance is 0 there, and means and \
-             autonomy leave these hours out",
-            path.display(),
-            first.line
-        ))
+    /// Warnings: irradiance is missing while the sun is up, or direct irradiance is there while it is down.
+    pub fn warnings(&self, path: &Path) -> Vec<String> {
+        let day = self.hours.iter().filter(|hour| hour.sun.is_some()).count();
+        let missing = self.counted(|hour| hour.is_missing).map(|(count, line)| {
+            format!(
+                "{}:{line}: irradiance is missing in {count} of the {day} hours with the sun up: illuminance is 0 there, and \
+                 means and autonomy leave these hours out",
+                path.display(),
+            )
+        });
+        let early = self.counted(|hour| hour.sun.is_none() && hour.direct > NIGHT).map(|(count, line)| {
+            format!(
+                "{}:{line}: the sun is down in {count} hours with direct irradiance, which is left out: the time zone or the \
+                 longitude in line 1 may not be those of the table",
+                path.display(),
+            )
+        });
+        missing.into_iter().chain(early).collect()
+    }
+
+    /// The number of hours with a property, if there are any, and the line of the first.
+    fn counted(&self, of: impl Fn(&Hour) -> bool) -> Option<(usize, usize)> {
+        let mut hours = self.hours.iter().filter(|hour| of(hour));
+        hours.next().map(|first| (1 + hours.count(), first.line))
     }
 
     /// Reads an EPW file.
@@ -107,6 +125,7 @@ fn parse(text: &str) -> std::result::Result<Weather, Wrong> {
         longitude: figure(7, -180.0..=180.0, "the longitude, column 8,")?,
     };
     let offset = figure(8, -14.0..=14.0, "the time zone, column 9,")?;
+    check_period(lines.get(HEADERS - 1)).map_err(|message| (HEADERS, message))?;
     let mut hours = Vec::new();
     for (k, line) in lines.iter().enumerate().skip(HEADERS) {
         if line.trim().is_empty() {
@@ -122,6 +141,17 @@ fn parse(text: &str) -> std::result::Result<Weather, Wrong> {
         return Err((lines.len(), "no hours after the eight lines of headers".into()));
     }
     Ok(Weather { place, offset, hours })
+}
+
+/// Checks that the table has one record an hour, where its header tells the number.
+fn check_period(line: Option<&&str>) -> std::result::Result<(), String> {
+    let words: Vec<&str> = line.map_or(Vec::new(), |line| line.split(',').map(str::trim).collect());
+    match words[..] {
+        [name, _, records, ..] if name.eq_ignore_ascii_case("DATA PERIODS") && records != "1" => {
+            Err(format!("the table has `{records}` records an hour: only hourly files can be used"))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn hour(line: &str, place: Place, offset: f64) -> std::result::Result<Hour, String> {
@@ -187,6 +217,7 @@ fn hour(line: &str, place: Place, offset: f64) -> std::result::Result<Hour, Stri
         line: 0,
         dew_point,
         sun,
+        azimuth: moment.sun(place).map_or(0.0, |(azimuth, _)| azimuth),
         positions,
         eccentricity: moment.eccentricity(),
     })
@@ -242,13 +273,22 @@ mod tests {
         let missing: Vec<bool> = weather.hours.iter().map(|hour| hour.is_missing).collect();
         assert_eq!(missing, [true, true, false, true, false]);
         assert_eq!((weather.hours[0].direct, weather.hours[1].diffuse), (0.0, 0.0));
-        let warning = weather.warning(Path::new("a.epw")).unwrap();
-        assert!(warning.starts_with("a.epw:9: irradiance is missing in 3 of the 4 hours"), "{warning}");
-        assert_eq!(parse(&file(&[(1, 1, 1, "9999", "0"), day[2]])).unwrap().warning(Path::new("")), None);
+        let warnings = weather.warnings(Path::new("a.epw"));
+        assert!(
+            warnings[0].starts_with("a.epw:9: irradiance is missing in 3 of the 4 hours"),
+            "{warnings:?}"
+        );
+        assert_eq!(warnings.len(), 1);
+        assert!(parse(&file(&[(1, 1, 1, "9999", "0"), day[2]])).unwrap().warnings(Path::new("")).is_empty());
+        // At three in the night, direct sunlight is a contradiction.
+        let night = parse(&file(&[day[2], (1, 1, 3, "100", "20"), (1, 1, 4, "19", "2")])).unwrap();
+        let warnings = night.warnings(Path::new("a.epw"));
+        assert!(warnings[0].starts_with("a.epw:10: the sun is down in 1 hours"), "{warnings:?}");
         for (text, line) in [
             (String::new(), 1),
             ("LOCATION,x\n".into(), 1),
             (file(&[]), 8),
+            (file(&[(1, 1, 1, "1", "1")]).replacen("HEADER,0\n2026", "DATA PERIODS,1,4,x\n2026", 1), 8),
             (file(&[(13, 1, 1, "1", "1")]), 9),
             (file(&[(2, 30, 1, "1", "1")]), 9),
             (file(&[(1, 1, 25, "1", "1")]), 9),
