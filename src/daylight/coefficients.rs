@@ -58,6 +58,9 @@ impl Default for DaylightOptions {
     }
 }
 
+/// The patches that rays from a point hit, each with its share of the rays times its reflectance.
+pub(super) type Met = Vec<(u32, f32)>;
+
 /// A receiver: a point in scene coordinates and its normal.
 pub type Place = (DVec3, DVec3);
 
@@ -231,7 +234,7 @@ impl<'a> Daylight<'a> {
                 direct[part] += PI * share;
             }
         })?;
-        let of_point = |(mut direct, met): (Vec<f64>, Vec<(u32, f32)>)| {
+        let of_point = |(mut direct, met): (Vec<f64>, Met)| {
             direct.resize(count, 0.0);
             let mut reflected = vec![0f64; count];
             for (j, weight) in met {
@@ -246,8 +249,8 @@ impl<'a> Daylight<'a> {
         Ok(Coefficients { parts, places: points.len(), total: total.concat(), reflected: reflected.concat() })
     }
 
-    /// The patches that rays from each point hit, each with its share of the rays times its reflectance.
-    pub(super) fn met(&self, points: &[Place], progress: &Progress) -> Result<Vec<Vec<(u32, f32)>>> {
+    /// The patches that rays from each point hit.
+    pub(super) fn met(&self, points: &[Place], progress: &Progress) -> Result<Vec<Met>> {
         let gathered = self.gather(points, progress, |(): &mut (), _, _| {})?;
         Ok(gathered.into_iter().map(|((), met)| met).collect())
     }
@@ -259,7 +262,7 @@ impl<'a> Daylight<'a> {
         points: &[Place],
         progress: &Progress,
         escape: impl Fn(&mut T, DVec3, f64) + Sync,
-    ) -> Result<Vec<(T, Vec<(u32, f32)>)>> {
+    ) -> Result<Vec<(T, Met)>> {
         let DaylightOptions { rays_of_points, seed, .. } = self.options;
         progress.begin("gathering at points", points.len() as u64);
         let of_point = |(k, &(point, normal)): (usize, &Place)| {
