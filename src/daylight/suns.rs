@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     Progress, Result,
-    direct::footprint::Footprint,
+    rays::footprint::Footprint,
     trace::sampling::{mix, sobol_4d, square_to_triangle},
 };
 
