@@ -14,7 +14,7 @@ use super::{
     UnitTriangle,
     collapse::Collapse,
     query::Query,
-    watertight::PreparedRay,
+    watertight::{Met, PreparedRay},
     wide::{Lanes, Stack},
 };
 
@@ -76,6 +76,14 @@ impl Leaf {
     pub(super) fn new(members: &[u32], triangles: &[UnitTriangle]) -> Leaf {
         let (vertices, corners) = share_vertices(members, triangles).expect("the triangles fit into a leaf");
         Leaf { vertices: [0, 1, 2].map(|axis| vertices.map(|v| v[axis])), corners }
+    }
+
+    /// The first corner of the triangle in a lane.
+    #[inline(always)]
+    fn first_corner(&self, lane: usize) -> Vec3A {
+        let corner = self.corners[0][lane] as usize % WIDTH;
+        let [x, y, z] = &self.vertices;
+        Vec3A::new(x[corner], y[corner], z[corner])
     }
 }
 
@@ -228,7 +236,16 @@ impl Bvh {
         }
         let (mut query, mut way) = (Q::default(), Way::begin::<Q>(room, ray));
         while self.step(lanes, ray, &mut way, &mut query) {}
-        query.answer()
+        query.answer(|met| self.rounding(ray, met))
+    }
+
+    /// A bound of the rounding of a hit's distance. Only rays that graze an outline need it.
+    #[cold]
+    pub(super) fn rounding(&self, ray: &PreparedRay, met: &Met) -> f32 {
+        let (index, lane) = (met.place.0 as usize, usize::from(met.place.1));
+        met.rounding(
+            ray.reach(self.leaves[index].first_corner(lane), self.facets[index].0[lane].normal.into()),
+        )
     }
 
     /// Visits the next node or leaf of a ray, gives `query` the hits there, and finds the next one after it, near boxes first.
@@ -248,11 +265,9 @@ impl Bvh {
             while inside != 0 {
                 let lane = take_lane(&mut inside);
                 let facet = &self.facets[index].0[lane];
-                let corner = leaf.corners[0][lane] as usize % WIDTH;
-                let [x, y, z] = &leaf.vertices;
-                let corner = Vec3A::new(x[corner], y[corner], z[corner]);
+                let plane = (leaf.first_corner(lane), facet.normal.into());
                 let edges = [edges[0][lane], edges[1][lane], edges[2][lane]];
-                if let Some(met) = ray.meet(corner, facet.normal.into(), edges) {
+                if let Some(met) = ray.meet(plane, edges, (index as u32, lane as u8)) {
                     way.limit = query.meet(facet.triangle, met);
                 }
             }

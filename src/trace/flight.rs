@@ -77,7 +77,7 @@ impl Bvh {
                     continue;
                 }
                 // In place: moving a flight takes as long as a step.
-                let answer = std::mem::take(&mut flight.query).answer();
+                let answer = std::mem::take(&mut flight.query).answer(|met| self.rounding(&flight.ray, met));
                 if let Some((name, origin, direction)) = rays.next() {
                     flight.ray = PreparedRay::new(origin, direction);
                     flight.way.begin_anew::<Q>(&flight.ray);

@@ -16,7 +16,7 @@ mod space;
 mod watertight;
 mod wide;
 
-use glam::{DVec3, Vec3A};
+use glam::{BVec3A, DVec3, Vec3A};
 use rayon::prelude::*;
 
 use crate::scene::{Scene, direction};
@@ -242,7 +242,9 @@ impl Tracer {
 /// Two points, first the one with the smaller coordinates. A ray is most exact where it starts.
 #[inline]
 fn finer_first(p: Vec3A, q: Vec3A) -> (Vec3A, Vec3A) {
-    if side::is_finer(q, p) { (q, p) } else { (p, q) }
+    // No branch: which one is finer cannot be predicted.
+    let swap = BVec3A::splat(side::is_finer(q, p));
+    (Vec3A::select(swap, q, p), Vec3A::select(swap, p, q))
 }
 
 /// How far points to start from stay away from the edge from each corner of a triangle to the next.

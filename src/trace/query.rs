@@ -1,6 +1,9 @@
 //! Queries: the first triangle that a ray hits, or whether it hits any.
 
-use super::watertight::Met;
+use super::watertight::{MOST_ROUNDING, Met};
+
+/// More than the distance of a front over the distance of a back that can be equal up to the rounding of both.
+const FARTHER: f32 = 1.0 + 3.0 * MOST_ROUNDING;
 
 /// A query, and the answer so far.
 pub(super) trait Query: Default {
@@ -12,8 +15,8 @@ pub(super) trait Query: Default {
     /// Takes a hit of the triangle with this index in the scene. Returns the new limit.
     fn meet(&mut self, triangle: u32, met: Met) -> f32;
 
-    /// The answer, after all triangles within the limit.
-    fn answer(self) -> Self::Answer;
+    /// The answer, after all triangles within the limit. `rounding` bounds the rounding of a hit's distance.
+    fn answer(self, rounding: impl Fn(&Met) -> f32) -> Self::Answer;
 }
 
 /// Whether the ray hits no triangle before `t` = 1.
@@ -34,7 +37,7 @@ impl Query for Free {
     }
 
     #[inline(always)]
-    fn answer(self) -> bool {
+    fn answer(self, _: impl Fn(&Met) -> f32) -> bool {
         !self.blocked
     }
 }
@@ -62,18 +65,20 @@ impl Query for Nearest {
         }
         let t = |m: &Option<(u32, Met)>| m.as_ref().map_or(f32::INFINITY, |(_, met)| met.t);
         let (front, back) = (t(&self.front), t(&self.back));
-        // A front wins against this back even if it is farther by the rounding of both, at most 1e-4 of t each.
-        front.min(back * 1.0003)
+        // A front wins against this back even if it is farther by the rounding of both.
+        front.min(back * FARTHER)
     }
 
     /// A ray that grazes the outline of a body hits a front and a back at distances that differ only by rounding. It
     /// came from outside, so that the front counts.
     #[inline(always)]
-    fn answer(self) -> Option<(u32, Met)> {
+    fn answer(self, rounding: impl Fn(&Met) -> f32) -> Option<(u32, Met)> {
         match (self.front, self.back) {
             (Some(front), Some(back)) => {
-                let slack = front.1.rounding() + back.1.rounding();
-                Some(if front.1.t <= back.1.t + slack { front } else { back })
+                let (t, limit) = (front.1.t, back.1.t);
+                let is_front = t <= limit
+                    || t <= limit * FARTHER && t <= limit + (rounding(&front.1) + rounding(&back.1));
+                Some(if is_front { front } else { back })
             }
             (front, back) => front.or(back),
         }

@@ -1,6 +1,6 @@
 //! Where rays leave a surface.
 
-use glam::{DVec3, Vec3A};
+use glam::{BVec3A, DVec3, Vec3A};
 
 use super::{Hit, Tracer};
 use crate::scene::direction;
@@ -52,29 +52,38 @@ impl Side {
     /// of this surface's plane.
     #[inline]
     pub fn leave_towards(&self, p: Vec3A, other: Vec3A) -> Vec3A {
-        if is_finer(other, p) {
-            let reach = self.reach.max(other.abs());
-            return Side { reach, ..*self }.leave(p);
-        }
-        self.leave(p)
+        // No branch: which end is finer cannot be predicted.
+        let of_other = Vec3A::select(BVec3A::splat(is_finer(other, p)), other.abs(), Vec3A::ZERO);
+        Side { reach: self.reach.max(of_other), ..*self }.leave(p)
     }
 
     /// [`Side::leave`] for one coordinate of several points.
     #[inline]
     pub(crate) fn leave_along<const N: usize>(&self, points: &mut [f32; N], axis: usize) {
-        let (higher, towards) = ((self.normal * self.clearance())[axis], self.normal[axis]);
+        let (higher, step) = ((self.normal * self.clearance())[axis], self.step()[axis]);
         for x in points {
-            *x = one_ulp_towards(towards, *x + higher);
+            let moved = *x + higher;
+            *x = moved + moved.abs() * step;
         }
     }
 
     /// Moves a point away from the surface by one unit in the last place.
     #[inline]
     fn outward(&self, p: Vec3A) -> Vec3A {
-        let outward = |axis: usize| one_ulp_towards(self.normal[axis], p[axis]);
-        Vec3A::new(outward(0), outward(1), outward(2))
+        p + p.abs() * self.step()
+    }
+
+    /// By axis, the multiple of a coordinate's magnitude that moves it outward by one unit in the last place.
+    #[inline]
+    fn step(&self) -> Vec3A {
+        let step = Vec3A::splat(JUST_OVER_HALF_AN_ULP).copysign(self.normal);
+        Vec3A::select(self.normal.cmpeq(Vec3A::ZERO), Vec3A::ZERO, step)
     }
 }
+
+/// A coordinate of magnitude x in \[2ᵉ, 2ᵉ⁺¹) has units of 2ᵉ⁻²³. This multiple of x is more than half of a unit and less than one and
+/// a half, and so rounds to one.
+const JUST_OVER_HALF_AN_ULP: f32 = 0.5 * f32::EPSILON * (1.0 + 1e-4);
 
 /// The largest error of coordinates printed with six digits, as a share of the largest coordinate.
 const PRINTED: f64 = 4e-6;
@@ -128,16 +137,4 @@ impl Tracer {
 #[inline]
 pub(super) fn is_finer(p: Vec3A, than: Vec3A) -> bool {
     p.abs().max_element() < than.abs().max_element()
-}
-
-/// The next larger number if `towards` is positive, the next smaller one if it is negative.
-#[inline]
-fn one_ulp_towards(towards: f32, x: f32) -> f32 {
-    if towards > 0.0 {
-        x.next_up()
-    } else if towards < 0.0 {
-        x.next_down()
-    } else {
-        x
-    }
 }

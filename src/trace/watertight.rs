@@ -22,15 +22,18 @@ pub(super) struct PreparedRay {
     pub(super) shear: [f32; 2],
 }
 
+/// Largest rounding of a distance that counts as rounding, relative to the distance.
+pub(super) const MOST_ROUNDING: f32 = 1e-4;
+
 /// A hit, before the division by the determinant, which only the closest hit needs.
 #[derive(Clone, Copy)]
 pub(super) struct Met {
     pub(super) t: f32,
     /// Cosine to the normal of the front, times the length of the direction. Negative for rays from the front.
     approach: f32,
-    /// The magnitude of the coordinates that `t` was computed from, as far as they are along the normal.
-    reach: f32,
     weights: [f32; 3],
+    /// Where the triangle is stored: index of its leaf, and its lane.
+    pub(super) place: (u32, u8),
 }
 
 impl Met {
@@ -38,9 +41,10 @@ impl Met {
         self.approach < 0.0
     }
 
-    /// Bound of the rounding of `t`: about eight roundings of the coordinates, and more at grazing incidence up to a limit.
-    pub(super) fn rounding(&self) -> f32 {
-        (8.0 * 0.5 * f32::EPSILON * self.reach / self.approach.abs()).min(1e-4 * self.t)
+    /// Bound of the rounding of `t`: about eight roundings of the coordinates, and more at grazing incidence up to a limit. `reach` is
+    /// the magnitude of the coordinates that `t` was computed from, as far as they are along the normal ([`PreparedRay::reach`]).
+    pub(super) fn rounding(&self, reach: f32) -> f32 {
+        (8.0 * 0.5 * f32::EPSILON * reach / self.approach.abs()).min(MOST_ROUNDING * self.t)
     }
 
     pub(super) fn barycentric(&self) -> [f32; 3] {
@@ -94,12 +98,21 @@ impl PreparedRay {
     /// triangle, distances interpolated between corners have rounding errors of its length over its width, and rays would hit
     /// the surface that they leave.
     #[inline(always)]
-    pub(super) fn meet(&self, corner: Vec3A, normal: Vec3A, weights: [f32; 3]) -> Option<Met> {
+    pub(super) fn meet(
+        &self,
+        (corner, normal): (Vec3A, Vec3A),
+        weights: [f32; 3],
+        place: (u32, u8),
+    ) -> Option<Met> {
         let approach = normal.dot(self.direction);
         let t = normal.dot(corner - self.origin) / approach;
-        let reach = normal.abs().dot(corner.abs().max(self.origin.abs()));
         // Written so that a NaN is a miss.
-        if t > 0.0 { Some(Met { t, approach, reach, weights }) } else { None }
+        if t > 0.0 { Some(Met { t, approach, weights, place }) } else { None }
+    }
+
+    /// The magnitude of the coordinates from which [`PreparedRay::meet`] computes a distance, as far as they are along the normal.
+    pub(super) fn reach(&self, corner: Vec3A, normal: Vec3A) -> f32 {
+        normal.abs().dot(corner.abs().max(self.origin.abs()))
     }
 }
 
@@ -135,7 +148,9 @@ mod tests {
                     let ray = PreparedRay::new(origin, inside - origin);
                     let (hit, edges) = Portable.edges(&leaf, &ray);
                     assert_eq!(hit, 1, "one lane holds a triangle");
-                    let met = ray.meet(turned[0], normal, [edges[0][0], edges[1][0], edges[2][0]]).unwrap();
+                    let met = ray
+                        .meet((turned[0], normal), [edges[0][0], edges[1][0], edges[2][0]], (0, 0))
+                        .unwrap();
                     assert_eq!(met.front(), side > 0.0);
                     assert!((met.t - 1.0).abs() < 1e-6);
                     for b in met.barycentric() {

@@ -454,12 +454,15 @@ pub(super) mod tests {
             let (inside, edges) = Portable.edges(&Leaf::new(&[t as u32], triangles), ray);
             if inside & 1 != 0 {
                 let edges = [edges[0][0], edges[1][0], edges[2][0]];
-                if let Some(met) = ray.meet(triangle.corners[0], triangle.normal, edges) {
+                if let Some(met) = ray.meet((triangle.corners[0], triangle.normal), edges, (t as u32, 0)) {
                     nearest.meet(t as u32, met);
                 }
             }
         }
-        nearest.answer()
+        nearest.answer(|met| {
+            let triangle = &triangles[met.place.0 as usize];
+            met.rounding(ray.reach(triangle.corners[0], triangle.normal))
+        })
     }
 
     #[test]

@@ -92,7 +92,7 @@ fn all_methods_give_one_picture_of_the_cornell_box() {
         let solved = |patches: u32| {
             sampled(&here, &format!("--method radiosity {way} --rays 64 --patches {patches}"), 3)
         };
-        let (coarse, fine) = (solved(1_000), solved(4_000));
+        let (coarse, fine) = (solved(500), solved(2_000));
         let mut allowance = 0.0;
         for (b, ((p, k), f)) in path.iter().zip(&coarse).zip(&fine).enumerate() {
             for c in 0..3 {
