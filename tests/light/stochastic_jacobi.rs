@@ -201,13 +201,13 @@ fn sweeps_go_on_batch_by_batch() {
 }
 
 /// The energy balances within five standard errors after many sweeps of three rays: correlations between successive
-/// rays must not accumulate. The mean over patches is then known to a thousandth.
+/// rays must not accumulate. The mean over patches is then known to two thousandths.
 #[test]
 fn many_short_sweeps_balance_their_energy() {
-    let (_, found) = sweeps_while(1000, |reached| reached.rays < 8192.0);
+    let (_, found) = sweeps_while(300, |reached| reached.rays < 8192.0);
     for (imbalance, error) in found.imbalance.iter().zip(&found.imbalance_error) {
         println!("{imbalance:.2e} with error {error:.2e}");
-        assert!(imbalance.abs() <= 5.0 * error && *error < 1e-3, "{imbalance} with error {error}");
+        assert!(imbalance.abs() <= 5.0 * error && *error < 2e-3, "{imbalance} with error {error}");
     }
     assert!(found.balanced_to().abs() < 1e-12);
 }

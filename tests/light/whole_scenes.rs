@@ -237,22 +237,24 @@ fn endless_parallel_plates() {
     let truth = [0, 1].map(|k| (be[k] + rho[k] * be[1 - k]) / (1.0 - rho[0] * rho[1]));
     let middle = |length: f64| {
         const N: usize = 15;
-        let cell = |k: usize, positive| {
+        let cell = |u: usize, v: usize, positive| {
             let at = |m: usize| (m as f64 / N as f64 - 0.5) * length;
-            let (u, v) = (k / N, k % N);
             let (min, max) = ([at(u), at(v)], [at(u + 1), at(v + 1)]);
             AxisRectangle { axis: Axis::Z, positive, offset: if positive { 0.0 } else { 1.0 }, min, max }
         };
+        // What two cells exchange depends on their distance only.
+        let first = cell(0, 0, true);
+        let by_distance: Vec<f64> =
+            (0..N * N).map(|k| first.exchange_area(&cell(k / N, k % N, false)) / first.area()).collect();
         let one = N * N;
-        let plates: Vec<AxisRectangle> =
-            (0..one).map(|k| cell(k, true)).chain((0..one).map(|k| cell(k, false))).collect();
-        let area = plates[0].area();
-        let matrix = store(2 * one, |i, j| plates[i].exchange_area(&plates[j]) / area);
-        let seen: Vec<f64> = (0..2 * one)
-            .map(|i| plates.iter().map(|p| plates[i].exchange_area(p)).sum::<f64>() / area)
-            .collect();
-        let f =
-            FormFactors::from_exchange(matrix, vec![1.0; 2 * one], seen.iter().map(|s| 1.0 - s).collect());
+        let exchanged = |i: usize, j: usize| {
+            let (k, l) = (i % one, j % one);
+            let distance = (k / N).abs_diff(l / N) * N + (k % N).abs_diff(l % N);
+            if (i < one) == (j < one) { 0.0 } else { by_distance[distance] }
+        };
+        let escaped =
+            (0..2 * one).map(|i| 1.0 - (0..2 * one).map(|j| exchanged(i, j)).sum::<f64>()).collect();
+        let f = FormFactors::from_exchange(store(2 * one, exchanged), vec![1.0; 2 * one], escaped);
         let both = |x: [f64; 2]| (0..2 * one).map(|i| x[i / one]).collect::<Vec<_>>();
         let b = solved(&f, grey(&both(be), &both(rho))).radiosity;
         [b[one / 2], b[one + one / 2]]
