@@ -199,9 +199,9 @@ impl Mesh<'_> {
                     let of_line =
                         |face: &(usize, Range<usize>)| self.scene.faces[face.0].line == Some(number);
                     // The scene leaves out faces with fewer than three corners.
-                    let Some((_, facets)) = faces.next_if(of_line) else { continue };
+                    let Some((face, facets)) = faces.next_if(of_line) else { continue };
                     let corners = words.of(rest);
-                    for outline in self.outlines(facets.clone(), corners.len()) {
+                    for outline in self.outlines(face, facets.clone(), corners.len()) {
                         self.face(&outline, (&corners, &new), &mut used, out)?.ok_or_else(changed)?;
                     }
                     if let Some(cut) = &self.atlas.cut {
@@ -292,11 +292,11 @@ impl Mesh<'_> {
         })
     }
 
-    /// A face of `arity` corners: one polygon if each of its corners has a single texture coordinate, otherwise
-    /// triangles.
-    fn outlines(&self, facets: Range<usize>, arity: usize) -> Vec<Outline> {
+    /// A face of `arity` corners: one polygon if nothing of it was left out and each of its corners has a single texture
+    /// coordinate, otherwise triangles.
+    fn outlines(&self, face: usize, facets: Range<usize>, arity: usize) -> Vec<Outline> {
         let mut coordinates = vec![None; arity];
-        let mut agree = true;
+        let mut agree = facets.len() + self.scene.degenerates_of(face) + 2 >= arity;
         for f in facets.clone() {
             for (corner, new) in self.scene.face_corners[f].into_iter().zip(self.atlas.corners[f]) {
                 match coordinates.get_mut(corner as usize) {
@@ -379,7 +379,7 @@ impl Mesh<'_> {
             writeln!(out, "vn {x} {y} {z}")?;
         }
         let word = |f: usize, k: usize| {
-            [triangles[f].vertices[k], corners[f][k], of_corner.get(f).map_or(0, |n| n[k])]
+            [triangles[f].vertices[k], corners[f][k], of_corner.get(f).map_or(NONE, |n| n[k])]
         };
         let nothing = Part::default();
         let (mut used, mut part, mut face, mut next) = (None, &nothing, 0, 0);
@@ -401,10 +401,11 @@ impl Mesh<'_> {
             next = f + polygon.as_ref().map_or(1, |(facets, _)| *facets);
             let words = polygon.map_or_else(|| (0..3).map(|k| word(f, k)).collect(), |(_, words)| words);
             write!(out, "f")?;
-            for [v, vt, vn] in words.into_iter().map(|word| word.map(|i| i + 1)) {
-                match normals.is_empty() {
-                    true => write!(out, " {v}/{vt}")?,
-                    false => write!(out, " {v}/{vt}/{vn}")?,
+            let has_normals = words.iter().all(|word| word[2] != NONE);
+            for [v, vt, vn] in words {
+                write!(out, " {}/{}", v + 1, vt + 1)?;
+                if has_normals {
+                    write!(out, "/{}", vn + 1)?;
                 }
             }
             writeln!(out)?;
@@ -442,15 +443,19 @@ impl Mesh<'_> {
         Some((facets.len(), corners?))
     }
 
-    /// The normals of the scene's file without duplicates, and the indices of the normals of each facet's corners. Both
-    /// are empty if the file has no normals.
+    /// The normals of the scene's file without duplicates, and the indices of the normals of each facet's corners;
+    /// [`NONE`] for a corner without one. Both are empty if the file has no normals.
     fn normals(&self, whole: &Scene) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
         let (mut known, mut normals) = (HashMap::new(), Vec::new());
         if whole.normals.is_empty() {
             return (Vec::new(), Vec::new());
         }
         let mut number = |normal: Vec3| {
-            let normal = normal.normalize_or_zero().to_array();
+            let normal = normal.normalize_or_zero();
+            if normal == Vec3::ZERO {
+                return NONE;
+            }
+            let normal = normal.to_array();
             *known.entry(normal.map(f32::to_bits)).or_insert_with(|| {
                 normals.push(normal);
                 normals.len() as u32 - 1

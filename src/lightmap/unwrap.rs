@@ -397,7 +397,14 @@ fn polygons(scene: &Scene, cut: Option<&Cut>) -> Vec<u32> {
     if faces == 0 {
         return (0..cut.map_or(triangles, |cut| cut.facets.len()) as u32).collect();
     }
-    let mut is_whole = vec![true; faces];
+    let mut count: Vec<usize> = (0..faces).map(|face| scene.degenerates_of(face)).collect();
+    face_of.iter().for_each(|&face| count[face] += 1);
+    // A face lacks triangles if parts of it are hidden or holes.
+    let has_all = |face: usize| match scene.faces.get(face + 1) {
+        Some(next) => count[face] >= (next.first - scene.faces[face].first) as usize,
+        None => scene.hidden.is_empty(),
+    };
+    let mut is_whole: Vec<bool> = (0..faces).map(has_all).collect();
     for t in 0..triangles {
         is_whole[face_of[t]] &= scene.face_corners[t].iter().all(|corner| corner & NEW_CORNER == 0);
         is_whole[face_of[t]] &= cut.is_none_or(|cut| cut.facets_of(t, false).len() == 1);

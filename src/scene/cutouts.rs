@@ -37,8 +37,6 @@ pub(super) fn cut(scene: &mut Scene) -> Result<(), TooFine> {
     scene.textures = textures;
     let chains = cut?;
     if !left.is_empty() {
-        // The rest of a face is not a face of the file.
-        scene.face_corners.clear();
         let cuts = cutting::cuts(scene, chains, Vec::new());
         cutting::replace(scene, &left, &cuts);
         scene.forget_unused_vertices();

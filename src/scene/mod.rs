@@ -153,6 +153,8 @@ pub struct Scene {
     pub backs_of_lamps: usize,
     /// Number of triangles that were left out because their area is zero.
     pub degenerate: usize,
+    /// [`Triangle::source`] of these triangles, ascending.
+    pub(crate) degenerate_sources: Vec<u32>,
     /// Invisible surfaces that [`Scene::cut_overlaps`] and [`Scene::cut_contacts`] left out.
     pub hidden: Vec<Hidden>,
     /// Numbers of cuts that [`Scene::cut_contacts`] made.
@@ -314,6 +316,15 @@ impl Scene {
         for triangle in &mut self.triangles {
             triangle.vertices = triangle.vertices.map(|v| numbers[v as usize]);
         }
+        for corner in self.face_corners.iter_mut().flatten().filter(|corner| **corner & NEW_CORNER != 0) {
+            *corner = NEW_CORNER | numbers[(*corner & !NEW_CORNER) as usize];
+        }
+    }
+
+    /// Number of triangles of a face that were left out because their area is zero.
+    pub(crate) fn degenerates_of(&self, face: usize) -> usize {
+        let before = |first: u32| self.degenerate_sources.partition_point(|&source| source < first);
+        before(self.faces.get(face + 1).map_or(u32::MAX, |next| next.first)) - before(self.faces[face].first)
     }
 
     /// Cuts away hidden parts of faces that overlap in one plane and face the same way, by the rule of [`overlaps`].
@@ -665,6 +676,7 @@ impl SceneBuilder {
         let area = triangle_area(corners);
         if area <= 0.0 || !area.is_finite() {
             self.scene.degenerate += 1;
+            self.scene.degenerate_sources.push(source);
             return;
         }
         let vertices = corners.map(|c| {

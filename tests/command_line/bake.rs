@@ -262,6 +262,47 @@ fn the_written_mesh_is_the_file_with_other_texture_coordinates() {
     assert!(map.texcoords.iter().flatten().all(|uv| uv.min_element() >= 0.0 && uv.max_element() <= 1.0));
 }
 
+/// A rug in the plane of the floor hides a part of it, and a material is ignored. All other faces stay as they are, and
+/// what is hidden or ignored does not come back.
+#[test]
+fn faces_keep_their_shape_beside_hidden_and_ignored_ones() {
+    let here = Here::new("", "");
+    let rug = "o Rug\ng soft\nv 0.5 0 2\nv 0.5 0 3\nv 1 0 3\nv 1 0 2\nusemtl rug\nf -4//1 -3//1 -2//1 -1//1\n\
+        o Pane\nv 3 0.5 1\nv 3 1.5 1\nv 3 1.5 2\nusemtl glass\nf -3 -2 -1\n";
+    fs::write(here.path("level.obj"), [LEVEL, rug].concat()).unwrap();
+    let materials = "newmtl tiles\nKd 0.6 0.5 0.4\nnewmtl lamp\nKd 0 0 0\nKe 10 10 10\nnewmtl rug\nKd 0.2 0.1 0.1\n\
+        newmtl glass\nKd 0.9 0.9 0.9\n";
+    fs::write(here.path("level.mtl"), materials).unwrap();
+    bake(&here, "level.obj -o out --resolution 64 --final-gather 0 --ignore glass");
+    for name in ["out/scene.obj", "out/scene-original-uv.obj"] {
+        let text = String::from_utf8(here.read(name)).unwrap();
+        // The number of corners of each face, by object.
+        let mut arities: Vec<(&str, Vec<usize>)> = Vec::new();
+        for line in text.lines() {
+            match line.split_once(' ') {
+                Some(("o", object)) => arities.push((object, Vec::new())),
+                Some(("f", corners)) => {
+                    let corners: Vec<&str> = corners.split(' ').collect();
+                    arities.last_mut().unwrap().1.push(corners.len());
+                }
+                _ => {}
+            }
+        }
+        let [floor, bent, lamp, rug, pane] = &arities[..] else { panic!("{arities:?}") };
+        // The floor is cut around the rug. The degenerate face at the end of the lamp comes back too.
+        assert!(floor.0 == "Floor_01" && floor.1.len() > 4 && floor.1.iter().all(|&n| n == 3), "{floor:?}");
+        assert_eq!((bent, lamp), (&("Bent", vec![3, 3]), &("Lamp.001", vec![3, 4, 3])), "{name}");
+        assert_eq!((rug, pane), (&("Rug", vec![4]), &("Pane", vec![])), "{name}");
+        assert!(!text.contains("vn 0 0 0") && text.contains("g soft"), "{name}");
+        let scene = Scene::load(here.path(name)).unwrap();
+        let area: f64 = (0..scene.triangles.len()).map(|t| scene.area(t)).sum();
+        let sources = Scene::load(here.path("level.obj")).unwrap();
+        let wanted: f64 = (0..sources.triangles.len()).map(|t| sources.area(t)).sum();
+        // The pane has an area of a half.
+        assert!((area - (wanted - 0.5)).abs() < 1e-9, "{area} {wanted}");
+    }
+}
+
 /// A bent sheet of two quads with normals at its vertices, and a lamp above it.
 const PLY: &str = "ply\nformat ascii 1.0\nelement vertex 10\nproperty float x\nproperty float y\nproperty float z\n\
     property float nx\nproperty float ny\nproperty float nz\nelement face 3\nproperty list uchar int vertex_indices\n\

@@ -95,10 +95,6 @@ pub(super) fn cut(scene: &mut Scene) -> (Contacts, Vec<Hidden>) {
     }
     marked.extend(joints.iter().flat_map(|joint| edges.parts(scene, joint)));
     let hidden = covered::leave_out(scene, &surfaces, &mut left);
-    if !hidden.is_empty() {
-        // The rest of a face is not a face of the file.
-        scene.face_corners.clear();
-    }
     cutting::replace(scene, &left, &cutting::cuts(scene, edges.into_chains(), Vec::new()));
     sides::part(scene, &marked);
     (done, hidden)

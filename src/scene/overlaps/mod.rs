@@ -71,8 +71,6 @@ pub(super) fn resolve(scene: &mut Scene) -> Vec<Hidden> {
         inner.extend(overlay.inner);
     }
     let list = by_material(scene, &pairs, &ranks, &hidden);
-    // The rest of a face is not a face of the file.
-    scene.face_corners.clear();
     let cuts = cutting::cuts(scene, chains, inner);
     cutting::replace(scene, &left, &cuts);
     list
