@@ -20,7 +20,7 @@ use crate::{
     direct::{Deviation, DirectLight},
     form_factor::{Estimator, FormFactors, magnitude, ordered_sum, together},
     rays::{
-        REPLICATES,
+        ESCAPED, REPLICATES,
         regions::Regions,
         siblings::with_mean,
         stratification::{half_differences, variance_of_all, variance_of_nets},
@@ -65,6 +65,11 @@ const PRIOR: f64 = 16.0;
 
 /// Least share of its own variance that a patch keeps if its inherited error compensates its own error.
 const LEAST_LEFT: f64 = 0.25;
+
+/// Weight of what is known about escape from the neighbours of a patch, as a number of escaping rays of its own. In a
+/// sphere of reflectance 0.8 with a port of 0.6 %, 38 and 77 % of the patches were in their 95 % intervals at 64 and 256
+/// rays without it. With a weight of 1 it is 97 and 89 %, with 2 98 and 95 %, and with 4 98 and 98 %.
+const RARE: f64 = 2.0;
 
 /// Number of lengths of runs: 1, 2, 4, ... replicates.
 const LEVELS: usize = REPLICATES.ilog2() as usize;
@@ -172,7 +177,17 @@ impl ErrorBars {
         // All patches share a part of the inherited deviations, which therefore tell little about stratification.
         let strata: Vec<Strata> = own.par_iter().with_min_len(256).map(Strata::of).collect();
         let typical = Strata::sum(&strata, 0..strata.len(), |i| areas[i]);
-        let mut standard_error = smoothed_errors(form_factors, solution, &local, [&own, &all]);
+        let escaping = escape_variances(form_factors, &shares);
+        let missing = |i: usize, c: usize| {
+            let lands = 1.0 - form_factors.escaped()[i];
+            if escaping[i] == 0.0 || lands <= 0.0 {
+                return 0.0;
+            }
+            let direct = direct.as_ref().map_or(0.0, |direct| direct.irradiance[i][c]);
+            let seen = (solution.irradiance[C * i + c] / unit - direct) / lands;
+            escaping[i] * seen * seen
+        };
+        let mut standard_error = smoothed_errors(form_factors, solution, &local, [&own, &all], missing);
         for family in form_factors.siblings() {
             let near = Strata::sum(&strata, family.clone(), |_| 1.0);
             let stratified = near.beside(&typical, PRIOR / family.len() as f64).factor();
@@ -198,12 +213,14 @@ impl ErrorBars {
 ///
 /// `local` and `own` are the deviations of the replicates without inherited errors: per channel, and summed over the
 /// channels. `all` are the summed deviations with inherited errors. The inherited variance is distributed over the
-/// channels by the square of their share of the irradiance.
+/// channels by the square of their share of the irradiance. `missing` is the variance that the deviations of a patch and
+/// channel lack.
 fn smoothed_errors<const C: usize>(
     form_factors: &FormFactors,
     solution: &Solution,
     local: &[Deviation<C>],
     [own, all]: [&[[f32; REPLICATES]]; 2],
+    missing: impl Fn(usize, usize) -> f64 + Sync,
 ) -> Vec<f64> {
     let variance = |deviation: &[f32; REPLICATES]| variance_of(&deviation.map(f64::from));
     let of_patch = |i: usize| -> [f64; C] {
@@ -211,12 +228,61 @@ fn smoothed_errors<const C: usize>(
         let inherited = variance(&all[i]) - variance(&own[i]);
         let light = irradiance.iter().sum::<f64>().max(f64::MIN_POSITIVE);
         std::array::from_fn(|c| {
-            let own = variance(&local[i][c]);
+            let own = (variance(&local[i][c]) + missing(i, c)).max(0.0);
             (own + inherited * (irradiance[c] / light).powi(2)).max(LEAST_LEFT * own)
         })
     };
     let variances: Vec<[f64; C]> = (0..local.len()).into_par_iter().with_min_len(256).map(of_patch).collect();
     with_mean(form_factors.siblings(), &variances, |own, mean| (0.5 * (own + mean)).sqrt())
+}
+
+/// What the variance of each patch's escaped share lacks, from the deviations `shares` of its replicates.
+///
+/// If an opening is small, no ray of most patches escapes. Their replicates agree that nothing escapes, and the variance of
+/// the few other patches is too large. Hits of a rare target are independent: their variance is that of the binomial
+/// distribution. Its probability is the posterior mean for a prior that counts as [`RARE`] escaping rays and has the mean
+/// of the siblings. Their prior has the mean of the region (Gelman et al., *Bayesian Data Analysis*, 3rd edition, section
+/// 2.4). The binomial variance counts as much as [`RARE`] escaping rays beside the variance that the replicates show.
+fn escape_variances(form_factors: &FormFactors, shares: &[[f32; REPLICATES]]) -> Vec<f64> {
+    let mut lacking = vec![0.0; shares.len()];
+    let (Some(rays), Some(regions)) = (form_factors.ray_set(), form_factors.regions()) else {
+        return lacking;
+    };
+    // Rows of one-way form factors are not closed, so that their errors are those of hits alone.
+    if form_factors.estimator() != Estimator::Pooled {
+        return lacking;
+    }
+    // Escaping rays, and all rays.
+    let count = |i: usize| {
+        let escaped = rays.of(i).iter().filter(|&&j| j == ESCAPED).count();
+        [escaped as f64, rays.rays_of(i).into()]
+    };
+    let counts: Vec<[f64; 2]> = (0..shares.len()).into_par_iter().with_min_len(256).map(count).collect();
+    let add = |sum: [f64; 2], count: &[f64; 2]| [sum[0] + count[0], sum[1] + count[1]];
+    let mut of_regions = vec![[0.0; 2]; regions.count()];
+    for (i, count) in counts.iter().enumerate() {
+        of_regions[regions.of(i)] = add(of_regions[regions.of(i)], count);
+    }
+    for run in form_factors.siblings() {
+        let [escaped, all] = of_regions[regions.of(run.start)];
+        if escaped == 0.0 {
+            continue;
+        }
+        let near = posterior(counts[run.clone()].iter().fold([0.0; 2], add), escaped / all);
+        for i in run.clone().filter(|&i| counts[i][0] < counts[i][1]) {
+            let [escaped, all] = counts[i];
+            let share = posterior(counts[i], near);
+            let shown = variance_of(&shares[i].map(f64::from));
+            lacking[i] = RARE / (escaped + RARE) * (share * (1.0 - share) / all - shown);
+        }
+    }
+    lacking
+}
+
+/// The share of rays that escape, from the numbers of escaping and of all rays, if [`RARE`] rays had escaped before at the
+/// share `prior`.
+fn posterior([escaped, all]: [f64; 2], prior: f64) -> f64 {
+    (escaped + RARE) / (all + RARE / prior)
 }
 
 /// Statistics of the replicates that determine the gain from stratification, summed over patches.
@@ -478,6 +544,16 @@ fn root_mean_square<const K: usize>(values: &[[f32; K]]) -> f64 {
 mod tests {
     use super::*;
     use crate::form_factor::Matrix;
+
+    /// A prior of two escaping rays among two hundred: no ray of 200 gives a half of that share, and many rays their own
+    /// share.
+    #[test]
+    fn rare_escapes_are_estimated_from_rays_and_prior() {
+        assert_eq!(posterior([0.0, 0.0], 0.01), 0.01);
+        assert_eq!(posterior([0.0, 200.0], 0.01), 0.005);
+        assert_eq!(posterior([8.0, 0.0], 0.01), 0.05);
+        assert!((posterior([3e5, 1e6], 0.01) - 0.3).abs() < 1e-4);
+    }
 
     /// Pairs of plates that see only each other: y_1 = (s_1 + ρ s_2) / (1 - ρ²). Without the source's mean, bounces change
     /// their sign.

@@ -418,6 +418,11 @@ impl Lamps {
         self.tree.is_none() && self.pieces.len() - self.surfaces <= Constants::MOST_KNOWN
     }
 
+    /// Whether there are so many surfaces that a tree chooses among them.
+    pub(super) fn are_many(&self) -> bool {
+        self.tree.is_some()
+    }
+
     /// A digest of everything that affects the samples of lamps.
     pub(crate) fn digest(&self) -> u64 {
         let words = |piece: &Piece| match &piece.source {

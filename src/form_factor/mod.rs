@@ -75,7 +75,8 @@ pub struct CastOptions {
     /// Share of the rays that are shadow rays to emitters; the rest are hemisphere rays. Only for the pooled estimator.
     pub shadow_share: f64,
     /// If true, half of the rays are cast evenly. Their variances decide where the other half lowers the error of
-    /// irradiance most. If false, all rays are cast evenly. Only for the pooled estimator.
+    /// irradiance most, unless there are neither lamps nor a sky. If false, all rays are cast evenly. Only for the pooled
+    /// estimator.
     pub by_variance: bool,
     /// The processes that share out the rays and the rows of the matrix. With several, only the pooled estimator stores a
     /// share of the matrix, and single form factors cannot be read.
@@ -295,11 +296,10 @@ impl FormFactors {
         if set.is_lacking() {
             return Ok(Sampled::Lacking { last: false });
         }
-        let shines = match emits {
-            true => brightness::above_what_is_seen(&set, patches),
-            false => vec![false; patches.fronts()],
+        let lamps = match emits {
+            true => brightness::lamps(&set, tracer, patches, &scene.lights),
+            false => Lamps::new(tracer, patches, &scene.lights, |_| false),
         };
-        let lamps = Lamps::new(tracer, patches, &scene.lights, |i| shines[i]);
         if share.shadow > 0 && lamps.is_empty() {
             // Without lamps all rays are hemisphere rays.
             share = options.even(rays, false);

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::{
     Progress, Result,
-    direct::{Lamps, ShadowRays, brightness},
+    direct::{ShadowRays, brightness},
     patch::Patches,
     rays::{ESCAPED, REPLICATES, RaySet, footprint::Footprint, siblings::siblings},
     scene::Scene,
@@ -158,8 +158,7 @@ impl<'a> Sweeper<'a> {
         let mut few = RaySet::none();
         few.extend(scene, tracer, patches, |_| LOOKING, mix(&[seed, LOOKING.into()]), progress)?;
         let patches = &*patches;
-        let shines = brightness::above_what_is_seen(&few, patches);
-        let mut shadow = ShadowRays::none(Lamps::new(tracer, patches, &scene.lights, |i| shines[i]));
+        let mut shadow = ShadowRays::none(brightness::lamps(&few, tracer, patches, &scene.lights));
         shadow.face(tracer, patches);
         let areas = (0..patches.len()).map(|i| patches.area(i)).collect();
         let has_outside = shadow.lamps.has_remote() || shadow.lamps.sky.is_some();

@@ -127,17 +127,16 @@ fn compare(name: &str, found: &[[f64; 3]], wanted: f64, rho: f64, rays: f64) -> 
     within
 }
 
-/// Checks the escaped power at three reflectances, and at the lowest also the intervals of patches. The `smallest`
-/// opening is exempt from the latter: there the error of a patch is little more than the error that all patches share.
-fn check(name: &str, shape: (Vec<Corners>, Vec<bool>), smallest: bool) {
+/// Checks the escaped power at three reflectances, and at the lowest also the intervals of patches. If light is reflected
+/// more often, the error that all patches share is so large that twelve seeds do not measure how often intervals hold.
+fn check(name: &str, shape: (Vec<Corners>, Vec<bool>)) {
     let truth = Truth::of(shape);
     for rho in [0.8, 0.95, 0.99] {
         let (scene, (irradiance, escaped)) = (truth.scene(rho), truth.light(rho));
         for rays in [64.0, 256.0] {
             let one = |seed| measure(&whole(Estimator::Pooled, rays, seed, &scene), &irradiance);
             let within = compare(name, &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, rays);
-            // If light is reflected more often, all patches share more of an error than their bars contain.
-            assert!(rho > 0.8 || smallest || (0.91..=0.985).contains(&within), "{name}: {within} within");
+            assert!(rho > 0.8 || (0.91..=0.985).contains(&within), "{name}: {within} within");
         }
     }
 }
@@ -145,19 +144,19 @@ fn check(name: &str, shape: (Vec<Corners>, Vec<bool>), smallest: bool) {
 /// A sphere without 0.6 % of its surface: nearly all light is reflected many times before it escapes.
 #[test]
 fn a_sphere_with_a_small_port() {
-    check("port of 0.6 %", sphere(2), true);
+    check("port of 0.6 %", sphere(2));
 }
 
 /// A sphere without 5 % of its surface.
 #[test]
 fn a_sphere_with_a_large_port() {
-    check("port of 5 %", sphere(16), false);
+    check("port of 5 %", sphere(16));
 }
 
 /// A room with one cell missing in a wall.
 #[test]
 fn a_room_with_a_window() {
-    check("window", room_with_window(), false);
+    check("window", room_with_window());
 }
 
 /// Sampling in rounds until an error is reached depends on earlier results. The escaped power must stay unbiased.
@@ -214,6 +213,46 @@ fn where_all_emit_both_directions_are_no_worse_than_one() {
         println!("{rays} rays: one-way {one_way:.5}, pooled {pooled:.5}");
         // From eight times 192 errors each root mean square is known to 2 %.
         assert!(pooled <= 1.06 * one_way, "pooled {pooled}, one-way {one_way}");
+    }
+}
+
+/// A terrain of 512 facets that all emit, alike or up to six times as much as others, in the open. What other facets emit is
+/// a small part of what hemisphere rays find out, so that shadow rays would only be missing. The estimate from both ends
+/// of a ray is no worse than the one-way estimate, and its error bars are right.
+#[test]
+fn a_terrain_that_emits_everywhere() {
+    const CELLS: usize = 16;
+    let at = |x: usize, y: usize| {
+        let (x, y) = (x as f64 / CELLS as f64, y as f64 / CELLS as f64);
+        DVec3::new(x, y, 0.08 * (11.0 * x + 3.0 * y).sin() + 0.06 * (13.0 * y - 5.0 * x).cos())
+    };
+    let of_cell = |k: usize| {
+        let (x, y) = (k % CELLS, k / CELLS);
+        let [a, b, c, d] = [at(x, y), at(x + 1, y), at(x + 1, y + 1), at(x, y + 1)];
+        [[a, b, c], [a, c, d]]
+    };
+    let triangles: Vec<Corners> = (0..CELLS * CELLS).flat_map(of_cell).collect();
+    for (emits, rho) in [(0.0, 0.0), (1.0, 0.5)] {
+        let emission = |i: usize| 0.2 + emits * ((i * 37) % 11) as f64 / 10.0;
+        let parts: Vec<Part> =
+            triangles.iter().enumerate().map(|(i, &t)| part(vec![t], rho, emission(i))).collect();
+        let scene = scene(&parts);
+        let truth = whole(Estimator::OneWay, 16384.0, 99, &scene).solution.irradiance;
+        let mean = truth.iter().sum::<f64>() / truth.len() as f64;
+        let [one_way, pooled] = [Estimator::OneWay, Estimator::Pooled].map(|estimator| {
+            let (mut squares, mut estimated) = (0.0, 0.0);
+            for seed in 0..4 {
+                let found = whole(estimator, 256.0, seed, &scene);
+                let errors = found.solution.irradiance.iter().zip(&truth).map(|(e, truth)| e - truth);
+                squares += errors.map(|off| off * off).sum::<f64>();
+                estimated += found.error_bars.standard_error.iter().map(|e| e * e).sum::<f64>();
+            }
+            [squares, estimated].map(|sum| (sum / (4 * truth.len()) as f64).sqrt() / mean)
+        });
+        println!("emission differs by {emits}: one-way {one_way:.4?}, pooled {pooled:.4?}");
+        // From 2,048 errors each root mean square is known to 2 %.
+        assert!(pooled[0] <= 1.06 * one_way[0], "pooled {pooled:?}, one-way {one_way:?}");
+        assert!((0.85..1.2).contains(&(pooled[1] / pooled[0])), "pooled {pooled:?}");
     }
 }
 

@@ -96,9 +96,17 @@ impl Samples {
     }
 
     /// The numbers of rays that lower the error most, with `rays` rays a patch in the mean. The error of each patch is
-    /// relative to the light of its region. Patches that are shut in solids do not
-    /// count, because nobody sees their light.
+    /// relative to the light of its region. Patches that are shut in solids do not count, because nobody sees their light.
+    ///
+    /// Without lamps and sky no light stands out. Variances then hardly differ, and their noise would distribute the rays. So
+    /// they count as zero, and all rays are cast evenly.
     pub(super) fn shares(&self, patches: &Patches, rays: f64) -> Vec<Share> {
+        let cast = |i: usize| Share { hemisphere: self.rays.rays_of(i), shadow: self.shadow.count(i) };
+        let rays = rays * self.areas.len() as f64;
+        if !self.has_direct() {
+            let none = vec![[0.0; 2]; self.areas.len()];
+            return allocation::by_variance(cast, &self.areas, &none, &self.siblings, rays);
+        }
         let (variances, light) = match patches.channels() {
             1 => self.variances::<1>(patches),
             _ => self.variances::<3>(patches),
@@ -116,8 +124,7 @@ impl Samples {
             .zip(&self.areas)
             .filter(|(seen, _)| **seen > 0.0)
             .for_each(|(seen, area)| *seen = *area);
-        let cast = |i: usize| Share { hemisphere: self.rays.rays_of(i), shadow: self.shadow.count(i) };
-        allocation::by_variance(cast, &areas, &variances, &self.siblings, rays * self.areas.len() as f64)
+        allocation::by_variance(cast, &areas, &variances, &self.siblings, rays)
     }
 
     /// Variances of every patch's irradiance, summed over channels: those from its own hemisphere rays, and those from
