@@ -52,37 +52,34 @@ pub(super) fn write_dense(
 /// Errors of writing to `out`.
 pub(super) fn write_sparse<R: Iterator<Item = (usize, f64)>>(
     n: usize,
-    row: impl Fn(usize) -> R,
+    row: impl Fn(usize) -> R + Sync,
     out: &mut dyn Write,
 ) -> io::Result<()> {
-    let mut starts = vec![0u64];
-    let (mut columns, mut values): (Vec<u8>, Vec<u8>) = Default::default();
-    for i in 0..n {
-        for (j, x) in row(i) {
-            columns.extend((j as i32).to_le_bytes());
-            values.extend(x.to_le_bytes());
-        }
-        starts.push((values.len() / 8) as u64);
-    }
-    let count = values.len() / 8;
-    let array = |kind: &str, shape: String, data: &[u8]| {
-        let mut bytes = header(kind, &shape);
-        bytes.extend(data);
-        bytes
-    };
+    let counts: Vec<usize> = (0..n).into_par_iter().map(|i| row(i).count()).collect();
+    let mut starts = vec![0];
+    starts.extend(counts.iter().scan(0, |sum, count| {
+        *sum += count;
+        Some(*sum)
+    }));
+    let count = starts[n];
     let mut zip = Archive::new(out);
-    zip.add("indices.npy", &array("<i4", format!("({count},)"), &columns))?;
-    drop(columns);
+    // Row by row, because a copy of all entries would take as much memory as the matrix itself.
+    zip.begin("indices.npy", "<i4", &format!("({count},)"), 4 * count)?;
+    for i in 0..n {
+        zip.write(&row(i).flat_map(|(j, _)| (j as i32).to_le_bytes()).collect::<Vec<u8>>())?;
+    }
     // SciPy wants starts and indices to have the same width, so starts have 32 bits if possible.
-    let starts: Vec<u8> = match i32::try_from(count) {
-        Ok(_) => starts.iter().flat_map(|&k| (k as i32).to_le_bytes()).collect(),
-        Err(_) => starts.iter().flat_map(|&k| (k as i64).to_le_bytes()).collect(),
+    let (kind, starts): (_, Vec<u8>) = match i32::try_from(count) {
+        Ok(_) => ("<i4", starts.iter().flat_map(|&k| (k as i32).to_le_bytes()).collect()),
+        Err(_) => ("<i8", starts.iter().flat_map(|&k| (k as i64).to_le_bytes()).collect()),
     };
-    let kind = if starts.len() == 4 * (n + 1) { "<i4" } else { "<i8" };
-    zip.add("indptr.npy", &array(kind, format!("({},)", n + 1), &starts))?;
-    zip.add("format.npy", &array("|S3", "()".into(), b"csr"))?;
-    zip.add("shape.npy", &array("<i8", "(2,)".into(), &[n as i64, n as i64].map(i64::to_le_bytes).concat()))?;
-    zip.add("data.npy", &array("<f8", format!("({count},)"), &values))?;
+    zip.add("indptr.npy", kind, &format!("({},)", n + 1), &starts)?;
+    zip.add("format.npy", "|S3", "()", b"csr")?;
+    zip.add("shape.npy", "<i8", "(2,)", &[n as i64, n as i64].map(i64::to_le_bytes).concat())?;
+    zip.begin("data.npy", "<f8", &format!("({count},)"), 8 * count)?;
+    for i in 0..n {
+        zip.write(&row(i).flat_map(|(_, x)| x.to_le_bytes()).collect::<Vec<u8>>())?;
+    }
     zip.finish()
 }
 
@@ -117,9 +114,7 @@ pub(super) fn write_arrays(arrays: &[Array<'_>], out: &mut dyn Write) -> io::Res
         };
         assert_eq!(length, shape.iter().product::<usize>(), "{name}: values and shape disagree");
         let sizes: String = shape.iter().map(|n| format!("{n},")).collect();
-        let mut bytes = header(kind, &format!("({sizes})"));
-        bytes.extend(data);
-        zip.add(&format!("{name}.npy"), &bytes)?;
+        zip.add(&format!("{name}.npy"), kind, &format!("({sizes})"), &data)?;
     }
     zip.finish()
 }
@@ -132,13 +127,24 @@ impl<'a> Archive<'a> {
         Archive(ZipWriter::new_stream(out))
     }
 
-    fn add(&mut self, name: &str, data: &[u8]) -> io::Result<()> {
+    fn add(&mut self, name: &str, kind: &str, shape: &str, data: &[u8]) -> io::Result<()> {
+        self.begin(name, kind, shape, data.len())?;
+        self.write(data)
+    }
+
+    /// Begins an array, whose data of this many bytes follow.
+    fn begin(&mut self, name: &str, kind: &str, shape: &str, length: usize) -> io::Result<()> {
+        let header = header(kind, shape);
         // Every file has the same date, so that equal arrays give equal bytes.
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Stored)
             .last_modified_time(DateTime::default())
-            .large_file(u32::try_from(data.len()).is_err());
+            .large_file(u32::try_from(length + header.len()).is_err());
         self.0.start_file(name, options)?;
+        self.0.write_all(&header)
+    }
+
+    fn write(&mut self, data: &[u8]) -> io::Result<()> {
         self.0.write_all(data)
     }
 

@@ -205,7 +205,7 @@ impl Blockers {
 
     /// Whether no blockers except those of two names are between two points. `last` is the blocker that was found last.
     /// It often blocks the next path as well and is tested first.
-    pub(super) fn free(&self, from: DVec3, to: DVec3, except: [u32; 2], last: &Cell<u32>) -> bool {
+    fn free(&self, from: DVec3, to: DVec3, except: [u32; 2], last: &Cell<u32>) -> bool {
         let blocks = |blocker: &Blocker| !except.contains(&blocker.name) && blocker.blocks(from, to);
         if self.list.get(last.get() as usize).is_some_and(blocks) {
             return false;
@@ -222,6 +222,30 @@ impl Blockers {
                 None => true,
             },
         )
+    }
+
+    /// All blockers.
+    pub(super) fn all(&self) -> Near<'_> {
+        Near { all: self, few: None }
+    }
+
+    /// The blockers whose bounds `may_meet` some hull. All of them if these are more than `most`.
+    pub(super) fn near_hull(&self, may_meet: impl Fn(DVec3, DVec3) -> bool, most: usize) -> Near<'_> {
+        let mut few = Vec::new();
+        let is_complete = self.walk(
+            &Ray::NONE,
+            |node| may_meet(node.low, node.high),
+            |first, blockers| {
+                for (k, blocker) in (first as u32..).zip(blockers) {
+                    let (low, high) = bounds(blocker.corners());
+                    if may_meet(low, high) {
+                        few.push(k);
+                    }
+                }
+                few.len() <= most
+            },
+        );
+        Near { all: self, few: is_complete.then_some(few) }
     }
 
     /// Whether a blocker is between all points of two convex polygons. It is if it is between all of their corners: where a path
@@ -319,7 +343,7 @@ impl Blockers {
     }
 
     /// Appends the blockers in a shaft except those of two names, up to `most`. Returns whether these are all.
-    pub(super) fn within(&self, shaft: &Shaft, except: [u32; 2], most: usize, found: &mut Vec<u32>) -> bool {
+    fn within(&self, shaft: &Shaft, except: [u32; 2], most: usize, found: &mut Vec<u32>) -> bool {
         self.walk(
             &Ray::NONE,
             |node| shaft.may_meet_box(node.low, node.high),
@@ -335,6 +359,40 @@ impl Blockers {
                 true
             },
         )
+    }
+}
+
+/// The blockers that may be between two places: few, or all.
+pub(super) struct Near<'a> {
+    all: &'a Blockers,
+    few: Option<Vec<u32>>,
+}
+
+impl Near<'_> {
+    /// As [`Blockers::free`].
+    pub(super) fn free(&self, from: DVec3, to: DVec3, except: [u32; 2], last: &Cell<u32>) -> bool {
+        let Some(few) = &self.few else { return self.all.free(from, to, except, last) };
+        let blocks = |&k: &u32| {
+            let blocker = &self.all.list[k as usize];
+            !except.contains(&blocker.name) && blocker.blocks(from, to)
+        };
+        let found = few.iter().copied().find(blocks);
+        found.inspect(|&k| last.set(k)).is_none()
+    }
+
+    /// As [`Blockers::within`].
+    pub(super) fn within(&self, shaft: &Shaft, except: [u32; 2], most: usize, found: &mut Vec<u32>) -> bool {
+        let Some(few) = &self.few else { return self.all.within(shaft, except, most, found) };
+        for &k in few {
+            let blocker = &self.all.list[k as usize];
+            if !except.contains(&blocker.name) && shaft.meets(blocker.corners()) {
+                if found.len() == most {
+                    return false;
+                }
+                found.push(k);
+            }
+        }
+        true
     }
 }
 
@@ -362,7 +420,7 @@ impl Ray {
 }
 
 /// The lowest and highest coordinates of some points.
-fn bounds<'a>(points: impl IntoIterator<Item = &'a DVec3>) -> (DVec3, DVec3) {
+pub(super) fn bounds<'a>(points: impl IntoIterator<Item = &'a DVec3>) -> (DVec3, DVec3) {
     let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     points.into_iter().fold(none, |(low, high), p| (low.min(*p), high.max(*p)))
 }

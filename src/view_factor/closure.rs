@@ -172,8 +172,9 @@ fn tighten(cells: &mut [Vec<Cell>], variances: &[Vec<f64>]) {
             let j = cell.column as usize;
             let known = if i == j { z(i, i) } else { z(i, i) + 2.0 * z(i, j) + z(j, j) };
             let share = (1.0 - v * known).clamp(0.0, 1.0);
-            cell.spread *= share.sqrt() as f32;
-            cell.doubt *= share.sqrt() as f32;
+            for part in [&mut cell.spread, &mut cell.quartic, &mut cell.doubt] {
+                *part *= share.sqrt() as f32;
+            }
         }
     }
 }

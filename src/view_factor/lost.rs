@@ -4,7 +4,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{blockers::Blockers, estimate::DOUBT, polygon::Polygon};
+use super::{blockers::Blockers, estimate::SKEWNESS, polygon::Polygon};
 use crate::{
     Progress, Result,
     trace::sampling::{around, mix, sobol_4d, square_to_cosine_hemisphere},
@@ -175,7 +175,7 @@ pub(super) fn divide(
         let parts = if seen.lost() == 0 { [0.0, 1.0, 1.0, 0.0] } else { shares(&seen) };
         let lost = seen.lost().max(1) as f64;
         let part = |s: f64| {
-            let variance = s * (1.0 - s) / lost + DOUBT / (lost * lost);
+            let variance = s * (1.0 - s) / lost + SKEWNESS / (lost * lost);
             let value = s * all.value;
             Share { value, error: (all.value * all.value * variance + (s * all.error).powi(2)).sqrt() }
         };

@@ -12,6 +12,7 @@
 
 mod blockers;
 mod closure;
+mod clusters;
 mod contact;
 mod enclosure;
 mod estimate;
@@ -22,6 +23,7 @@ mod polygon;
 mod rows;
 mod shadows;
 mod shaft;
+mod symmetric;
 
 use glam::DVec3;
 
@@ -29,7 +31,8 @@ use self::{
     blockers::Blockers,
     contact::{Parts, separate},
     polygon::{Polygon, in_unit_space},
-    rows::Cell,
+    rows::{Cell, Spread},
+    symmetric::Symmetric,
 };
 use crate::{Error, Progress, Result, form_factor::BeforeAfter};
 
@@ -83,12 +86,9 @@ pub struct ViewFactors {
     areas: Vec<f64>,
     /// Deviation of each row sum from one that its errors allow.
     allowed: Vec<f64>,
-    /// Rows of exchange areas in units of the mean area, and of their standard errors. Holds both triangles of the
-    /// matrices.
-    starts: Vec<usize>,
-    columns: Vec<u32>,
-    exchange: Vec<f64>,
-    errors: Vec<f32>,
+    /// Exchange areas in unit space.
+    exchange: Symmetric,
+    /// The unit of these areas.
     unit: f64,
 }
 
@@ -122,35 +122,35 @@ impl ViewFactors {
     /// whose error is not.
     pub fn entries(&self, i: usize) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
         let area = self.areas[i] / self.unit;
-        (self.starts[i]..self.starts[i + 1]).map(move |k| {
-            (self.columns[k] as usize, self.exchange[k] / area, f64::from(self.errors[k]) / area)
-        })
+        self.exchange.row(i).map(move |(j, cell)| (j, cell.exchange.max(0.0) / area, cell.error() / area))
     }
 
     /// F_ij.
     pub fn get(&self, i: usize, j: usize) -> f64 {
-        self.entry(i, j).map_or(0.0, |k| self.exchange[k] / (self.areas[i] / self.unit))
+        self.exchange.get(i, j).map_or(0.0, |cell| cell.exchange.max(0.0) / (self.areas[i] / self.unit))
     }
 
     /// The standard error of F_ij. If nothing is between the two surfaces, it is the error of the formula.
     pub fn standard_error(&self, i: usize, j: usize) -> f64 {
-        self.entry(i, j).map_or(0.0, |k| f64::from(self.errors[k]) / (self.areas[i] / self.unit))
-    }
-
-    fn entry(&self, i: usize, j: usize) -> Option<usize> {
-        let start = self.starts[i];
-        self.columns[start..self.starts[i + 1]].binary_search(&(j as u32)).ok().map(|k| start + k)
+        self.exchange.get(i, j).map_or(0.0, |cell| cell.error() / (self.areas[i] / self.unit))
     }
 
     /// Number of non-zero F_ij.
     pub fn non_zeros(&self) -> usize {
-        self.exchange.iter().filter(|&&x| x > 0.0).count()
+        let both = |(i, cell): (usize, &Cell)| if i == cell.column as usize { 1 } else { 2 };
+        self.exchange.upper().filter(|(_, cell)| cell.exchange > 0.0).map(both).sum()
     }
 
-    /// The largest standard error of a non-zero F_ij, as (i, j, error).
+    /// The largest standard error of a non-zero F_ij, as (i, j, error). Of F_ij and F_ji the one with the smaller area
+    /// A_i has the larger error.
     pub fn largest_standard_error(&self) -> Option<(usize, usize, f64)> {
-        let of_row = |i: usize| self.entries(i).filter(|e| e.1 > 0.0).map(move |(j, _, error)| (i, j, error));
-        (0..self.len()).flat_map(of_row).reduce(|a, b| if b.2 > a.2 { b } else { a })
+        let of = |(i, cell): (usize, &Cell)| {
+            let j = cell.column as usize;
+            let (i, j) = if self.areas[i] <= self.areas[j] { (i, j) } else { (j, i) };
+            (i, j, cell.error() / (self.areas[i] / self.unit))
+        };
+        let all = self.exchange.upper().filter(|(_, cell)| cell.exchange > 0.0).map(of);
+        all.reduce(|a, b| if b.2 > a.2 { b } else { a })
     }
 
     /// Largest |row sum + escaped share - 1|. `before` covers enclosed rooms only.
@@ -165,13 +165,12 @@ impl ViewFactors {
 
     /// Largest |A_i F_ij - A_j F_ji| / min(A_i, A_j).
     pub fn reciprocity_deviation(&self) -> BeforeAfter {
-        let of_row = |i: usize| {
-            self.row(i).map(move |(j, f)| {
-                let (a, b) = (self.areas[i], self.areas[j]);
-                (a * f - b * self.get(j, i)).abs() / a.min(b)
-            })
+        let of = |(i, cell): (usize, &Cell)| {
+            let [a, b] = [i, cell.column as usize].map(|k| self.areas[k]);
+            let [f, back] = [a, b].map(|area| cell.exchange.max(0.0) / (area / self.unit));
+            (a * f - b * back).abs() / a.min(b)
         };
-        let after = (0..self.len()).flat_map(of_row).fold(0.0, f64::max);
+        let after = self.exchange.upper().map(of).fold(0.0, f64::max);
         BeforeAfter { before: after, after }
     }
 
@@ -319,9 +318,6 @@ fn among(
         progress,
     )?;
 
-    // In units of the mean area all standard errors are in the range of single precision.
-    let unit = (areas.iter().sum::<f64>() / n.max(1) as f64).max(f64::MIN_POSITIVE);
-    let (starts, columns, exchange, errors) = both_triangles(found.cells, n, unit);
     let square = scale * scale;
     Ok(ViewFactors {
         rays: found.rays,
@@ -332,11 +328,8 @@ fn among(
         hidden: hidden.iter().map(|area| area * square).collect(),
         areas: areas.iter().map(|area| area * square).collect(),
         allowed,
-        starts,
-        columns,
-        exchange,
-        errors,
-        unit: unit * square,
+        exchange: Symmetric::new(found.cells),
+        unit: square,
     })
 }
 
@@ -348,7 +341,8 @@ const ROUNDING: f64 = 2e-5;
 /// The standard errors of row sums. Variances add up, but the formula's errors may all have the same sign.
 fn row_errors(cells: &[Vec<Cell>], areas: &[f64]) -> Vec<f64> {
     let n = areas.len();
-    let variances = closure::sums(cells, n, |cell| f64::from(cell.spread).powi(2));
+    let variances = closure::sums(cells, n, |cell| Spread::of(cell).variance);
+    let quartics = closure::sums(cells, n, |cell| Spread::of(cell).quartic);
     let exchange = closure::sums(cells, n, |cell| cell.exchange);
     let mut doubts = vec![0f64; n];
     for (i, row) in cells.iter().enumerate() {
@@ -362,40 +356,11 @@ fn row_errors(cells: &[Vec<Cell>], areas: &[f64]) -> Vec<f64> {
         .map(|i| {
             let formula = polygon::FORMULA * exchange[i];
             if areas[i] > 0.0 {
-                (variances[i] + doubts[i] + formula * formula).sqrt() / areas[i]
+                let spread = Spread { variance: variances[i], quartic: quartics[i] };
+                (spread.variance() + doubts[i] + formula * formula).sqrt() / areas[i]
             } else {
                 0.0
             }
         })
         .collect()
-}
-
-/// All rows of a symmetric matrix, from its upper triangle.
-fn both_triangles(cells: Vec<Vec<Cell>>, n: usize, unit: f64) -> (Vec<usize>, Vec<u32>, Vec<f64>, Vec<f32>) {
-    let mut starts = vec![0; n + 1];
-    for (i, row) in cells.iter().enumerate() {
-        starts[i + 1] += row.len();
-        row.iter().map(|cell| cell.column as usize).filter(|&j| j != i).for_each(|j| starts[j + 1] += 1);
-    }
-    (0..n).for_each(|i| starts[i + 1] += starts[i]);
-    let mut next = starts.clone();
-    let (mut columns, mut exchange, mut errors) =
-        (vec![0; starts[n]], vec![0.0; starts[n]], vec![0f32; starts[n]]);
-    let mut put = |row: usize, column: usize, cell: &Cell| {
-        let k = next[row];
-        next[row] += 1;
-        (columns[k], exchange[k], errors[k]) =
-            (column as u32, cell.exchange.max(0.0) / unit, (cell.error() / unit) as f32);
-    };
-    // Row by row, so that the columns of each row come in order and the memory of `cells` is freed on the way.
-    for (i, row) in cells.into_iter().enumerate() {
-        for cell in &row {
-            let j = cell.column as usize;
-            put(i, j, cell);
-            if i != j {
-                put(j, i, cell);
-            }
-        }
-    }
-    (starts, columns, exchange, errors)
 }

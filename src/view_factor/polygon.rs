@@ -115,7 +115,7 @@ impl Polygon {
             RULES.iter().position(|&(_, radii)| distance - to.radius >= radii * of.radius)
         };
         let (true, Some(ours), Some(theirs)) = (whole, rule(self, other), rule(other, self)) else {
-            return exchange_area_to(&self.corners, &other.corners, RADII, NEAR_PRECISION);
+            return exchange_near(&self.corners, &other.corners);
         };
         let path = path.as_vec3a();
         let from = |&(x, w): &(Vec3A, f32)| {
@@ -124,6 +124,11 @@ impl Polygon {
         };
         self.nodes[ours].iter().map(from).sum()
     }
+}
+
+/// A_i F_ij of two polygons that may be near each other.
+pub(super) fn exchange_near(p: &[DVec3], q: &[DVec3]) -> f64 {
+    exchange_area_to(p, q, RADII, NEAR_PRECISION)
 }
 
 /// Half the sum of the cross products. Its length is the area, and it points to the front.
@@ -207,6 +212,18 @@ pub(super) fn in_unit_space(
     let others = (polygons.len() as u32..).zip(obstacles.iter().map(|corners| (u32::MAX, corners)));
     let hindrances = others.map(polygon).collect();
     (polygons, hindrances, scale)
+}
+
+/// A level square that faces up or down.
+#[cfg(test)]
+pub(super) fn level_square(side: f64, centre: DVec3, up: bool) -> Vec<DVec3> {
+    let h = side / 2.0;
+    let mut corners =
+        vec![DVec3::new(-h, -h, 0.0), DVec3::new(h, -h, 0.0), DVec3::new(h, h, 0.0), DVec3::new(-h, h, 0.0)];
+    if !up {
+        corners.reverse();
+    }
+    corners.into_iter().map(|p| p + centre).collect()
 }
 
 #[cfg(test)]

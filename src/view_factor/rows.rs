@@ -8,8 +8,9 @@ use rayon::prelude::*;
 
 use super::{
     ViewFactorOptions,
-    blockers::Blockers,
-    estimate::{self, Estimate, REPLICATES, Sample, Sequence},
+    blockers::{Blockers, Near},
+    clusters::Cluster,
+    estimate::{self, Estimate, REPLICATES, Sample, Sequence, student},
     paths::Paths,
     polygon::{Area, FORMULA, Polygon},
     shadows::{Pieces, Shadows},
@@ -32,6 +33,9 @@ const PILOT: (u32, u32) = (8, 1024);
 const PILOT_PAST_FEW: u32 = 64;
 /// Approximate number of pilot rays for all pairs.
 const PILOTS: usize = 1 << 20;
+/// Up to this number of pairs, all that are sampled are kept for being sampled again. With more, these would take too much memory, and
+/// only those are kept that their pilot or their error says need more rays.
+const KEPT: usize = 1 << 23;
 /// Most rays of a pair.
 const MOST: f64 = (1u32 << 28) as f64;
 /// Up to this number of blockers in a shaft, what a point sees past them is computed exactly. With more, paths go through the hierarchy.
@@ -44,7 +48,7 @@ const MARGIN: f64 = 0.97;
 /// look like an error that more rays do not reduce.
 const FASTER: f64 = 1.5;
 /// Most corrections of the pace.
-const TRIES: u32 = 5;
+const TRIES: u64 = 5;
 /// A round that leaves more than this share of the error is the last.
 const USEFUL: f64 = 0.98;
 
@@ -55,36 +59,75 @@ pub(super) struct Cell {
     pub(super) exchange: f64,
     /// The surface with the larger index.
     pub(super) column: u32,
-    /// The standard error from the spread of rays.
+    /// The standard error from the spread of rays, without the factor for the few degrees of freedom that it has.
     pub(super) spread: f32,
-    /// The largest standard error that may be missing because rays agree by chance.
+    /// The fourth root of the sum of v², where v are the variances of those of its pairs that have
+    /// [`REPLICATES`] replicates each.
+    pub(super) quartic: f32,
+    /// The largest standard error that may be missing because samples are skew or agree by chance.
     pub(super) doubt: f32,
 }
 
 impl Cell {
     fn of(estimate: &Estimate) -> Cell {
-        let Estimate { exchange, variance, doubt, .. } = *estimate;
-        Cell { exchange, column: 0, spread: variance.sqrt() as f32, doubt: doubt as f32 }
+        let Estimate { exchange, variance, doubt, matters, .. } = *estimate;
+        let spread = variance.sqrt() as f32;
+        let quartic = if matters { spread } else { 0.0 };
+        Cell { exchange, column: 0, spread, quartic, doubt: doubt as f32 }
     }
 
     /// The standard error, from rays and from the formula.
     pub(super) fn error(&self) -> f64 {
-        let [spread, doubt] = [self.spread, self.doubt].map(f64::from);
+        let doubt = f64::from(self.doubt);
         let formula = FORMULA * self.exchange;
-        (spread * spread + doubt * doubt + formula * formula).sqrt()
+        (Spread::of(self).variance() + doubt * doubt + formula * formula).sqrt()
     }
 
-    /// Adds the exchange of other pairs of polygons. Rays of several pairs do not all agree by chance, so the largest
-    /// doubt counts.
+    /// Adds the exchange of other pairs of polygons. The sum of independent errors of equal skewness is no farther off
+    /// by it than one of them, so the largest doubt counts.
     fn merge(&mut self, other: &Cell) {
         self.exchange += other.exchange;
-        self.spread = self.spread.hypot(other.spread);
+        let sum = Spread::of(self).and(Spread::of(other));
+        self.spread = sum.variance.sqrt() as f32;
+        self.quartic = sum.quartic.sqrt().sqrt() as f32;
         self.doubt = self.doubt.max(other.doubt);
+    }
+}
+
+/// The variance of a sum of independent pairs, each estimated by sixteen replicates.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Spread {
+    pub(super) variance: f64,
+    /// The sum of the squares of the variances.
+    pub(super) quartic: f64,
+}
+
+impl Spread {
+    pub(super) fn of(cell: &Cell) -> Spread {
+        Spread { variance: f64::from(cell.spread).powi(2), quartic: f64::from(cell.quartic).powi(4) }
+    }
+
+    pub(super) fn and(self, other: Spread) -> Spread {
+        Spread { variance: self.variance + other.variance, quartic: self.quartic + other.quartic }
+    }
+
+    /// The variance by which 1.96 standard errors are an interval of 95 %. The degrees of freedom of a sum are those of B. L. Welch
+    /// ("The Generalization of 'Student's' Problem", Biometrika 34, 1947).
+    pub(super) fn variance(&self) -> f64 {
+        if self.quartic > 0.0 {
+            let freedom = f64::from(REPLICATES - 1) * self.variance * self.variance / self.quartic;
+            self.variance * student(freedom).powi(2)
+        } else {
+            self.variance
+        }
     }
 }
 
 /// The blocker that was found last.
 type Last = std::cell::Cell<u32>;
+
+/// The blockers that paths may meet, and the one that was met last.
+type Past<'a> = (&'a Near<'a>, &'a Last);
 
 /// Position, direction and size of a piece, which decide most pairs.
 struct Ball {
@@ -119,6 +162,7 @@ impl Ball {
 struct Pairs<'a> {
     pieces: &'a [Polygon],
     balls: Vec<Ball>,
+    clusters: Vec<Cluster>,
     /// Areas of the surfaces.
     areas: &'a [f64],
     blockers: &'a Blockers,
@@ -128,6 +172,8 @@ struct Pairs<'a> {
     pilot: u32,
     /// Fewest points of a pair past few blockers.
     fewest: u32,
+    /// Whether all pairs may be sampled again.
+    keeps_all: bool,
     /// Limit below which view factors do not matter by themselves.
     tiny: f64,
     /// The wanted error.
@@ -157,7 +203,7 @@ enum Seen<'a> {
     Part(Pair<'a>, f64),
 }
 
-/// A pair with more rays than the fewest, or with an error above the wanted one. It may need more rays.
+/// A pair that may be sampled again.
 struct Sampled {
     ends: [u32; 2],
     unoccluded: f64,
@@ -222,6 +268,57 @@ struct Row {
     rays: u64,
 }
 
+/// How a pair is sampled.
+struct Sampler<'a> {
+    means: Means<'a>,
+    /// The exchange of what nothing can hide.
+    beside: f64,
+    /// The exchange of the rest, with nothing between, if it is known.
+    sampled: Option<f64>,
+    /// The error of the exchange of what nothing can hide. It is a difference, and has the error of the larger exchange.
+    formula: f64,
+}
+
+enum Means<'a> {
+    /// What is between hides nothing.
+    Nothing,
+    /// Points that see past few blockers.
+    Points(Box<Shadows>),
+    /// Paths through the hierarchy.
+    Paths(Paths<'a>),
+}
+
+impl<'a> Sampler<'a> {
+    fn paths(pair: &'a Pair) -> Sampler<'a> {
+        let [ours, theirs] = [&pair.parts[0], &pair.parts[1]].map(|part| Cow::Borrowed(&**part));
+        Sampler {
+            means: Means::Paths(Paths::between(ours, theirs)),
+            beside: 0.0,
+            sampled: None,
+            formula: 0.0,
+        }
+    }
+
+    /// `None` if there is nothing to sample.
+    fn sample(&self, pairs: &Pairs, pair: &Pair, rays: u32, stage: u64, past: Past) -> Option<Sample> {
+        let [i, j] = pair.ends.map(|k| k as u64);
+        let seed = [mix(pairs.seed, stage), i, j];
+        match &self.means {
+            Means::Nothing => None,
+            Means::Points(shadows) => {
+                let mut pieces = Pieces::default();
+                let sample = |[u, v, ..]: [f64; 4]| shadows.seen_from(u, v, &mut pieces);
+                Some(Sample::cast(rays, &pairs.sequence, seed, sample))
+            }
+            Means::Paths(paths) => Some(Sample::cast(rays, &pairs.sequence, seed, |point| {
+                let (from, to, weight) = paths.path(point);
+                let is_free = weight > 0.0 && past.0.free(from, to, pair.names, past.1);
+                (weight, if is_free { weight } else { 0.0 })
+            })),
+        }
+    }
+}
+
 impl<'a> Pairs<'a> {
     /// The parts of two pieces that are in front of each other.
     fn facing(&self, i: usize, j: usize) -> Option<Pair<'a>> {
@@ -262,12 +359,27 @@ impl<'a> Pairs<'a> {
         p.exchange(q, pair.whole)
     }
 
+    /// Calls `found` with each later piece that a piece may see, what is known without sampling, and the blockers that
+    /// may be between them.
+    fn each(&self, i: usize, last: &Last, mut found: impl FnMut(usize, Seen<'a>, &Near)) {
+        for cluster in &self.clusters {
+            let members = cluster.after(i, &self.pieces[i]);
+            if members.is_empty() {
+                continue;
+            }
+            let near = cluster.blockers(&self.pieces[i], self.blockers);
+            for j in members.iter().map(|&j| j as usize) {
+                found(j, self.look(i, j, &near, last), &near);
+            }
+        }
+    }
+
     /// Determines visibility without sampling. A blocked path between the middles shows at once that something is
     /// between. The shaft shows whether nothing is.
-    fn look(&self, i: usize, j: usize, last: &Last) -> Seen<'a> {
+    fn look(&self, i: usize, j: usize, near: &Near, last: &Last) -> Seen<'a> {
         let Some(mut pair) = self.facing(i, j) else { return Seen::Nothing };
         let [from, to] = [&pair.parts[0], &pair.parts[1]].map(|part| part.middle());
-        let is_blocked = !self.blockers.free(from, to, pair.names, last);
+        let is_blocked = !near.free(from, to, pair.names, last);
         let hides = |blocker: u32, pair: &Pair| {
             self.blockers.hides(blocker, pair.parts[0].corners(), pair.parts[1].corners())
         };
@@ -285,7 +397,8 @@ impl<'a> Pairs<'a> {
         if is_tiny && is_blocked {
             return Seen::Tiny(pair);
         }
-        let blockers = self.blockers_between(&pair);
+        // Which blockers they are matters only to pairs that are sampled past them.
+        let blockers = self.blockers_between(&pair, near, if is_tiny { 0 } else { SOME });
         if blockers.as_ref().is_some_and(Vec::is_empty) {
             return Seen::All(unoccluded);
         }
@@ -299,95 +412,115 @@ impl<'a> Pairs<'a> {
         Seen::Part(pair, unoccluded)
     }
 
-    /// The blockers between a pair, if they are few.
-    fn blockers_between(&self, pair: &Pair) -> Option<Vec<u32>> {
+    /// The blockers between a pair, if they are at most so many.
+    fn blockers_between(&self, pair: &Pair, near: &Near, most: usize) -> Option<Vec<u32>> {
         let [ours, theirs] = [&pair.parts[0], &pair.parts[1]].map(|part| (part.corners(), part.normal()));
         let mut found = Vec::new();
-        self.blockers.within(&Shaft::new(ours, theirs), pair.names, SOME, &mut found).then_some(found)
+        near.within(&Shaft::new(ours, theirs), pair.names, most, &mut found).then_some(found)
     }
 
-    fn cast(&self, pair: &Pair, rays: u32, stage: u64, last: &Last) -> Sample {
-        let [i, j] = pair.ends.map(|k| k as u64);
-        let seed = [mix(self.seed, stage), i, j];
+    /// Prepares the sampling of a pair whose exchange with nothing between is known.
+    fn sampler<'b>(&self, pair: &'b Pair, unoccluded: f64) -> Sampler<'b> {
         let [ours, theirs] = [&pair.parts[0], &pair.parts[1]];
-        if let Some(few) = &pair.blockers {
-            let outlines = few.iter().map(|&blocker| self.blockers.outline(blocker));
-            let (shadows, mut pieces) = (Shadows::between(ours, theirs, outlines), Pieces::default());
-            let sample = |[u, v, ..]: [f64; 4]| shadows.seen_from(u, v, &mut pieces);
-            return Sample::cast(rays, &self.sequence, seed, sample);
+        let Some(few) = &pair.blockers else {
+            return Sampler { sampled: Some(unoccluded), ..Sampler::paths(pair) };
+        };
+        let outlines = few.iter().map(|&blocker| self.blockers.outline(blocker));
+        let Some(shadows) = Shadows::between(ours, theirs, outlines) else {
+            return Sampler { means: Means::Nothing, beside: unoccluded, sampled: None, formula: 0.0 };
+        };
+        let (sampled, beside) = shadows.exchange(unoccluded);
+        let means = if shadows.is_empty() { Means::Nothing } else { Means::Points(Box::new(shadows)) };
+        Sampler { means, beside, sampled, formula: FORMULA * unoccluded }
+    }
+
+    /// Estimates a pair by samples. Pilots and estimates are stages with different samples.
+    fn cast(&self, pair: &Pair, sampler: &Sampler, rays: u32, stage: u64, past: Past) -> Estimate {
+        let none = Estimate { exchange: 0.0, variance: 0.0, doubt: 0.0, rays: 0, matters: true };
+        let mut estimate = match sampler.sample(self, pair, rays, stage, past) {
+            Some(sample) => sample.estimate(sampler.sampled),
+            None => none,
+        };
+        if sampler.beside > 0.0 {
+            estimate.exchange += sampler.beside;
+            estimate.doubt = estimate.doubt.hypot(sampler.formula);
         }
-        let paths = Paths::between(Cow::Borrowed(&**ours), Cow::Borrowed(&**theirs));
-        Sample::cast(rays, &self.sequence, seed, |point| {
-            let (from, to, weight) = paths.path(point);
-            let is_free = weight > 0.0 && self.blockers.free(from, to, pair.names, last);
-            (weight, if is_free { weight } else { 0.0 })
-        })
+        estimate
     }
 
     /// The estimate of a pilot.
-    fn pilot(&self, pair: &Pair, unoccluded: f64, last: &Last) -> Estimate {
+    fn pilot(&self, pair: &Pair, sampler: &Sampler, past: Past) -> Estimate {
         let most = if pair.blockers.is_some() { PILOT_PAST_FEW } else { u32::MAX };
-        self.cast(pair, self.pilot.min(most), 0, last).estimate(unoccluded)
+        self.cast(pair, sampler, self.pilot.min(most), 0, past)
     }
 
     /// The estimate of a tiny pair by two rays; `None` if both are blocked.
-    fn tiny(&self, pair: &Pair, last: &Last) -> Option<Cell> {
-        let sample = self.cast(pair, FEWEST, 1, last);
+    fn tiny(&self, pair: &Pair, past: Past) -> Option<Cell> {
+        let sample = Sampler::paths(pair).sample(self, pair, FEWEST, 1, past)?;
         // If there is any exchange, it is too small to be missed.
-        (!sample.is_blocked()).then(|| Cell::of(&sample.estimate(self.unoccluded(pair))))
+        (!sample.is_blocked()).then(|| Cell::of(&sample.estimate(Some(self.unoccluded(pair)))))
     }
 
     /// The exchange of a piece with later ones.
     fn row(&self, i: usize, pace: f64) -> Row {
         let mut row = Row::default();
         let last = Last::new(u32::MAX);
-        for j in i + 1..self.pieces.len() {
-            let found = match self.look(i, j, &last) {
-                Seen::Nothing => continue,
-                Seen::All(exchange) => Cell { exchange, ..Cell::default() },
-                Seen::Tiny(pair) => {
-                    row.rays += u64::from(FEWEST);
-                    let Some(found) = self.tiny(&pair, &last) else { continue };
-                    found
-                }
-                Seen::Part(pair, unoccluded) => {
-                    let pilot = self.pilot(&pair, unoccluded, &last);
-                    let past_few = pair.blockers.as_ref().map(|_| self.fewest);
-                    let need = Need::of(&pilot, past_few);
-                    let wanted = need.rays(pair.weight, pace);
-                    let estimate = self.cast(&pair, wanted, 1, &last).estimate(unoccluded);
-                    row.rays += u64::from(estimate.rays + pilot.rays);
-                    // The pilot may have missed light that the sample met.
-                    if wanted > need.fewest || Cell::of(&estimate).error() * pair.weight > self.error {
-                        let ends = [i as u32, j as u32];
-                        row.sampled.push(Sampled { ends, unoccluded, past_few, need, estimate });
-                        continue;
-                    }
-                    // If there is any exchange, it is too small to be missed.
-                    if estimate.exchange == 0.0 && estimate.doubt * pair.weight < self.tiny {
-                        continue;
-                    }
-                    Cell::of(&estimate)
-                }
-            };
-            add(&mut row.cells, Cell { column: self.pieces[j].surface, ..found });
-        }
+        let mut cells = Vec::new();
+        self.each(i, &last, |j, seen, near| {
+            if let Some(cell) = self.exchange([i, j], seen, (near, &last), pace, &mut row) {
+                cells.push(Cell { column: self.pieces[j].surface, ..cell });
+            }
+        });
+        cells.sort_by_key(|cell| cell.column);
+        cells.into_iter().for_each(|cell| add(&mut row.cells, cell));
         row.cells.shrink_to_fit();
         row.sampled.shrink_to_fit();
         row
     }
 
-    /// Samples a pair again if it needs more rays at this pace. Returns the number of rays cast.
-    fn sample_again(&self, sampled: &mut Sampled, pace: f64) -> u64 {
+    /// The exchange of two pieces, if there is any, unless they may be sampled again.
+    fn exchange(&self, ends: [usize; 2], seen: Seen, past: Past, pace: f64, row: &mut Row) -> Option<Cell> {
+        match seen {
+            Seen::Nothing => None,
+            Seen::All(exchange) => Some(Cell { exchange, ..Cell::default() }),
+            Seen::Tiny(pair) => {
+                row.rays += u64::from(FEWEST);
+                self.tiny(&pair, past)
+            }
+            Seen::Part(pair, unoccluded) => {
+                let sampler = self.sampler(&pair, unoccluded);
+                let pilot = self.pilot(&pair, &sampler, past);
+                let past_few = pair.blockers.as_ref().map(|_| self.fewest);
+                let need = Need::of(&pilot, past_few);
+                let wanted = need.rays(pair.weight, pace);
+                let estimate = self.cast(&pair, &sampler, wanted, 1, past);
+                row.rays += u64::from(estimate.rays + pilot.rays);
+                // The pilot may have missed light that the sample met.
+                let is_large = || Cell::of(&estimate).error() * pair.weight > self.error;
+                if self.keeps_all || wanted > need.fewest || is_large() {
+                    let ends = ends.map(|k| k as u32);
+                    row.sampled.push(Sampled { ends, unoccluded, past_few, need, estimate });
+                    return None;
+                }
+                // If there is any exchange, it is too small to be missed.
+                let is_zero = estimate.exchange == 0.0 && estimate.doubt * pair.weight < self.tiny;
+                (!is_zero).then(|| Cell::of(&estimate))
+            }
+        }
+    }
+
+    /// Samples a pair again. All of its rays are new, and their number follows from earlier rays: were estimates that happen to need
+    /// no more rays kept, sums over pairs would be biased toward these. Returns the number of rays cast.
+    fn sample_again(&self, sampled: &mut Sampled, pace: f64, round: u64) -> u64 {
         let [i, j] = sampled.ends.map(|k| k as usize);
         let Some(mut pair) = self.facing(i, j) else { return 0 };
-        let &mut Sampled { unoccluded, past_few, need, estimate, .. } = sampled;
-        let wanted = need.or(Need::of(&estimate, past_few)).rays(pair.weight, pace);
-        if wanted <= estimate.rays {
-            return 0;
-        }
-        pair.blockers = self.blockers_between(&pair);
-        sampled.estimate = self.cast(&pair, wanted, 1, &Last::new(u32::MAX)).estimate(unoccluded);
+        sampled.need = sampled.need.or(Need::of(&sampled.estimate, sampled.past_few));
+        let wanted = sampled.need.rays(pair.weight, pace).max(sampled.estimate.rays);
+        let all = self.blockers.all();
+        pair.blockers = self.blockers_between(&pair, &all, SOME);
+        let sampler = self.sampler(&pair, sampled.unoccluded);
+        let past = (&all, &Last::new(u32::MAX));
+        sampled.estimate = self.cast(&pair, &sampler, wanted, 1 + round, past);
         u64::from(sampled.estimate.rays)
     }
 }
@@ -427,12 +560,14 @@ pub(super) fn rows(
     let pairs = Pairs {
         pieces,
         balls: pieces.iter().map(ball).collect(),
+        clusters: Cluster::all(pieces),
         areas,
         blockers,
         sequence: Sequence::new(),
         seed: options.seed,
         pilot,
         fewest: pilot.clamp(REPLICATES, PILOT_PAST_FEW),
+        keeps_all: all_pairs <= KEPT,
         // A surface of many pieces has as many pairs with another one as the product of their numbers of pieces, and
         // the variances add up.
         tiny: (options.error * areas.len() as f64 / pieces.len().max(1) as f64).clamp(TINY.0, TINY.1),
@@ -445,12 +580,12 @@ pub(super) fn rows(
     let pieces_of = pieces_of(pieces, areas.len());
     let merged = |rows: &[Row], i: usize| merged(&rows[pieces_of[i].clone()], i, &pairs, &touching[i]);
     let mut error = rms(areas, |i| merged(&rows, i));
-    for _ in 0..TRIES {
+    for round in 1..=TRIES {
         if error <= options.error {
             break;
         }
         pace *= FASTER * (error / (MARGIN * options.error)).powi(2);
-        rays += sample_again(&pairs, &mut rows, pace, progress)?;
+        rays += sample_again(&pairs, &mut rows, (pace, round), progress)?;
         let before = error;
         error = rms(areas, |i| merged(&rows, i));
         // The rest of the error does not come from rays, so that more of them would only take time.
@@ -501,13 +636,8 @@ fn merged(rows: &[Row], surface: usize, pairs: &Pairs, touching: &[Cell]) -> Vec
         .map(|cell| {
             // Two pieces of one surface exchange in both directions.
             let twice = if cell.column as usize == surface { 2.0 } else { 1.0 };
-            let Cell { exchange, column, spread, doubt } = cell;
-            Cell {
-                exchange: exchange * twice,
-                column,
-                spread: spread * twice as f32,
-                doubt: doubt * twice as f32,
-            }
+            let [spread, quartic, doubt] = [cell.spread, cell.quartic, cell.doubt].map(|x| x * twice as f32);
+            Cell { exchange: cell.exchange * twice, column: cell.column, spread, quartic, doubt }
         })
         .chain(touching.iter().copied())
         .collect();
@@ -548,15 +678,20 @@ fn all_rows(pairs: &Pairs, pace: f64, progress: &Progress) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// Samples the pairs again that need more rays at this pace. Returns the number of rays cast.
-fn sample_again(pairs: &Pairs, rows: &mut [Row], pace: f64, progress: &Progress) -> Result<u64> {
+/// Samples pairs again at this pace. Returns the number of rays cast.
+fn sample_again(
+    pairs: &Pairs,
+    rows: &mut [Row],
+    (pace, round): (f64, u64),
+    progress: &Progress,
+) -> Result<u64> {
     progress.begin("more rays", rows.len() as u64);
     let row = |row: &mut Row| {
         progress.advance(1);
         if progress.is_stopped() {
             return 0;
         }
-        row.sampled.par_iter_mut().map(|sampled| pairs.sample_again(sampled, pace)).sum()
+        row.sampled.par_iter_mut().map(|sampled| pairs.sample_again(sampled, pace, round)).sum()
     };
     let rays = rows.par_iter_mut().with_max_len(1).map(row).sum();
     progress.check()?;
@@ -574,24 +709,24 @@ fn pace(pairs: &Pairs, error: f64, progress: &Progress) -> Result<f64> {
     let row = |i: usize| {
         progress.advance(1);
         let (mut partial, mut seen, mut least): Pilots = (Vec::new(), 0, f64::INFINITY);
-        let others = if progress.is_stopped() { 0..0 } else { i + 1..pairs.pieces.len() };
+        if progress.is_stopped() {
+            return (partial, seen, least);
+        }
         let last = Last::new(u32::MAX);
-        for j in others {
-            match pairs.look(i, j, &last) {
-                Seen::Nothing => {}
-                Seen::All(_) => seen += 1,
-                Seen::Tiny(pair) => seen += u64::from(!pairs.cast(&pair, FEWEST, 0, &last).is_blocked()),
-                Seen::Part(pair, unoccluded) => {
-                    let pilot = pairs.pilot(&pair, unoccluded, &last);
-                    let need = Need::of(&pilot, pair.blockers.as_ref().map(|_| pairs.fewest));
-                    least = least.min(need.pace_of_fewest(pair.weight));
-                    if pilot.exchange != 0.0 {
-                        seen += 1;
-                        partial.push((pair.weight, need));
-                    }
+        pairs.each(i, &last, |_, found, near| match found {
+            Seen::Nothing => {}
+            Seen::All(_) => seen += 1,
+            Seen::Tiny(pair) => seen += u64::from(pairs.tiny(&pair, (near, &last)).is_some()),
+            Seen::Part(pair, unoccluded) => {
+                let pilot = pairs.pilot(&pair, &pairs.sampler(&pair, unoccluded), (near, &last));
+                let need = Need::of(&pilot, pair.blockers.as_ref().map(|_| pairs.fewest));
+                least = least.min(need.pace_of_fewest(pair.weight));
+                if pilot.exchange != 0.0 {
+                    seen += 1;
+                    partial.push((pair.weight, need));
                 }
             }
-        }
+        });
         (partial, seen, least)
     };
     let rows: Vec<Pilots> =

@@ -99,15 +99,7 @@ mod tests {
     use glam::dvec3;
 
     use super::*;
-
-    fn square(side: f64, centre: DVec3, up: bool) -> Vec<DVec3> {
-        let h = side / 2.0;
-        let mut corners = vec![dvec3(-h, -h, 0.0), dvec3(h, -h, 0.0), dvec3(h, h, 0.0), dvec3(-h, h, 0.0)];
-        if !up {
-            corners.reverse();
-        }
-        corners.into_iter().map(|p| p + centre).collect()
-    }
+    use crate::view_factor::polygon::level_square as square;
 
     /// The floor and the other walls of a room touch the shaft between two adjoining walls, which is a prism, and do
     /// not enter it.

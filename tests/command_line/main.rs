@@ -7,6 +7,7 @@ mod bake;
 mod blender;
 #[cfg(unix)]
 mod checkpoint;
+mod exchange;
 mod gloss;
 mod gltf;
 mod inspect;

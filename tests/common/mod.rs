@@ -60,6 +60,11 @@ pub fn load(name: &str) -> Scene {
 }
 
 /// The parallelogram from `corner` along `u` and `v`; its front looks along u × v.
+/// The corners of a parallelogram.
+pub fn parallelogram(corner: DVec3, u: DVec3, v: DVec3) -> Vec<DVec3> {
+    vec![corner, corner + u, corner + u + v, corner + v]
+}
+
 pub fn rectangle(corner: DVec3, u: DVec3, v: DVec3) -> Vec<Corners> {
     vec![[corner, corner + u, corner + u + v], [corner, corner + u + v, corner + v]]
 }

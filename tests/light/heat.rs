@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use crate::common::{Corners, flipped, icosphere};
+use crate::common::{Corners, flipped, icosphere, parallelogram as rectangle};
 use glam::{DVec3, dvec3};
 use radiosity::{
     Progress,
@@ -10,10 +10,6 @@ use radiosity::{
     heat::{Condition, Conditions, Exchange, STEFAN_BOLTZMANN, exchange},
     view_factor::{ViewFactorOptions, view_factors},
 };
-
-fn rectangle(origin: DVec3, a: DVec3, b: DVec3) -> Vec<DVec3> {
-    vec![origin, origin + a, origin + a + b, origin + b]
-}
 
 /// A box whose sides face inward, or outward.
 fn cuboid(low: DVec3, size: DVec3, inward: bool) -> Vec<Vec<DVec3>> {
@@ -110,6 +106,33 @@ fn script_f_of_concentric_bodies() {
     close(heat.exchange_areas[(0, 1)], right, 1e-4);
     close(heat.exchange_areas[(1, 0)], right, 1e-4);
     close(heat.surfaces[0].heat, right * (power(400.0) - power(300.0)), 1e-4);
+}
+
+/// An adiabatic shield between two concentric bodies, all icosahedra, so that the resistances add up: the heat is
+/// σ (T1⁴ - T2⁴) over 1 / A1 + 1 / As, because all are black. The faces of the shield fill the
+/// shafts between the faces of the bodies exactly, and the two bodies do not see each other.
+#[test]
+fn a_shield_between_concentric_bodies() {
+    let faces = |radius: f64, inward: bool| -> Vec<Vec<DVec3>> {
+        let sphere = icosphere(radius, 1);
+        (if inward { flipped(sphere) } else { sphere }).into_iter().map(Vec::from).collect()
+    };
+    let surfaces = [
+        (faces(0.5, false), at(400.0, 1.0)),
+        ([faces(0.75, true), faces(0.75, false)].concat(), Condition::Floating { emissivity: 1.0 }),
+        (faces(1.0, true), at(300.0, 1.0)),
+    ];
+    let area = |faces: &[Vec<DVec3>]| {
+        faces.iter().map(|p| (p[1] - p[0]).cross(p[2] - p[0]).length() / 2.0).sum::<f64>()
+    };
+    let heat = run(&surfaces, true, 0.0);
+    let [a1, shield] = [area(&surfaces[0].0), area(&surfaces[1].0) / 2.0];
+    let conductance = 1.0 / (1.0 / a1 + 1.0 / shield);
+    let right = conductance * (power(400.0) - power(300.0));
+    // View factors have an error of 3e-4.
+    close(heat.surfaces[0].heat, right, 1e-3);
+    close(heat.surfaces[2].heat, -right, 1e-3);
+    close(heat.exchange_areas[(0, 2)], conductance, 1e-3);
 }
 
 /// Plates 1 m wide and 1 mm apart from an adiabatic shield between them: the heat is σ (T1⁴ - T2⁴) over

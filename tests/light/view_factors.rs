@@ -1,5 +1,6 @@
 //! View factors between polygons against closed forms, and against hemisphere rays, which share no estimator with them.
 
+use crate::common::parallelogram as rectangle;
 use glam::{DQuat, DVec3, dvec3};
 use radiosity::{
     Error, Progress, Scene,
@@ -36,13 +37,9 @@ fn sides(centre: DVec3, half: DVec3, turn: f64, side: f64, n: u32) -> Vec<Vec<DV
 }
 
 fn square(side: f64, height: f64, up: bool) -> Vec<DVec3> {
-    let h = side / 2.0;
-    let mut corners =
-        vec![dvec3(-h, -h, height), dvec3(h, -h, height), dvec3(h, h, height), dvec3(-h, h, height)];
-    if !up {
-        corners.reverse();
-    }
-    corners
+    let corner = dvec3(-0.5 * side, -0.5 * side, height);
+    let [a, b] = [DVec3::X * side, DVec3::Y * side];
+    if up { rectangle(corner, a, b) } else { rectangle(corner, b, a) }
 }
 
 fn room_with_block() -> Vec<Vec<DVec3>> {
@@ -351,10 +348,6 @@ fn what_is_mostly_behind_is_seen_for_every_seed() {
     }
 }
 
-fn rectangle(origin: DVec3, a: DVec3, b: DVec3) -> Vec<DVec3> {
-    vec![origin, origin + a, origin + a + b, origin + b]
-}
-
 /// A box on the floor of a room: its bottom sees only the floor below it, rows sum to one without other changes, and
 /// the floor sees the bottom by reciprocity. A gap of 10⁻⁶ gives the same view factors, up to five standard errors and
 /// the light through the gap.
@@ -382,6 +375,42 @@ fn a_box_on_the_floor_sees_what_it_stands_on() {
             let sigma = touching.standard_error(i, j).hypot(gap.standard_error(i, j));
             assert!((a - b).abs() < 5.0 * sigma + 2e-5, "{i} {j}: {a} and {b} ± {sigma}");
         }
+    }
+}
+
+/// A box in the corner of a room: its back sees only the wall, its bottom only the floor. Gaps of 10⁻⁶ give the same
+/// view factors, up to five standard errors and the light through the gaps.
+#[test]
+fn a_box_in_a_corner_sees_what_it_leans_on() {
+    let room = sides(dvec3(2.0, 1.5, 1.0), dvec3(2.0, 1.5, 1.0), 0.0, -1.0, 1);
+    let half = dvec3(0.4, 0.3, 0.25);
+    let found = |gap: f64| {
+        let block = sides(dvec3(half.x + gap, 1.3, half.z + gap), half, 0.0, 1.0, 1);
+        compute(&[room.clone(), block].concat(), 3e-4, true)
+    };
+    let (touching, gap) = (found(0.0), found(1e-6));
+    // Walls: left 0, floor 4; of the box its left side is 6 and its bottom 10.
+    for (side, wall) in [(6, 0), (10, 4)] {
+        assert!((touching.get(side, wall) - 1.0).abs() < 1e-12, "{}", touching.get(side, wall));
+        assert_eq!(touching.row(side).count(), 1);
+    }
+    for (i, j) in (0..144).map(|k| (k / 12, k % 12)) {
+        let (a, b) = (touching.get(i, j), gap.get(i, j));
+        let sigma = touching.standard_error(i, j).hypot(gap.standard_error(i, j));
+        assert!((a - b).abs() < 5.0 * sigma + 2e-5, "{i} {j}: {a} and {b} ± {sigma}");
+    }
+}
+
+/// Plates a millionth of their size apart see nothing but each other, to what the gap lets out. The gap is open: they
+/// do not touch.
+#[test]
+fn plates_a_millionth_apart_are_apart() {
+    for turn in [DQuat::IDENTITY, DQuat::from_rotation_x(0.7) * DQuat::from_rotation_z(0.4)] {
+        let turned = |p: Vec<DVec3>| p.into_iter().map(|v| turn * v).collect::<Vec<_>>();
+        let found = compute(&[turned(square(1.0, 0.0, true)), turned(square(1.0, 1e-6, false))], 1e-3, false);
+        let exact = opposed_rectangles(1.0, 1.0, 1e-6);
+        assert!((found.get(0, 1) / exact - 1.0).abs() < 2e-5, "{}, not {exact}", found.get(0, 1));
+        assert_eq!(found.rays, 0);
     }
 }
 
