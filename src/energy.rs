@@ -65,13 +65,16 @@ impl EnergyLedger {
         let taken = form_factors.column_sums();
         let direct = form_factors.direct_powers(radiometry.emission, channels);
         let zero = vec![0.0; channels];
-        let linear = solution.linear.as_ref().map_or(&zero, |linear| &linear.escaped);
+        let [escaped_more, beyond_means] = match &solution.linear {
+            Some(linear) => [&linear.escaped, &linear.beyond_means],
+            None => [&zero, &zero],
+        };
         let mut ledger = EnergyLedger {
             emitted: zero.clone(),
             entered: direct.entered,
-            absorbed: zero.clone(),
+            absorbed: beyond_means.iter().map(|power| -power).collect(),
             leaking: if direct.leaks { direct.escaped.clone() } else { zero.clone() },
-            escaped: direct.escaped.iter().zip(linear).map(|(direct, linear)| direct + linear).collect(),
+            escaped: direct.escaped.iter().zip(escaped_more).map(|(direct, more)| direct + more).collect(),
             solver_part: zero.clone(),
             reciprocity_part: zero.clone(),
             leaving: zero,

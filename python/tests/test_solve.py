@@ -61,7 +61,7 @@ def test_results_are_those_of_the_command_line(cornell, cornell_path, tmp_path):
     for options, arguments in [
         (["--patches", "300", "--rays", "48", "--seed", "7"], {"patches": 300, "rays": 48, "seed": 7}),
         (["--error", "6"], {"error": 0.06}),
-        (["--patches", "300", "--rays", "48", "--linear"], {"patches": 300, "rays": 48, "linear": True}),
+        (["--patches", "300", "--rays", "48", "--constant-light"], {"patches": 300, "rays": 48, "linear": False}),
     ]:
         command = ["radiosity", "solve", cornell_path, "-o", mesh, "--report", report, "--quiet", *options]
         subprocess.run(command, check=True)
@@ -77,14 +77,14 @@ def test_results_are_those_of_the_command_line(cornell, cornell_path, tmp_path):
 
 
 def test_linear_light_has_slopes_that_keep_the_mean(cornell):
-    constant = radiosity.solve(cornell, patches=300, rays=64)
-    linear = radiosity.solve(cornell, patches=300, rays=64, linear=True)
+    constant = radiosity.solve(cornell, patches=300, rays=64, linear=False)
+    linear = radiosity.solve(cornell, patches=300, rays=64)
     assert constant.slopes is None and linear.slopes.shape == (len(linear), 3, 2)
     # At the corners of a patch the two functions are (1, 1), (-1, 1) and (0, -2): they sum to zero, and light is nowhere negative.
     at = [linear.irradiance + linear.slopes @ np.array(corner) for corner in ([1.0, 1], [-1, 1], [0, -2])]
     assert np.mean(at, axis=0) == pytest.approx(linear.irradiance) and np.min(at) > -1e-9 * linear.irradiance.max()
     assert abs(linear.ledger["imbalance"]) < 1e-9
-    again = radiosity.form_factors(cornell, patches=300, rays=64).solve(linear=True)
+    again = radiosity.form_factors(cornell, patches=300, rays=64).solve()
     assert np.array_equal(again.slopes, linear.slopes) and np.array_equal(again.irradiance, linear.irradiance)
 
 

@@ -1,18 +1,14 @@
-//! The discretisation error: the solution treats light as constant on each patch, but real light varies.
+//! The discretisation error: light varies over a patch otherwise than the solution assumes.
 //!
-//! First moments of the rays give the slopes of irradiance over each patch, as for linear light ([`crate::solve::linear`]).
-//! If every ray carried the light ρ(x) E(x) of the point x it starts from, instead of the mean over its patch, the rays
-//! would bring ΔE more to the patches they hit. The error of constant light is then -(I - F ρ)⁻¹ ΔE, up to the error of
-//! linear light, which is several times smaller. No ray is cast: light goes both ways along a ray, and its start point
-//! is known from its number.
-//!
-//! Linear light must not be negative, which flattens the slopes of patches that reach under a wall. The estimate needs
-//! no such limit: with it, a room whose walls end above the ground had 0.38 of its true error.
+//! Moments of the rays give the shape of irradiance over each patch, up to the second degree. If every ray carried the
+//! light ρ(x) E(x) of the point x it starts from, instead of the light that the solution has there, the rays would bring
+//! ΔE more to the patches they hit. The error of the solution is then -(I - F ρ)⁻¹ ΔE, up to the error of light of the
+//! second degree. No ray is cast ([`crate::moments`]). For constant light, ΔE is the effect of slopes and
+//! curvatures. For [linear light](crate::solve::linear), it is the effect of curvatures, and of the part of the slopes
+//! that was left out: as noise, or because light would be negative.
 //!
 //! The noise of ΔE would be counted as error, so the rays are divided into two halves. The product of the two values of
 //! ΔE has the square of ΔE as its expectation.
-//!
-//! The light of the sky has no slopes, so that its variation over a patch is missing from the estimate.
 
 use std::ops::Range;
 
@@ -20,13 +16,9 @@ use crate::{
     Progress, Result,
     accuracy::error_bars::relative_rms,
     form_factor::{FormFactors, magnitude, ordered_sum, together},
-    moments::Varying,
     patch::Patches,
     scene::Scene,
-    solve::{
-        Solution,
-        linear::{is_textured, slopes},
-    },
+    solve::{Solution, linear::variation},
     trace::Tracer,
 };
 
@@ -34,12 +26,12 @@ use crate::{
 const ENOUGH: f64 = 0.02;
 const MOST_BOUNCES: usize = 200;
 
-/// The discretisation error of a solution with constant light.
+/// The discretisation error of a solution.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Discretisation {
     /// The estimated error of the irradiance of each patch, W/m², with interleaved channels: irradiance minus its true
-    /// mean over the patch. For linear light, it is the error that constant light would have.
+    /// mean over the patch.
     pub error: Vec<f64>,
     /// Area-weighted root mean square of `error`, relative to the mean irradiance, over the patches that can be seen
     /// ([`Patches::seen_areas`]).
@@ -82,17 +74,15 @@ fn estimate<const C: usize>(
     solution: &Solution,
     progress: &Progress,
 ) -> Result<Option<Vec<f64>>> {
-    let unit = magnitude(&solution.radiosity);
-    let scaled =
-        |values: &[f64]| values.as_chunks::<C>().0.iter().map(|e| e.map(|e| e / unit)).collect::<Vec<_>>();
-    let radiosity = scaled(&solution.radiosity);
-    let Some(slopes) = slopes::<C>(tracer, form_factors, patches, &radiosity, unit) else { return Ok(None) };
-    let irradiance = scaled(solution.constant_irradiance());
-    progress.check()?;
     let reflectance: &[[f64; C]] = patches.reflectance().as_chunks().0;
-    let is_mapped: Vec<bool> = (0..patches.len()).map(|i| is_textured(scene, patches.triangle(i))).collect();
-    let varying = Varying { irradiance: &irradiance, slopes: &slopes, reflectance, is_mapped: &is_mapped };
-    let Some(halves) = form_factors.brought((scene, tracer, patches), &varying) else { return Ok(None) };
+    let (halves, unit) = match &solution.linear {
+        Some(linear) => (linear.missing.clone().map(in_channels::<C>), linear.unit),
+        None => {
+            let found = variation::<C>((scene, tracer), form_factors, patches, solution, false, progress)?;
+            let Some(found) = found else { return Ok(None) };
+            (found.missing.map(|half| in_channels(half.into_flattened())), magnitude(&solution.radiosity))
+        }
+    };
     let brought = |i: usize, c: usize| 0.5 * (halves[0][i][c] + halves[1][i][c]);
     let brought: Vec<[f64; C]> = (0..patches.len()).map(|i| std::array::from_fn(|c| brought(i, c))).collect();
     let inherited = inherited(form_factors, reflectance, &brought, progress)?;
@@ -105,6 +95,11 @@ fn estimate<const C: usize>(
     let change: Vec<[f64; C]> = (0..patches.len()).map(change).collect();
     let squares: Vec<f64> = products.into_iter().map(|x| unit * unit * x).collect();
     Ok(Some(without_noise(&change, &squares, form_factors.siblings(), form_factors.areas())))
+}
+
+/// Interleaved values as those of each patch.
+fn in_channels<const C: usize>(values: Vec<f32>) -> Vec<[f64; C]> {
+    values.as_chunks().0.iter().map(|values| values.map(f64::from)).collect()
 }
 
 /// The light of ΔE after one reflection and more: Σ (F ρ)ⁿ ΔE for n ≥ 1.

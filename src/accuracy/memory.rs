@@ -18,8 +18,8 @@ const TRANSPOSED_ENTRY: f64 = 32.0;
 const DENSE_ENTRY: f64 = 32.0;
 /// For an entry of a row of a symmetric matrix: half of a pair, which has 12 bytes at most.
 const SHARED_ENTRY: f64 = 6.0;
-/// For linear light, per patch and channel: slopes, constant light, and replicates of the change from slopes; and the
-/// same again during their computation.
+/// For linear light, per patch and channel: slopes, constant light, what is missing, and replicates of the change from
+/// slopes; and the shapes of direct light and a second solution during the computation.
 const LINEAR: f64 = 400.0;
 /// For a shadow ray: its target and its weight.
 const SHADOW_RAY: f64 = 8.0;

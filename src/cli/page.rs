@@ -145,9 +145,6 @@ impl PageArgs {
             return left_out("they need form factors, and the solver stored none");
         };
         let Solved { patches, form_factors, solution: whole, .. } = &**solved;
-        if options.linear {
-            return left_out("light is linear over each patch here");
-        }
         let fit = page::lamps_that_fit(patches);
         let most = self.page_lamps.map_or(fit, |n| n as usize);
         if most < 2 {

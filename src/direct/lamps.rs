@@ -13,7 +13,7 @@ use super::{
     remote::Remote,
     solid_angle,
     tree::Tree,
-    unoccluded::{Facing, form_factor, moments},
+    unoccluded::{Facing, form_factor, moments, of_cells},
 };
 use crate::{
     parallel::magnitude,
@@ -22,7 +22,11 @@ use crate::{
         footprint::{Footprint, is_hidden, kernel},
         siblings::adjoin,
     },
-    scene::light::{Lights, SKY, Sky},
+    scene::{
+        Scene,
+        light::{Lights, SKY, Sky},
+    },
+    slopes::{CELLS, MODES},
     trace::{
         Tracer, UnitTriangle,
         sampling::{mix, square_to_triangle},
@@ -160,15 +164,31 @@ impl Piece {
         }
     }
 
-    /// The means over a patch of the basis functions of linear light times the unblocked relative irradiance; `None` if
-    /// they are not known.
-    pub(super) fn moments(&self, patch: &Facing) -> Option<[f64; 2]> {
+    /// The means over a patch of the basis functions times the unblocked relative irradiance; `None` if they are not
+    /// known.
+    pub(super) fn moments(&self, patch: &Facing) -> Option<[f64; MODES]> {
         match &self.source {
             Source::Surface(surface) => Some(moments(patch, &surface.facing)),
             // Their irradiance is constant.
-            Source::Remote(Remote::Distant(_) | Remote::Cell(_), _) => Some([0.0; 2]),
+            Source::Remote(Remote::Distant(_) | Remote::Cell(_), _) => Some([0.0; MODES]),
             Source::Remote(Remote::Point { .. }, _) => None,
         }
+    }
+
+    /// The unblocked relative irradiance of the cells of a patch; `None` if it is of the second degree.
+    pub(super) fn of_cells(&self, patch: &Facing) -> Option<[f64; CELLS]> {
+        match &self.source {
+            Source::Surface(surface) => of_cells(patch, &surface.facing),
+            Source::Remote(..) => None,
+        }
+    }
+
+    /// A textured surface: its first patch and where its light leaves.
+    pub(super) fn textured(&self, scene: &Scene, patches: &Patches) -> Option<(usize, &Footprint)> {
+        let Source::Surface(surface) = &self.source else { return None };
+        let first = surface.patches.start;
+        let is_mapped = scene.material(patches.triangle(first)).emission_map.is_some();
+        is_mapped.then_some((first, &surface.footprint))
     }
 
     /// A path between a patch and the piece, both ends moved off their surfaces, and the unblocked relative irradiance

@@ -5,7 +5,7 @@ use glam::DVec3;
 use crate::{
     exact::{lambert, polygon_form_factor},
     scene::longest_edge,
-    slopes,
+    slopes::{CELLS, MODES, middles, modes},
 };
 
 /// If a patch is larger than this share of its distance to the lamp, the closed form is used, which costs ten times as
@@ -149,52 +149,69 @@ fn over_triangle(lamp: &Facing, above: &[DVec3], corners: [DVec3; 3], normal: DV
 /// Most cuts of a patch for slopes, which need less accuracy than the light itself.
 const MOST_CUTS_OF_MOMENTS: usize = 2;
 
-/// The means over a patch of the basis functions of linear light, times each point's form factor to a lamp.
-pub(super) fn moments(patch: &Facing, lamp: &Facing) -> [f64; 2] {
+/// The means over a patch of the basis functions ([`modes`]) times each point's form factor to a lamp.
+pub(super) fn moments(patch: &Facing, lamp: &Facing) -> [f64; MODES] {
     let Facing { corners, normal } = *patch;
     let rises = lamp.corners.map(|c| (c - corners[0]).dot(normal));
     let (above, count) = clip(lamp.corners, rises);
     if count < 3 {
-        return [0.0; 2];
+        return [0.0; MODES];
     }
-    moments_of_part((lamp, &above[..count], normal), corners, slopes::CORNERS, 0)
+    let whole = (corners, [DVec3::X, DVec3::Y, DVec3::Z]);
+    moments_of_part((lamp, &above[..count], normal), whole, 0)
 }
 
-/// The same over a part of a patch. `basis` holds the values of the basis functions at its corners.
+/// The same over a part of a patch, given by its corners and their barycentric coordinates.
 fn moments_of_part(
     seen: (&Facing, &[DVec3], DVec3),
-    corners: [DVec3; 3],
-    basis: [[f64; 2]; 3],
+    (corners, places): ([DVec3; 3], [DVec3; 3]),
     cuts: usize,
-) -> [f64; 2] {
+) -> [f64; MODES] {
     let (lamp, above, normal) = seen;
     let [a, b, c] = corners;
     let size = longest_edge(corners) / distance(lamp, (a + b + c) / 3.0);
     if size > NEAR && cuts < MOST_CUTS_OF_MOMENTS {
-        let (ab, bc, ca) = (a.midpoint(b), b.midpoint(c), c.midpoint(a));
-        let middle = |p: usize, q: usize| [0, 1].map(|m| 0.5 * (basis[p][m] + basis[q][m]));
-        let (pq, qr, rp) = (middle(0, 1), middle(1, 2), middle(2, 0));
-        let [p, q, r] = basis;
-        let parts = [
-            ([a, ab, ca], [p, pq, rp]),
-            ([ab, b, bc], [pq, q, qr]),
-            ([ca, bc, c], [rp, qr, r]),
-            ([bc, ca, ab], [qr, rp, pq]),
-        ];
-        let sums = parts.map(|(corners, basis)| moments_of_part(seen, corners, basis, cuts + 1));
-        return [0, 1].map(|m| sums.iter().map(|sum| sum[m]).sum::<f64>() / 4.0);
+        let quarters = |[a, b, c]: [DVec3; 3]| {
+            let (ab, bc, ca) = (a.midpoint(b), b.midpoint(c), c.midpoint(a));
+            [[a, ab, ca], [ab, b, bc], [ca, bc, c], [bc, ca, ab]]
+        };
+        let (parts, places) = (quarters(corners), quarters(places));
+        let sums: [_; 4] = std::array::from_fn(|k| moments_of_part(seen, (parts[k], places[k]), cuts + 1));
+        return std::array::from_fn(|m| sums.iter().map(|sum| sum[m]).sum::<f64>() / 4.0);
     }
     let rule: &[_] = if size < FAR { &SECOND_DEGREE } else { &FIFTH_DEGREE };
-    let mut sum = [0.0; 2];
-    let at_nodes = nodes(rule, corners).zip(nodes(rule, basis.map(|[p, q]| DVec3::new(p, q, 0.0))));
-    for ((point, weight), (basis, _)) in at_nodes {
+    let mut sum = [0.0; MODES];
+    for ((point, weight), (place, _)) in nodes(rule, corners).zip(nodes(rule, places)) {
         // Points behind the lamp do not see it.
         if (point - lamp.corners[0]).dot(lamp.normal) > 0.0 {
             let light = weight * lambert(point, normal, above);
-            sum = [sum[0] + light * basis.x, sum[1] + light * basis.y];
+            let modes = modes(place.to_array());
+            (0..MODES).for_each(|m| sum[m] += light * modes[m]);
         }
     }
     sum
+}
+
+/// The form factors of the cells of a patch to a lamp, each at the middle of the cell. `None` if they hardly differ from
+/// light of the second degree: if the patch is small beside its distance from the lamp, and both are altogether in front
+/// of each other.
+pub(super) fn of_cells(patch: &Facing, lamp: &Facing) -> Option<[f64; CELLS]> {
+    let Facing { corners, normal } = *patch;
+    let rises = lamp.corners.map(|c| (c - corners[0]).dot(normal));
+    let (above, count) = clip(lamp.corners, rises);
+    let is_in_front = |point: DVec3| (point - lamp.corners[0]).dot(lamp.normal) > 0.0;
+    let in_front = corners.iter().filter(|&&corner| is_in_front(corner)).count();
+    if count < 3 || in_front == 0 {
+        return None;
+    }
+    let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+    let is_far = longest_edge(corners) <= NEAR * distance(lamp, middle);
+    if is_far && in_front == 3 && rises.iter().all(|&rise| rise >= 0.0) {
+        return None;
+    }
+    let at = |[a, b, c]: [f64; 3]| corners[0] * a + corners[1] * b + corners[2] * c;
+    let seen = |point: DVec3| if is_in_front(point) { lambert(point, normal, &above[..count]) } else { 0.0 };
+    Some(middles().map(at).map(seen))
 }
 
 #[cfg(test)]
@@ -215,7 +232,7 @@ mod tests {
             let patch = facing(corners, towards);
             let rises = lamp.corners.map(|c| (c - corners[0]).dot(patch.normal));
             let (above, count) = clip(lamp.corners, rises);
-            let (mut wanted, mut mean, mut points) = ([0.0; 2], 0.0, 0.0);
+            let (mut wanted, mut mean, mut points) = ([0.0; MODES], 0.0, 0.0);
             for i in 0..N {
                 for j in 0..N - i {
                     for turned in 0..=usize::from(i + j + 2 <= N) {
@@ -225,15 +242,16 @@ mod tests {
                         let in_front = (point - lamp.corners[0]).dot(lamp.normal) > 0.0;
                         let light =
                             if in_front { lambert(point, patch.normal, &above[..count]) } else { 0.0 };
-                        let [p, q] = slopes::basis(b);
-                        wanted = [wanted[0] + light * p, wanted[1] + light * q];
+                        let modes = modes(b);
+                        (0..MODES).for_each(|m| wanted[m] += light * modes[m]);
                         (mean, points) = (mean + light, points + 1.0);
                     }
                 }
             }
             let found = moments(&patch, &lamp);
-            let off =
-                (0..2).map(|m| (found[m] - wanted[m] / points).abs() / (mean / points)).fold(0.0, f64::max);
+            let off = (0..MODES)
+                .map(|m| (found[m] - wanted[m] / points).abs() / (mean / points))
+                .fold(0.0, f64::max);
             assert!(off < within, "{corners:?}: {found:?}, off by {off:e} of the mean");
         }
     }

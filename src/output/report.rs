@@ -196,8 +196,8 @@ pub struct ErrorReport {
     pub confidence: f64,
     /// Estimated bias, relative to the mean irradiance.
     pub bias_relative: Option<f64>,
-    /// Discretisation error of constant light, relative to the mean irradiance. It is an upper estimate for linear
-    /// light. Without a matrix, it is given only if it determined the patches.
+    /// Discretisation error, relative to the mean irradiance. Without a matrix, it is given only if it determined the
+    /// patches.
     pub discretisation_relative: Option<f64>,
     /// Sampling and discretisation together: the root of the sum of their squares.
     pub total_relative: Option<f64>,

@@ -16,13 +16,16 @@ pub struct LampLight {
     pub materials: Vec<u32>,
     /// Irradiance, W/m²; interleaved channels.
     pub irradiance: Vec<f64>,
+    /// Slopes of irradiance, as in [`LinearLight::slopes`](super::LinearLight::slopes); empty if light is constant.
+    pub slopes: Vec<[f64; 2]>,
 }
 
-/// Splits a solution with constant light into at most `most` parts: one for each emitting material, brightest first, then the other
+/// Splits a solution into at most `most` parts: one for each emitting material, brightest first, then the other
 /// materials together; and one each for distant lights, for points with luminaires, and for the sky. With room for one part for all of
 /// these lights only, they share it. Empty if there is one part only.
 ///
-/// Each part costs a solution of the linear system, and no rays. The last part is what the others leave of `whole`.
+/// Each part costs a solution of the linear system with constant light, and no rays. What linear light adds to a patch is
+/// divided among the parts in proportion to their light there. The parts sum to `whole`.
 ///
 /// # Errors
 /// As [`solve()`].
@@ -54,7 +57,7 @@ pub fn by_lamp(
     };
     // Lights that are no surfaces shine in every solution.
     let from_outside = if outside.is_empty() { None } else { Some(of_materials(&[])?) };
-    let mut rest = whole.irradiance.clone();
+    let mut rest = whole.constant_irradiance().to_vec();
     let take = |from: &mut [f64], part: &[f64]| from.iter_mut().zip(part).for_each(|(x, part)| *x -= part);
     let mut parts: Vec<LampLight> = Vec::new();
     if let Some(irradiance) = &from_outside {
@@ -70,7 +73,7 @@ pub fn by_lamp(
             take(&mut rest, &irradiance);
             irradiance
         };
-        parts.push(LampLight { name, materials, irradiance });
+        parts.push(LampLight { name, materials, irradiance, slopes: Vec::new() });
     }
     if let Some(from_outside) = from_outside {
         let mut rest = from_outside;
@@ -86,12 +89,26 @@ pub fn by_lamp(
                 take(&mut rest, &irradiance);
                 irradiance
             };
-            parts.push(LampLight { name, materials: Vec::new(), irradiance });
+            parts.push(LampLight { name, materials: Vec::new(), irradiance, slopes: Vec::new() });
         }
     }
     // Differences of solutions may be below zero within the tolerance of the solver.
     parts.iter_mut().flat_map(|part| &mut part.irradiance).for_each(|e| *e = e.max(0.0));
+    share_slopes(whole, &mut parts);
     Ok(parts)
+}
+
+/// Divides what linear light adds to a solution among its parts.
+fn share_slopes(whole: &Solution, parts: &mut [LampLight]) {
+    let Some(linear) = &whole.linear else { return };
+    let alike = 1.0 / parts.len() as f64;
+    for (q, (&constant, &light)) in linear.constant.iter().zip(&whole.irradiance).enumerate() {
+        for part in &mut *parts {
+            let share = if constant > 0.0 { part.irradiance[q] / constant } else { alike };
+            part.irradiance[q] = share * light;
+            part.slopes.push(linear.slopes[q].map(|slope| share * slope));
+        }
+    }
 }
 
 /// A name for all lights that are no surfaces.

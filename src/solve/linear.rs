@@ -1,22 +1,23 @@
 //! Light that varies linearly over each patch, by defect correction.
 //!
 //! The system has constant light on each patch. First moments of the same rays over their starting points show how the
-//! irradiance of its solution varies, with two slopes a patch. If the rays carry the light ρ(x) E(x) at the points they
-//! hit, instead of its mean over the patch, they bring ΔE more to each patch. The system is then solved once more with
-//! ΔE added to the direct light. Matrix and solver stay the same (defect correction: Stetter, "The Defect Correction
-//! Principle and Discretization Methods", Numerische Mathematik 29, 1978).
+//! irradiance of its solution varies, with two slopes a patch. If the rays carry the light ρ(x) E(x) of the points they
+//! start from, instead of its mean over the patch, they bring ΔE more to the patches they hit. The system is then solved
+//! once more with ΔE added to the direct light. Matrix and solver stay the same, and no ray is cast (defect correction:
+//! Stetter, "The Defect Correction Principle and Discretization Methods", Numerische Mathematik 29, 1978).
 //!
 //! Slopes redistribute light and create none. ΔE, summed over all patches and the light that escapes, is zero, so that
-//! the energy ledger stays as exact as before.
+//! the energy ledger stays as exact as before. On textured patches reflectance and irradiance vary together. What they
+//! reflect beyond the product of their means is in ΔE, and missing in what they absorb.
 
 use crate::{
     Progress, Result,
     form_factor::{FormFactors, magnitude, ordered_sum, together},
-    moments::{Shifted, Varying},
+    moments::{Brought, Constant, Variation, keep_positive},
     patch::Patches,
     rays::REPLICATES,
     scene::Scene,
-    slopes::{CORNERS, Measured, Slopes, basis, rise, spread},
+    slopes::{basis, rise},
     solve::{Radiometry, Solution, SolveOptions, Solver, System, solve},
     trace::Tracer,
 };
@@ -39,9 +40,15 @@ pub struct LinearLight {
     pub constant: Vec<f64>,
     /// Escaped power minus that of constant light, W, for each channel.
     pub escaped: Vec<f64>,
+    /// Power that textured patches reflect beyond their mean reflectance times their mean irradiance, W, for each
+    /// channel.
+    pub beyond_means: Vec<f64>,
     /// Deviation from the mean, in each replicate, of the light that patches gain over constant light, divided by
     /// `unit`.
     pub(crate) deviations: Vec<[f32; REPLICATES]>,
+    /// What light would bring to each patch that is not linear over the patches, by each half of the rays, divided by
+    /// `unit`.
+    pub(crate) missing: [Vec<f32>; 2],
     pub(crate) unit: f64,
 }
 
@@ -87,43 +94,35 @@ fn corrected<const C: usize>(
     progress: &Progress,
 ) -> Result<Solution> {
     let radiometry = Radiometry::from(patches);
-    let reflectance: &[[f64; C]] = radiometry.reflectance.as_chunks().0;
     // In a unit in which squares and single precision can hold it.
     let unit = magnitude(&constant.radiosity);
-    let scaled = |values: &[f64]| -> Vec<[f64; C]> {
-        values.as_chunks::<C>().0.iter().map(|values| values.map(|x| x / unit)).collect()
+    let found = variation::<C>((scene, tracer), form_factors, patches, &constant, true, progress)?;
+    let Variation { mut slopes, mut reflected, linear, missing } =
+        found.expect("the form factors were sampled");
+    let mut brought = linear.expect("linear light was asked for");
+    let emission: &[[f64; C]] = patches.emission().as_chunks().0;
+    let carried = |i: usize, c: usize| {
+        let lamp = if form_factors.is_lamp(i) { emission[i][c] } else { 0.0 };
+        (constant.radiosity[i * C + c] - lamp) / unit
     };
-    let (emission, irradiance) = (scaled(radiometry.emission), scaled(&constant.irradiance));
-    let radiosity = scaled(&constant.radiosity);
-    let carried = without(&radiosity, &emission, |i| form_factors.is_lamp(i));
-    let slopes = slopes::<C>(tracer, form_factors, patches, &radiosity, unit);
-    let mut slopes = slopes.expect("the form factors were sampled");
-    keep_positive(&mut slopes, &irradiance);
-    let reflected = form_factors.carried_slopes(tracer, patches, &without(&radiosity, &emission, |_| true));
-    let reflected = reflected.expect("the form factors were sampled");
-    let mut reflected: Vec<Slopes<C>> = reflected.iter().map(believed).collect();
-    let is_mapped: Vec<bool> = (0..patches.len()).map(|i| is_textured(scene, patches.triangle(i))).collect();
-    let light = Varying { irradiance: &irradiance, slopes: &slopes, reflectance, is_mapped: &is_mapped };
-    let shifted = form_factors.shift((scene, tracer, patches), &light, progress)?;
-    let mut shifted = shifted.expect("the form factors were sampled");
+    let carried: Vec<[f64; C]> = (0..patches.len()).map(|i| std::array::from_fn(|c| carried(i, c))).collect();
     let mut through = vec![[0.0; C]; carried.len()];
     form_factors.irradiance_into::<f64, C>(carried.as_flattened(), through.as_flattened_mut());
-    balance(&mut shifted, &through, form_factors.areas());
-    let unscaled = |values: &mut [f64]| values.iter_mut().for_each(|x| *x *= unit);
-    unscaled(shifted.irradiance.as_flattened_mut());
-    let system = System::<C>::with_more(form_factors, radiometry, &shifted.irradiance);
+    balance(&mut brought, &through, form_factors.areas());
+    brought.irradiance.as_flattened_mut().iter_mut().for_each(|x| *x *= unit);
+    let system = System::<C>::with_more(form_factors, radiometry, &brought.irradiance);
     // The user's choice of solver is for the light itself. Corrections may be negative, which not all solvers support.
     let again = SolveOptions { solver: Solver::Auto, ..*options };
     let found = system.solve(Some(&constant.radiosity), &again, progress)?;
-    for slopes in [&mut slopes, &mut reflected] {
-        for (slopes, more) in slopes.iter_mut().zip(&shifted.slopes) {
-            *slopes = std::array::from_fn(|c| [0, 1].map(|m| unit * (slopes[c][m] + more[c][m])));
+    let mut light = found.reflected;
+    light.iter_mut().zip(brought.irradiance.as_flattened()).for_each(|(light, more)| *light += more);
+    for (slopes, light) in [(&mut slopes, &found.irradiance), (&mut reflected, &light)] {
+        let means: &[[f64; C]] = light.as_chunks().0;
+        for (slopes, mean) in slopes.iter_mut().zip(means) {
+            *slopes = slopes.map(|slopes| slopes.map(|slope| unit * slope));
+            keep_positive(slopes, mean);
         }
     }
-    let mut light = found.reflected;
-    light.iter_mut().zip(shifted.irradiance.as_flattened()).for_each(|(light, more)| *light += more);
-    keep_positive(&mut slopes, found.irradiance.as_chunks().0);
-    keep_positive(&mut reflected, light.as_chunks().0);
     Ok(Solution {
         reflected: light,
         solver: constant.solver,
@@ -132,94 +131,70 @@ fn corrected<const C: usize>(
             slopes: slopes.into_flattened(),
             reflected: reflected.into_flattened(),
             constant: constant.irradiance,
-            escaped: shifted.escaped.iter().map(|escaped| unit * escaped).collect(),
-            deviations: shifted.deviations.into_flattened(),
+            escaped: brought.escaped.iter().map(|power| unit * power).collect(),
+            beyond_means: brought.beyond_means.iter().map(|power| unit * power).collect(),
+            deviations: brought.deviations.into_flattened(),
+            missing: missing.map(Vec::into_flattened),
             unit,
         })),
         ..found
     })
 }
 
-/// Slopes of the irradiance of a solution with constant light, without the light of the sky. The radiosity and the
-/// result are in multiples of `unit`. `None` if the form factors were not sampled.
-pub(crate) fn slopes<const C: usize>(
-    tracer: &Tracer,
+/// How the light of a solution with constant light varies over the patches, in multiples of the
+/// [`magnitude`] of its radiosity. `None` if the form factors were not sampled.
+pub(crate) fn variation<const C: usize>(
+    (scene, tracer): (&Scene, &Tracer),
     form_factors: &FormFactors,
     patches: &Patches,
-    radiosity: &[[f64; C]],
-    unit: f64,
-) -> Option<Vec<Slopes<C>>> {
-    let emission: Vec<[f64; C]> =
-        patches.emission().as_chunks().0.iter().map(|e: &[f64; C]| e.map(|e| e / unit)).collect();
-    let carried = without(radiosity, &emission, |i| form_factors.is_lamp(i));
-    let direct = form_factors.direct_slopes(tracer, patches, (&emission, unit))?;
-    let arriving = form_factors.carried_slopes(tracer, patches, &carried)?;
-    Some(direct.iter().zip(&arriving).map(|(d, r)| believed(&d.plus(r))).collect())
-}
-
-/// A radiosity without the emission of some patches.
-fn without<const C: usize>(
-    radiosity: &[[f64; C]],
-    emission: &[[f64; C]],
-    of: impl Fn(usize) -> bool,
-) -> Vec<[f64; C]> {
-    let mut light = radiosity.to_vec();
-    for i in (0..light.len()).filter(|&i| of(i)) {
-        light[i] = std::array::from_fn(|c| light[i][c] - emission[i][c]);
-    }
-    light
+    constant: &Solution,
+    linear: bool,
+    progress: &Progress,
+) -> Result<Option<Variation<C>>> {
+    let unit = magnitude(&constant.radiosity);
+    let scaled = |values: &[f64]| -> Vec<[f64; C]> {
+        values.as_chunks::<C>().0.iter().map(|values| values.map(|x| x / unit)).collect()
+    };
+    let is_mapped: Vec<bool> = (0..patches.len()).map(|i| is_textured(scene, patches.triangle(i))).collect();
+    let light = Constant {
+        irradiance: &scaled(&constant.irradiance),
+        radiosity: &scaled(&constant.radiosity),
+        emission: &scaled(patches.emission()),
+        reflectance: patches.reflectance().as_chunks().0,
+        is_mapped: &is_mapped,
+        unit,
+    };
+    form_factors.variation((scene, tracer, patches), &light, linear, progress)
 }
 
 /// Whether reflectance varies over a triangle.
-pub(crate) fn is_textured(scene: &Scene, triangle: usize) -> bool {
+fn is_textured(scene: &Scene, triangle: usize) -> bool {
     scene.material(triangle).reflectance_map.is_some() || scene.colours.get(triangle).is_some()
 }
 
-/// Reduces slopes by the share of their spread that is noise (Wiener filter).
-fn believed<const C: usize>(found: &Measured<C>) -> Slopes<C> {
-    let spread = spread(&found.slopes);
-    let share = if spread > 0.0 { (1.0 - found.noise / spread).max(0.0) } else { 0.0 };
-    found.slopes.map(|slopes| slopes.map(|slope| share * slope))
-}
-
-/// Reduces slopes until the light is nowhere negative. The mean does not change.
-fn keep_positive<const C: usize>(slopes: &mut [Slopes<C>], irradiance: &[[f64; C]]) {
-    for (slopes, irradiance) in slopes.iter_mut().zip(irradiance) {
-        for (slopes, mean) in slopes.iter_mut().zip(irradiance) {
-            let least = CORNERS.iter().map(|&corner| rise(slopes, corner)).fold(0.0, f64::min);
-            if -least > *mean {
-                let flat = mean.max(0.0) / -least;
-                *slopes = slopes.map(|slope| flat * slope);
-            }
-        }
-    }
-}
-
-/// Makes the changes of all patches and of the escaping light sum to zero, and takes from each patch at most a share of
-/// the light that arrives `through` form factors. Scales down the larger of gains and losses, so that no light becomes
-/// negative.
-fn balance<const C: usize>(shifted: &mut Shifted<C>, through: &[[f64; C]], areas: &[f64]) {
-    let shift = &mut shifted.irradiance;
+/// Makes the changes of all patches and of the escaping light sum to the power that is reflected beyond the means, and
+/// takes from each patch at most a share of the light that arrives `through` form factors. Scales down the larger of
+/// gains and losses, so that no light becomes negative.
+fn balance<const C: usize>(brought: &mut Brought<C>, through: &[[f64; C]], areas: &[f64]) {
+    let change = &mut brought.irradiance;
     for c in 0..C {
-        for (shift, through) in shift.iter_mut().zip(through) {
-            shift[c] = shift[c].max(-MOST_TAKEN * through[c]);
+        for (change, through) in change.iter_mut().zip(through) {
+            change[c] = change[c].max(-MOST_TAKEN * through[c]);
         }
-        let sum = |sign: f64| ordered_sum(areas.len(), |i| areas[i] * (sign * shift[i][c]).max(0.0));
-        let (brought, taken) = (sum(1.0), sum(-1.0));
-        // The escaping light exceeds all losses only if almost no light arrives.
-        let escaped = shifted.escaped[c].clamp(-brought, taken);
-        let more = brought + escaped - taken;
-        let (of_brought, of_taken) = if more > 0.0 {
-            ((taken - escaped) / brought, 1.0)
-        } else if more < 0.0 {
-            (1.0, (brought + escaped) / taken)
-        } else {
-            (1.0, 1.0)
+        let sum = |sign: f64| ordered_sum(areas.len(), |i| areas[i] * (sign * change[i][c]).max(0.0));
+        let (gained, lost) = (sum(1.0), sum(-1.0));
+        let beyond_means = brought.beyond_means[c];
+        // What patches gain in all. It is out of range only if almost no light arrives.
+        let wanted = (beyond_means - brought.escaped[c]).clamp(-lost, gained);
+        let (of_gained, of_lost) = match gained - lost > wanted {
+            true => ((lost + wanted) / gained, 1.0),
+            false if lost > 0.0 => (1.0, (gained - wanted) / lost),
+            false => (1.0, 1.0),
         };
-        for shift in shift.iter_mut() {
-            shift[c] *= if shift[c] > 0.0 { of_brought } else { of_taken };
+        for change in change.iter_mut() {
+            change[c] *= if change[c] > 0.0 { of_gained } else { of_lost };
         }
         // The rounding error is added to the escaping light.
-        shifted.escaped[c] = -ordered_sum(areas.len(), |i| areas[i] * shift[i][c]);
+        brought.escaped[c] = beyond_means - ordered_sum(areas.len(), |i| areas[i] * change[i][c]);
     }
 }

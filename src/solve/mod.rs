@@ -74,7 +74,8 @@ pub struct SolveOptions {
     /// Give up after this many iterations. For Southwell the limit is this number times the number of patches, in
     /// shots.
     pub max_iterations: usize,
-    /// Whether [`solve_linear`] lets light vary over each patch. Otherwise light is constant, as with [`solve()`].
+    /// Whether [`solve_linear`] lets light vary linearly over each patch. Otherwise light is constant, as with
+    /// [`solve()`].
     pub linear: bool,
 }
 
@@ -86,9 +87,9 @@ setters!(SolveOptions {
 });
 
 impl Default for SolveOptions {
-    /// Solver chosen by the system, tolerance 1e-10, at most 10,000 iterations, constant light.
+    /// Solver chosen by the system, tolerance 1e-10, at most 10,000 iterations, linear light.
     fn default() -> Self {
-        SolveOptions { solver: Solver::Auto, tolerance: 1e-10, max_iterations: 10_000, linear: false }
+        SolveOptions { solver: Solver::Auto, tolerance: 1e-10, max_iterations: 10_000, linear: true }
     }
 }
 

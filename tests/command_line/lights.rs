@@ -107,7 +107,7 @@ fn maps_of_single_lights_sum_to_the_whole() {
         map.pixels().flat_map(|pixel| pixel.0).collect()
     };
     let flux = |map: &[f32]| map.iter().copied().map(f64::from).sum::<f64>();
-    for options in ["", "--final-gather 0 --linear"] {
+    for options in ["", "--final-gather 0 --constant-light"] {
         let options = format!("--resolution 32 --quality draft {options}");
         run(&here, &format!("bake scene.obj -o maps --per-light {options}"));
         let whole = map("maps", "lightmap.exr");

@@ -46,7 +46,7 @@ fn solve_writes_a_page_with_sliders_for_its_lamps() {
     assert_eq!(names, ["</script><b>", "lamp"]);
     for (options, layers, says) in [
         ("--page-lamps 1", 1, "none were asked for"),
-        ("--linear", 1, "light is linear"),
+        ("--constant-light", 2, "its own solution"),
         ("--solver stochastic-jacobi", 1, "stored none"),
         ("--sky overcast:10", 3, "its own solution"),
         ("--sky overcast:10 --page-lamps 2", 2, "its own solution"),

@@ -59,7 +59,7 @@ same() { # WHAT: out.ply and r.json are those of one process.
 base=(solve "$scene" --patches 5000 --quiet)
 solve=("${base[@]}" --rays 64)
 outputs=(-o out.ply --report r.json)
-for options in "" "--linear" "--sun 30,40,100 --sky overcast:100 --ignore red"; do
+for options in "" "--constant-light" "--sun 30,40,100 --sky overcast:100 --ignore red"; do
     read -ra options <<< "$options"
     "$program" "${solve[@]}" "${options[@]}" -o one.ply --report one.json
     for count in 1 2 4; do

@@ -48,7 +48,7 @@ def validate(
     patch_size: float | None = None,
     rays: int | None = None,
     quality: str | None = None,
-    linear: bool = False,
+    linear: bool = True,
     paths: int | None = None,
     particles: int | None = None,
     seed: int = 0,

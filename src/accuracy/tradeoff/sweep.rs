@@ -178,7 +178,8 @@ impl<'a> Sweep<'a> {
             // The direct solver has no tolerance.
             let from = if solver == Solver::Direct { TOLERANCES.len() - 1 } else { 0 };
             for &tolerance in &TOLERANCES[from..] {
-                let options = SolveOptions { solver, tolerance, ..SolveOptions::default() };
+                // Linear light is found by conjugate gradients, whatever the solver.
+                let options = SolveOptions { solver, tolerance, linear: false, ..SolveOptions::default() };
                 let mut runs = Vec::new();
                 for _ in 0..REPEATS {
                     let run = self.solved(&patches, &form_factors, casting, Series::Solver, &options);

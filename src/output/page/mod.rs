@@ -143,7 +143,7 @@ pub fn encode(
         match method.lamps {
             [] => layer(method.name, &all, method.light),
             lamps => lamps.iter().for_each(|lamp| {
-                let light = Light { radiosity: &[], irradiance: &lamp.irradiance, slopes: &[] };
+                let light = Light { radiosity: &[], irradiance: &lamp.irradiance, slopes: &lamp.slopes };
                 layer(&lamp.name, &lamp.materials, light);
             }),
         }
