@@ -82,8 +82,9 @@ impl Truth {
 fn whole(estimator: Estimator, rays: f64, seed: u64, scene: &radiosity::Scene) -> Solved {
     let cast = CastOptions::default().with_rays(rays).with_seed(seed).with_estimator(estimator);
     let whole = Subdivision::Edge(f64::INFINITY);
-    Solved::new(scene, &Tracer::new(scene), &whole, &cast, &SolveOptions::default(), &Progress::new())
-        .unwrap()
+    // The truths are those of constant light on each triangle.
+    let options = SolveOptions::default().with_linear(false);
+    Solved::new(scene, &Tracer::new(scene), &whole, &cast, &options, &Progress::new()).unwrap()
 }
 
 /// The share of the power that escapes, its standard error, and the share of patches within their 95 % intervals.
@@ -169,7 +170,7 @@ fn a_wanted_error_leaves_the_escaped_power_unbiased() {
     let one = |seed| {
         let patches = Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY));
         let cast = CastOptions::default().with_rays(64.0).with_seed(seed);
-        let (options, progress) = (SolveOptions::default(), Progress::new());
+        let (options, progress) = (SolveOptions::default().with_linear(false), Progress::new());
         let first = begin(&scene, &tracer, patches, &cast, &options, None, &progress).unwrap();
         let next = |_: &Solved, rounds: &[_]| Ok(plan.next(rounds));
         measure(&refine(&scene, &tracer, first, &options, next, &progress).unwrap().0, &irradiance)

@@ -273,7 +273,7 @@ def solve(
         small enough too, unless `patches` or `patch_size` is given.
     rays : mean number of rays a patch.
     patches : approximate number of patches; there is at least one per triangle.
-    patch_size : largest edge of a patch, in the unit of the scene.
+    patch_size : largest edge of a patch, in the unit of the scene. `inf` makes each triangle one patch of constant light.
     quality : preset of the numbers of patches and rays: "draft", "medium" (the default), "high" or "reference".
     seed : the same seed gives the same bytes.
     threads : number of threads; all processors by default. The result does not depend on it.
