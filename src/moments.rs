@@ -37,8 +37,8 @@ const LEAST_DETERMINANT: f64 = 0.1;
 /// one on six scenes of 250 patches (bench `discretisation`).
 const LACKING: f64 = 0.25;
 
-/// Number of patches whose rays are reproduced at a time.
-const BLOCK: usize = 1024;
+/// Number of patches whose rays are reproduced at a time. What a ray carries takes six times the memory of its target.
+const BLOCK: usize = 128;
 
 /// Replicates of each half of the rays.
 const HALF: usize = REPLICATES / 2;
@@ -142,7 +142,7 @@ impl FormFactors {
             let of_patches: Vec<OfPatch<C>> = block
                 .clone()
                 .into_par_iter()
-                .with_min_len(16)
+                .with_min_len(4)
                 .map(|i| pass.of_patch(i, &direct[i - start]))
                 .collect();
             for (i, of_patch) in block.zip(of_patches) {

@@ -117,7 +117,7 @@ impl ShadowRays {
         let scratch = || Scratch::new(self.lamps.count);
         range
             .into_par_iter()
-            .with_min_len(16)
+            .with_min_len(4)
             .map_init(scratch, |scratch, i| pass.shape_of(i, scratch))
             .collect()
     }
