@@ -112,13 +112,13 @@ fn sweeps_write_the_same_bytes_for_any_number_of_threads() {
     assert!(one == bytes(2) && one == bytes(3));
 }
 
-/// 1,080 patches with 64 rays need a matrix of 21.3 MB, which does not fit into 19 MB. It fits into 23 MB, but the
+/// 1,080 patches with 64 rays need 23.5 MB with a matrix, which does not fit into 19 MB. It fits into 25 MB, but the
 /// matrix for the number of rays that this error needs does not.
 #[test]
 fn an_error_is_reached_without_a_matrix() {
     let here = Here::new("", "");
     let work = format!("{} --patches 1000 --error 2", mesh("cornell-box"));
-    for (memory, says) in [(19, "solving without a matrix"), (23, "starting again without one")] {
+    for (memory, says) in [(19, "solving without a matrix"), (25, "starting again without one")] {
         let (report, said) = solved(&here, &format!("{work} --memory {memory}MB"));
         assert!(said.contains(says), "{said}");
         assert!(number(&report["error"]["rms_relative"]) <= 0.02);
