@@ -28,8 +28,11 @@ const ENOUGH_PATCHES: usize = 4000;
 /// Share of the wanted error for the discretisation error. The squares of errors add up, so the sampling error may be 0.87
 /// of the wanted one.
 const OF_PATCHES: f64 = 0.5;
-/// Largest number of times that the patches are refined.
-const MOST_CUTS: usize = 16;
+/// Largest number of solutions.
+const MOST_ROUNDS: usize = 16;
+/// Factor for the rays per patch where the estimate of the discretisation error is noise. On the Cornell box with 8,000 patches the
+/// estimate is 0.85, 0.16 and 0.10 % with 64, 256 and 1,024 rays.
+const MORE_RAYS: f64 = 4.0;
 /// The discretisation error falls approximately with this power of the number of patches, if they are small where light
 /// varies.
 const RATE: f64 = 0.75;
@@ -105,14 +108,17 @@ impl<'a> PatchSearch<'a> {
         late: impl Fn() -> bool,
         progress: &Progress,
     ) -> Result<SmallPatches> {
-        let cast = CastOptions::default().with_rays(FIRST_RAYS).with_seed(self.seed);
+        let mut rays = FIRST_RAYS;
+        // The number of patches before they were cut, and their discretisation error.
+        let mut before: Option<(usize, f64)> = None;
         let mut patches = Patches::subdivide(self.scene, &Subdivision::Count(FIRST_PATCHES));
         let (mut floor, mut first) = (None, None);
         if !allows(patches.fronts() as f64) {
             // Memory is too small even for the first solution, which would show where light varies.
             return Ok(SmallPatches { patches, floor, first });
         }
-        for _ in 0..MOST_CUTS {
+        for _ in 0..MOST_ROUNDS {
+            let cast = CastOptions::default().with_rays(rays).with_seed(self.seed);
             let round = begin(
                 self.scene,
                 self.tracer,
@@ -134,17 +140,35 @@ impl<'a> PatchSearch<'a> {
             if late() || growth <= 1.0 {
                 break;
             }
+            if let (Some(last), Some(floor)) = (before, floor)
+                && !falls(last, (patches.fronts(), floor))
+            {
+                // Smaller patches would not help: the estimate is noise of too few rays.
+                before = None;
+                if !allows(patches.fronts() as f64 * MORE_RAYS * rays / FIRST_RAYS) {
+                    break;
+                }
+                rays *= MORE_RAYS;
+                first = None;
+                continue;
+            }
             let finer = match floor {
                 Some(_) => adaptive::finer(self.scene, solved, solution, growth.max(LEAST_GROWTH)),
                 // One patch per triangle does not show where light varies.
                 None => Patches::subdivide(self.scene, &Subdivision::Count(4 * patches.fronts())),
             };
-            if finer.fronts() <= patches.fronts() || !allows(finer.fronts() as f64) {
+            if finer.fronts() <= patches.fronts() || !allows(finer.fronts() as f64 * rays / FIRST_RAYS) {
                 break;
             }
+            before = floor.map(|floor| (patches.fronts(), floor));
             patches = finer;
             first = None;
         }
         Ok(SmallPatches { patches, floor, first })
     }
+}
+
+/// Whether the discretisation error fell, from one number of patches to the next, by at least half of [`RATE`].
+fn falls((patches, error): (usize, f64), (more, less): (usize, f64)) -> bool {
+    less <= error * (patches as f64 / more as f64).powf(0.5 * RATE)
 }

@@ -124,15 +124,14 @@ fn the_report_has_the_promised_fields_in_the_promised_order() {
 
 /// If no option sets the patches, `--error` makes them small where light varies, so that triangles have patches of
 /// several sizes. If an option sets them, all patches of a triangle have one size. Then they may be too large for the
-/// wanted error, and the exit status is 1. Light is constant on each patch: the patches with which the search begins suffice
-/// for linear light.
+/// wanted error, and the exit status is 1.
 #[test]
 fn a_wanted_error_alone_cuts_patches_by_the_light() {
     let here = Here::new("", "");
     let scene = format!("{}/meshes/cornell-box.obj", env!("CARGO_MANIFEST_DIR"));
     // The areas of the patches of each triangle. A patch that is drawn as several faces counts once.
     let sizes = |options: &str, status: i32| {
-        let output = here.run(&format!("solve {scene} --error 1 --constant-light {options} -o out.ply --quiet"));
+        let output = here.run(&format!("solve {scene} --error .5 {options} -o out.ply --quiet"));
         assert_eq!(output.status.code(), Some(status), "{}", stderr(&output));
         let ply = Parser::<DefaultElement>::new().read_ply(&mut &here.read("out.ply")[..]).unwrap();
         let mut patches = BTreeMap::new();
