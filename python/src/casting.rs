@@ -71,7 +71,10 @@ impl Casting {
         };
         let default = SolveOptions::default();
         let tolerance = self.tolerance.unwrap_or(default.tolerance);
-        Ok(default.with_solver(solver).with_tolerance(tolerance).with_linear(self.linear && self.patch_size != Some(f64::INFINITY)))
+        Ok(default
+            .with_solver(solver)
+            .with_tolerance(tolerance)
+            .with_linear(self.linear && self.patch_size != Some(f64::INFINITY)))
     }
 
     /// How to cut the scene, where that is said.
