@@ -11,7 +11,7 @@
 //! reflect beyond the product of their means is in ΔE, and missing in what they absorb.
 
 use crate::{
-    Progress, Result,
+    Error, Progress, Result,
     form_factor::{FormFactors, magnitude, ordered_sum, together},
     moments::{Brought, Constant, Variation, keep_positive},
     patch::Patches,
@@ -85,6 +85,36 @@ pub fn solve_linear(
     })
 }
 
+/// Share of what linear light brings below which light stays constant.
+const LEAST_SHARE: f64 = 1.0 / 64.0;
+
+/// Solves with what linear light brings in addition. Solvers do not converge where light would become negative, as beside the slopes
+/// of a dark patch that are noise. So `brought` is halved until they converge. Any share of it keeps the energy balance, because the
+/// sum over all patches and the escaping light is zero.
+fn limited<const C: usize>(
+    form_factors: &FormFactors,
+    radiometry: Radiometry,
+    brought: &mut Brought<C>,
+    start: &[f64],
+    (options, progress): (&SolveOptions, &Progress),
+) -> Result<Solution> {
+    // The user's choice of solver is for the light itself. Corrections may be negative, which not all solvers support.
+    let again = SolveOptions { solver: Solver::Auto, ..*options };
+    let mut share = 1.0;
+    loop {
+        let system = System::<C>::with_more(form_factors, radiometry, &brought.irradiance);
+        match system.solve(Some(start), &again, progress) {
+            Err(Error::NotConverged { .. }) if share > 0.0 => {
+                let factor = if share > LEAST_SHARE { 0.5 } else { 0.0 };
+                share *= factor;
+                let light = brought.irradiance.as_flattened_mut().iter_mut();
+                light.chain(&mut brought.escaped).chain(&mut brought.beyond_means).for_each(|x| *x *= factor);
+            }
+            found => return found,
+        }
+    }
+}
+
 fn corrected<const C: usize>(
     (scene, tracer): (&Scene, &Tracer),
     form_factors: &FormFactors,
@@ -110,10 +140,7 @@ fn corrected<const C: usize>(
     form_factors.irradiance_into::<f64, C>(carried.as_flattened(), through.as_flattened_mut());
     balance(&mut brought, &through, form_factors.areas());
     brought.irradiance.as_flattened_mut().iter_mut().for_each(|x| *x *= unit);
-    let system = System::<C>::with_more(form_factors, radiometry, &brought.irradiance);
-    // The user's choice of solver is for the light itself. Corrections may be negative, which not all solvers support.
-    let again = SolveOptions { solver: Solver::Auto, ..*options };
-    let found = system.solve(Some(&constant.radiosity), &again, progress)?;
+    let found = limited(form_factors, radiometry, &mut brought, &constant.radiosity, (options, progress))?;
     let mut light = found.reflected;
     light.iter_mut().zip(brought.irradiance.as_flattened()).for_each(|(light, more)| *light += more);
     for (slopes, light) in [(&mut slopes, &found.irradiance), (&mut reflected, &light)] {
