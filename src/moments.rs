@@ -21,7 +21,7 @@ use crate::{
     patch::Patches,
     rays::{ESCAPED, REPLICATES, footprint::Footprint, part},
     scene::{
-        Scene,
+        Scene, in_triangle,
         light::{SKY, Sky},
     },
     slopes::{CELLS, CORNERS, MODES, Measured, SQUARES, Shape, Slopes, cell, modes, rise, spread},
@@ -258,10 +258,7 @@ impl<const C: usize> Pass<'_, C> {
             return;
         }
         let (t, corners) = (self.patches.triangle(i), self.patches.barycentric_corners(i));
-        let here = |there: [f64; 3]| -> [f64; 3] {
-            let of_triangle = std::array::from_fn(|k| (0..3).map(|m| there[m] * corners[m][k]).sum());
-            self.scene.reflectance_at(t, of_triangle)
-        };
+        let here = |there: [f64; 3]| self.scene.reflectance_at(t, in_triangle(there, &corners));
         let middle = part(places.len() as u32, HALF).start;
         for (half, places) in [&places[..middle], &places[middle..]].into_iter().enumerate() {
             let many = places.len() as f64;

@@ -60,11 +60,15 @@ fn radiosity(rays: &RaySet, patches: &Patches) -> Vec<f64> {
     radiosity
 }
 
+/// The power that leaves a patch, summed over channels.
+fn power(patches: &Patches, radiosity: &[f64], i: usize) -> f64 {
+    let channels = patches.channels();
+    patches.area(i) * radiosity[i * channels..][..channels].iter().sum::<f64>()
+}
+
 /// The power that leaves all patches, summed over channels.
 fn total(patches: &Patches, radiosity: &[f64]) -> f64 {
-    let channels = patches.channels();
-    let power = |i: usize| patches.area(i) * radiosity[i * channels..][..channels].iter().sum::<f64>();
-    ordered_sum(patches.len(), power)
+    ordered_sum(patches.len(), |i| power(patches, radiosity, i))
 }
 
 /// The lamps of a scene, given some rays: the emitters that exceed what they see by [`BRIGHTER`], and all lights that are
@@ -129,9 +133,8 @@ impl Contrast {
 
 /// Estimates the share of all light leaving patches that leaves the scene, from rays alone.
 pub(crate) fn escaping(rays: &RaySet, patches: &Patches, escaped: &[f64]) -> f64 {
-    let channels = patches.channels();
     let radiosity = radiosity(rays, patches);
-    let power = |i: usize| patches.area(i) * radiosity[i * channels..][..channels].iter().sum::<f64>();
+    let power = |i: usize| power(patches, &radiosity, i);
     let there = || (0..rays.len()).filter(|&i| !rays.is_withdrawn(i));
     let all: f64 = there().map(power).sum();
     if all > 0.0 { there().map(|i| power(i) * escaped[i]).sum::<f64>() / all } else { 0.0 }

@@ -16,7 +16,7 @@ use super::{
 use crate::{
     patch::Patches,
     rays::{REPLICATES, footprint::Footprint, part},
-    scene::Scene,
+    scene::{Scene, in_triangle},
     slopes::{CELLS, MODES, Measured, SQUARES, beyond_modes, cell, modes},
     trace::{Tracer, sampling::mix},
 };
@@ -222,8 +222,7 @@ impl<const C: usize> Pass<'_, C> {
         let (patch, footprint) = self.textured[piece]?;
         let there = Local::new(footprint).barycentric(point);
         let corners = self.patches.barycentric_corners(patch);
-        let of_triangle = std::array::from_fn(|k| (0..3).map(|m| there[m] * corners[m][k]).sum());
-        let here = self.scene.emission_at(self.patches.triangle(patch), of_triangle);
+        let here = self.scene.emission_at(self.patches.triangle(patch), in_triangle(there, &corners));
         let mean = &self.patches.emission()[patch * C..][..C];
         let more =
             |c: usize| if mean[c] > 0.0 { std::f64::consts::PI * here[c] / mean[c] - 1.0 } else { 0.0 };

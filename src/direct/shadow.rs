@@ -14,7 +14,7 @@ use crate::{
     Progress, Result,
     patch::Patches,
     ranks::Words,
-    rays::{RaySet, casting::Names, footprint::Footprint, lists::Lists},
+    rays::{RaySet, footprint::Footprint, lists::Lists, targets::Names},
     trace::{
         Tracer,
         sampling::mix,

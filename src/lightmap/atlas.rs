@@ -8,7 +8,12 @@ use std::collections::HashMap;
 use glam::DVec2;
 
 use super::{cut::Cut, overlap, raster, unwrap::unwrap};
-use crate::{Error, Result, Setting, patch::DisjointSets, scene::Scene, trace::Tracer};
+use crate::{
+    Error, Result, Setting,
+    patch::DisjointSets,
+    scene::{Scene, in_triangle},
+    trace::Tracer,
+};
 
 /// The chart number of facets without a place in the map.
 pub const NONE: u32 = u32::MAX;
@@ -204,10 +209,7 @@ impl Atlas {
     pub fn in_triangle(&self, facet: usize, barycentric: [f64; 3]) -> [f64; 3] {
         match &self.cut {
             None => barycentric,
-            Some(cut) => {
-                let corners = &cut.facets[facet].corners;
-                std::array::from_fn(|c| (0..3).map(|k| barycentric[k] * corners[k][c]).sum())
-            }
+            Some(cut) => in_triangle(barycentric, &cut.facets[facet].corners),
         }
     }
 

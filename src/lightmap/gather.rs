@@ -18,6 +18,7 @@ use crate::{
     Progress, Result,
     monte_carlo::{Receiver, Samples},
     output::final_gather::{FinalGather, Gathered},
+    scene::in_triangle,
     trace::{
         Hit, Tracer,
         sampling::{mix, square_to_triangle},
@@ -243,7 +244,7 @@ impl<'a> Surface<'a> {
         // The remainder of the number that chose the part is uniform again.
         let rest = ((wanted - below) / (upto - below)).clamp(0.0, 1.0) as f32;
         let weights = square_to_triangle(rest, y).map(f64::from);
-        let barycentric = std::array::from_fn(|c| (0..3).map(|k| weights[k] * corners[k][c]).sum());
+        let barycentric = in_triangle(weights, &corners);
         Receiver::on_triangle(tracer, triangle as usize, barycentric, sides[facet as usize])
     }
 }

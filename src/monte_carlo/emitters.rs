@@ -6,7 +6,7 @@ use glam::Vec3A;
 
 use super::Samples;
 use crate::{
-    scene::{Scene, quadtree},
+    scene::{Scene, in_triangle, quadtree},
     trace::{Side, Tracer, sampling::square_to_triangle},
 };
 
@@ -151,9 +151,7 @@ impl Emitters {
         let mut barycentric = square_to_triangle(rest.min(1.0 - f32::EPSILON / 2.0), y);
         if level > 0 {
             let corners = quadtree::corners(first >> (2 * (DEEPEST - level)), level);
-            let weights = barycentric.map(f64::from);
-            let at = |k: usize| (0..3).map(|corner| weights[corner] * corners[corner][k]).sum::<f64>() as f32;
-            barycentric = [at(0), at(1), at(2)];
+            barycentric = in_triangle(barycentric.map(f64::from), &corners).map(|b| b as f32);
         }
         let shape = &tracer.triangles()[triangle as usize];
         EmitterPoint {

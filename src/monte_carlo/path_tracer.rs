@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     Progress, Result,
-    scene::Scene,
+    scene::{Scene, in_triangle},
     trace::{
         Hit, Side, Tracer,
         sampling::{around, sobol_4d, square_to_cosine_hemisphere, square_to_triangle},
@@ -247,8 +247,7 @@ impl<'a> PathTracer<'a> {
         let Region { triangle, part, front } = region;
         let [x, y] = samples.square();
         let weights = square_to_triangle(x, y).map(f64::from);
-        let barycentric =
-            std::array::from_fn(|k| (0..3).map(|corner| weights[corner] * part[corner][k]).sum());
+        let barycentric = in_triangle(weights, part);
         self.irradiance(Receiver::on_triangle(self.tracer, *triangle, barycentric, *front), samples)
     }
 

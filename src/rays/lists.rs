@@ -5,8 +5,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::{
-    casting::Names,
     checkpoint::{RUN, Record, Section},
+    targets::Names,
 };
 use crate::{Progress, Ranks, Result, ranks::Words};
 

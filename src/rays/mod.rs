@@ -14,6 +14,7 @@ pub(crate) mod lists;
 pub(crate) mod regions;
 pub(crate) mod siblings;
 pub(crate) mod stratification;
+pub(crate) mod targets;
 
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
@@ -23,23 +24,19 @@ use crate::{Ranks, patch::Patches, trace::Tracer};
 use checkpoint::Section;
 use footprint::is_hidden;
 use lists::Lists;
+use targets::BACK;
 
 pub use checkpoint::{Checkpoint, Part};
+pub use targets::ESCAPED;
 
 /// Number of replicates: equal parts of the rays of each patch. With 16 the standard error has 15 degrees of freedom,
 /// and intervals of two standard errors contain the true value for about 94 % of patches. With 4 parts they did so for
 /// 85 %.
 pub const REPLICATES: usize = 16;
 
-/// The target of a ray that left the scene.
-pub const ESCAPED: u32 = u32::MAX;
-
 /// A patch that no ray of another patch hits counts as hidden if at least this many hits are expected. This happens by
 /// chance to one patch in 10⁹.
 const HIDDEN: f64 = 20.0;
-
-/// Marks a target while casting: the ray hit the back of this front patch, and the back was not an unknown yet.
-const BACK: u32 = 1 << 31;
 
 /// Targets of all hemisphere rays. Storing each ray takes 4 bytes, no more than counts of hits would, and keeps the
 /// replicates apart.

@@ -615,6 +615,12 @@ fn interpolate(uv: &[DVec2; 3], b: [f64; 3]) -> DVec2 {
     uv[0] * b[0] + uv[1] * b[1] + uv[2] * b[2]
 }
 
+/// Barycentric coordinates in a triangle of a point given by its barycentric coordinates in a part, whose corners are given.
+#[inline]
+pub(crate) fn in_triangle(in_part: [f64; 3], part: &[[f64; 3]; 3]) -> [f64; 3] {
+    std::array::from_fn(|k| (0..3).map(|corner| in_part[corner] * part[corner][k]).sum())
+}
+
 /// Cross product of two edges, both divided by a power of two, and this power. Without the division, the product of
 /// very short or very long edges would underflow or overflow.
 fn scaled_cross(e: DVec3, f: DVec3) -> (DVec3, f64) {

@@ -22,8 +22,9 @@ use crate::{
     trace::Tracer,
 };
 
-/// ΔE may reduce the light of a patch by at most this share of F U₀, the light that arrives through form factors. Then
-/// no light becomes negative: U - U₀/2 = S/2 + ρ (ΔE + F U₀/2) + ρ F (U - U₀/2), where all terms are positive.
+/// ΔE may reduce the light of a patch by at most this share of F U₀, the light that arrives through form factors. One
+/// bounce then leaves no light negative. The solution still may be: U = U₀ + (I - ρ F)⁻¹ ρ ΔE, and where several patches
+/// without direct light lose by ΔE and see each other, their losses add up ([`limited`]).
 const MOST_TAKEN: f64 = 0.5;
 
 /// Variation of irradiance over the patches, and its effect.
@@ -88,9 +89,9 @@ pub fn solve_linear(
 /// Share of what linear light brings below which light stays constant.
 const LEAST_SHARE: f64 = 1.0 / 64.0;
 
-/// Solves with what linear light brings in addition. Solvers do not converge where light would become negative, as beside the slopes
-/// of a dark patch that are noise. So `brought` is halved until they converge. Any share of it keeps the energy balance, because the
-/// sum over all patches and the escaping light is zero.
+/// Solves with what linear light brings in addition. Solvers keep light from becoming negative and do not converge where it would be
+/// ([`MOST_TAKEN`]). So `brought` is halved until they converge. Any share of it keeps the energy balance, because the sum over all
+/// patches and the escaping light is zero.
 fn limited<const C: usize>(
     form_factors: &FormFactors,
     radiometry: Radiometry,
@@ -201,7 +202,7 @@ fn is_textured(scene: &Scene, triangle: usize) -> bool {
 
 /// Makes the changes of all patches and of the escaping light sum to the power that is reflected beyond the means, and
 /// takes from each patch at most a share of the light that arrives `through` form factors. Scales down the larger of
-/// gains and losses, so that no light becomes negative.
+/// gains and losses, so that neither grows.
 fn balance<const C: usize>(brought: &mut Brought<C>, through: &[[f64; C]], areas: &[f64]) {
     let change = &mut brought.irradiance;
     for c in 0..C {

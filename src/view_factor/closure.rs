@@ -7,7 +7,7 @@
 
 use nalgebra::DMatrix;
 
-use super::rows::Cell;
+use super::cell::Cell;
 
 /// Deviation of closed rows, as a share of their area.
 const CLOSED: f64 = 1e-14;

@@ -11,6 +11,7 @@
 //! variances.
 
 mod blockers;
+mod cell;
 mod closure;
 mod clusters;
 mod contact;
@@ -29,9 +30,9 @@ use glam::DVec3;
 
 use self::{
     blockers::Blockers,
+    cell::{Cell, Spread},
     contact::{Parts, separate},
     polygon::{Polygon, in_unit_space},
-    rows::{Cell, Spread},
     symmetric::Symmetric,
 };
 use crate::{Error, Progress, Result, form_factor::BeforeAfter};

@@ -1,7 +1,7 @@
 //! Exchange areas as a symmetric matrix. The upper triangle is stored as it was computed, because large scenes fill most
 //! of their memory with it. The lower triangle has only the places of its entries.
 
-use super::rows::Cell;
+use super::cell::Cell;
 
 /// A symmetric sparse matrix of exchange areas.
 #[derive(Debug, Clone)]
