@@ -3,7 +3,7 @@
 //! Moments of the rays give the shape of irradiance over each patch, up to the second degree. If every ray carried the
 //! light ρ(x) E(x) of the point x it starts from, instead of the light that the solution has there, the rays would bring
 //! ΔE more to the patches they hit. The error of the solution is then -(I - F ρ)⁻¹ ΔE, up to the error of light of the
-//! second degree. No ray is cast ([`crate::moments`]). For constant light, ΔE is the effect of slopes and
+//! second degree. No ray is cast: the start points of the rays at hand are known. For constant light, ΔE is the effect of slopes and
 //! curvatures. For [linear light](crate::solve::linear), it is the effect of curvatures, and of the part of the slopes
 //! that was left out: as noise, or because light would be negative.
 //!
