@@ -481,6 +481,7 @@ impl Scene {
     }
 
     /// Reflectance at a point of triangle `t` given by barycentric coordinates.
+    #[inline]
     pub fn reflectance_at(&self, t: usize, barycentric: [f64; 3]) -> [f64; 3] {
         let m = self.material(t);
         let reflectance = self.mapped(m.reflectance, &m.reflectance_map, |texture, map| {
@@ -490,6 +491,7 @@ impl Scene {
     }
 
     /// Radiance emitted at a point of the front of triangle `t` given by barycentric coordinates.
+    #[inline]
     pub fn emission_at(&self, t: usize, barycentric: [f64; 3]) -> [f64; 3] {
         let m = self.material(t);
         self.mapped(m.emission, &m.emission_map, |texture, map| {
@@ -538,6 +540,7 @@ impl Scene {
         (extent * DVec2::new(width as f64, height as f64)).abs().max_element()
     }
 
+    #[inline]
     fn mapped(
         &self,
         factor: [f64; 3],
@@ -554,6 +557,7 @@ impl Scene {
     }
 
     /// A reflectance times the colour at a point of triangle `t`.
+    #[inline]
     fn coloured(&self, t: usize, reflectance: [f64; 3], barycentric: [f64; 3]) -> [f64; 3] {
         match self.colours.get(t) {
             None => reflectance,
@@ -566,6 +570,7 @@ impl Scene {
     }
 }
 
+#[inline]
 fn sum(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|c| a[c] + b[c])
 }

@@ -125,6 +125,8 @@ struct Facets([Facet; WIDTH]);
 
 /// The hierarchy over the triangles of a scene.
 pub(super) struct Bvh {
+    /// In the order of the scene.
+    pub(super) triangles: Vec<UnitTriangle>,
     /// The root first.
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
@@ -165,24 +167,28 @@ pub(super) const STACK: usize = 96;
 
 impl Bvh {
     /// Builds the hierarchy over the triangles in `kept`.
-    pub(super) fn new(triangles: &[UnitTriangle], kept: &[u32]) -> Bvh {
-        // Four ulp of the largest coordinate. The box test rounds, and must never miss a box with a triangle that the watertight test
-        // would hit, from wherever in the scene.
-        let largest =
-            triangles.iter().flat_map(|t| t.corners).fold(1.0, |m: f32, p| m.max(p.abs().max_element()));
-        let padding = Vec3A::splat(4.0 * f32::EPSILON * largest);
+    pub(super) fn new(triangles: Vec<UnitTriangle>, kept: &[u32]) -> Bvh {
+        // Along each axis the watertight test rounds by the size of the triangle and by its distance. The box is larger
+        // by the first: 4 ulp of the triangle's coordinates on this axis. The test of boxes allows for the second
+        // (`SLACK`). A ray that leaves a wall across an axis starts 7 ulp above it (`Side`), so outside the wall's box.
         let padded = |t: &UnitTriangle| {
-            let [a, b, c] = t.corners;
+            let ([a, b, c], padding) = (t.corners, t.reach * (4.0 * f32::EPSILON));
             Aabb::new(a.min(b).min(c) - padding, a.max(b).max(c) + padding)
         };
         let boxes: Vec<Aabb> = kept.iter().map(|&t| padded(&triangles[t as usize])).collect();
         let mut binary = build_bvh2(&boxes, BUILD, &mut Default::default());
         binary.primitive_indices.iter_mut().for_each(|index| *index = kept[*index as usize]);
-        let mut bvh = Bvh { nodes: vec![Node::EMPTY], leaves: Vec::new(), facets: Vec::new(), stack: 1 };
+        let mut bvh = Bvh {
+            triangles: Vec::new(),
+            nodes: vec![Node::EMPTY],
+            leaves: Vec::new(),
+            facets: Vec::new(),
+            stack: 1,
+        };
         if binary.nodes.is_empty() {
-            return bvh;
+            return Bvh { triangles, ..bvh };
         }
-        let collapse = Collapse::new(&binary, triangles);
+        let collapse = Collapse::new(&binary, &triangles);
         // Nodes yet to fill: the binary node of each, its index, and the height of the stack when a ray visits it.
         let mut open = vec![(0, 0, 0)];
         while let Some((from, to, above)) = open.pop() {
@@ -191,7 +197,7 @@ impl Bvh {
             bvh.stack = bvh.stack.max(held + 1);
             for (lane, &child) in children.iter().enumerate() {
                 let index = if let Some(members) = collapse.leaf(child) {
-                    bvh.push_leaf(&members, triangles)
+                    bvh.push_leaf(&members, &triangles)
                 } else {
                     bvh.nodes.push(Node::EMPTY);
                     open.push((child, bvh.nodes.len() - 1, held));
@@ -200,7 +206,7 @@ impl Bvh {
                 bvh.nodes[to].set(lane, binary.nodes[child].aabb(), index);
             }
         }
-        bvh
+        Bvh { triangles, ..bvh }
     }
 
     fn push_leaf(&mut self, members: &[u32], triangles: &[UnitTriangle]) -> u32 {
@@ -213,7 +219,7 @@ impl Bvh {
         IS_LEAF | (self.leaves.len() - 1) as u32
     }
 
-    /// Bytes held.
+    /// Bytes that rays read.
     pub(super) fn bytes(&self) -> usize {
         size_of_val(&self.nodes[..]) + size_of_val(&self.leaves[..]) + size_of_val(&self.facets[..])
     }
@@ -242,10 +248,8 @@ impl Bvh {
     /// A bound of the rounding of a hit's distance. Only rays that graze an outline need it.
     #[cold]
     pub(super) fn rounding(&self, ray: &PreparedRay, met: &Met) -> f32 {
-        let (index, lane) = (met.place.0 as usize, usize::from(met.place.1));
-        met.rounding(
-            ray.reach(self.leaves[index].first_corner(lane), self.facets[index].0[lane].normal.into()),
-        )
+        let triangle = &self.triangles[met.triangle as usize];
+        met.rounding(ray.reach(triangle.corners[0], triangle.normal))
     }
 
     /// Visits the next node or leaf of a ray, gives `query` the hits there, and finds the next one after it, near boxes first.
@@ -265,10 +269,10 @@ impl Bvh {
             while inside != 0 {
                 let lane = take_lane(&mut inside);
                 let facet = &self.facets[index].0[lane];
-                let plane = (leaf.first_corner(lane), facet.normal.into());
                 let edges = [edges[0][lane], edges[1][lane], edges[2][lane]];
-                if let Some(met) = ray.meet(plane, edges, (index as u32, lane as u8)) {
-                    way.limit = query.meet(facet.triangle, met);
+                let plane = (leaf.first_corner(lane), facet.normal.into());
+                if let Some(met) = ray.meet(facet.triangle, plane, edges) {
+                    way.limit = query.meet(met);
                 }
             }
         } else {
@@ -332,4 +336,35 @@ fn take_lane(mask: &mut u32) -> usize {
     let lane = mask.trailing_zeros() as usize % WIDTH;
     *mask &= *mask - 1;
     lane
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec3, vec3a};
+
+    use super::*;
+    use crate::trace::wide::{Portable, tests::tracer};
+
+    /// Rays that leave a wall across an axis do not enter the wall's own box, also if the wall is near the origin and
+    /// other surface is far away. Otherwise each ray would test the surface that it leaves.
+    #[test]
+    fn rays_start_outside_the_box_of_their_wall() {
+        for at in [1e-3, 0.1, 0.6, 1.0] {
+            let wall =
+                |x: f64| ([DVec3::new(x, -1.0, -1.0), DVec3::new(x, 1.0, -1.0), DVec3::new(x, 1.0, 1.0)], 0);
+            // The two walls are alike, so the origin of unit space is between them.
+            let tracer = tracer(&[wall(-at), wall(at)]);
+            for t in &tracer.bvh.triangles {
+                let origin = t.side(true).leave(t.point([0.2, 0.3, 0.5]));
+                let ray = PreparedRay::new(origin, t.normal);
+                assert_eq!(
+                    Portable.boxes(&tracer.bvh.nodes[0], &ray, f32::INFINITY).0,
+                    u32::from(t.corners[0].x < 0.0),
+                    "{at}"
+                );
+                let ray = PreparedRay::new(origin, t.normal + vec3a(0.0, 3.0, -7.0));
+                assert_eq!(Portable.boxes(&tracer.bvh.nodes[0], &ray, 1e-3).0, 0, "{at}");
+            }
+        }
+    }
 }

@@ -77,7 +77,8 @@ impl Bvh {
                     continue;
                 }
                 // In place: moving a flight takes as long as a step.
-                let answer = std::mem::take(&mut flight.query).answer(|met| self.rounding(&flight.ray, met));
+                let query = std::mem::take(&mut flight.query);
+                let answer = query.answer(|met| self.rounding(&flight.ray, met));
                 if let Some((name, origin, direction)) = rays.next() {
                     flight.ray = PreparedRay::new(origin, direction);
                     flight.way.begin_anew::<Q>(&flight.ray);
@@ -109,7 +110,7 @@ mod tests {
         let named = || rays.iter().enumerate().map(|(k, &(from, to))| (k, from, to - from));
         tracer.bvh.take_turns::<_, Nearest, _>(Portable, named(), |k, met| {
             assert_eq!(found[k][0], Some((u32::MAX, 0)), "answered twice");
-            found[k][0] = met.map(|(triangle, met)| (triangle, met.t.to_bits()));
+            found[k][0] = met.map(|met| (met.triangle, met.t.to_bits()));
         });
         tracer.bvh.take_turns::<_, Free, _>(Portable, named(), |k, free| {
             assert_eq!(found[k][1], Some((u32::MAX, 0)), "answered twice");
@@ -162,7 +163,7 @@ mod tests {
             let mut ended = Vec::new();
             let named = rays.iter().enumerate().map(|(k, &(from, to))| (k, from, to - from));
             kernel.ask_each::<Nearest, _>(&tracer.bvh, named, |k, met| {
-                ended.push((k, met.map(|(triangle, met)| (triangle, met.t.to_bits()))));
+                ended.push((k, met.map(|met| (met.triangle, met.t.to_bits()))));
             });
             ended
         });

@@ -46,7 +46,7 @@ impl Tracer {
     /// # Errors
     /// [`Error::UnresolvedGap`] if rays would begin or end on its wrong side.
     pub fn check_gaps(&self, scene: &Scene) -> Result<Option<Gap>> {
-        let clearances = self.triangles.par_iter().map(|t| t.side(true).clearance());
+        let clearances = self.triangles().par_iter().map(|t| t.side(true).clearance());
         let highest = clearances.reduce(|| 0.0, f32::max);
         let of = |t: usize| POINTS.into_iter().flat_map(move |at| self.gaps(scene, t, at, highest));
         let gaps: Vec<Gap> = (0..scene.triangles.len()).into_par_iter().flat_map_iter(of).collect();
@@ -61,8 +61,8 @@ impl Tracer {
 
     /// Narrow gaps before the front of a triangle at a point of it. `highest` is the largest clearance of any side.
     fn gaps(&self, scene: &Scene, t: usize, at: [f64; 3], highest: f32) -> impl Iterator<Item = Gap> {
-        let side = self.triangles[t].side(true);
-        let point = self.triangles[t].point(at.map(|b| b as f32));
+        let side = self.triangles()[t].side(true);
+        let point = self.triangles()[t].point(at.map(|b| b as f32));
         let origin = side.leave(point);
         // Rays do not meet a face that is closer than both clearances, but from farther up they do.
         let close = self.closest(point + side.normal * (4.0 * highest), -side.normal);
@@ -88,7 +88,7 @@ impl Tracer {
         }
         let width = other.dot(others[0] - point) / other.dot(normal);
         let clearance = |of: &UnitTriangle| f64::from(of.side(true).clearance()) * self.scale();
-        let resolved = clearance(&self.triangles[t]) + clearance(&self.triangles[met]) / cosine;
+        let resolved = clearance(&self.triangles()[t]) + clearance(&self.triangles()[met]) / cosine;
         let smaller = longest_edge(corners).min(longest_edge(others));
         let matters = width > NARROW * smaller || scene.emits(t) || scene.emits(met);
         let touches = width <= (TOUCHING.0 * 2.0 * self.scale()).min(TOUCHING.1 * smaller);

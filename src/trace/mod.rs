@@ -43,8 +43,8 @@ pub struct Hit {
 }
 
 impl Hit {
-    fn new((triangle, met): (u32, Met)) -> Self {
-        Hit { triangle, front: met.front(), t: met.t, barycentric: met.barycentric() }
+    fn new(met: Met) -> Self {
+        Hit { triangle: met.triangle, front: met.front(), t: met.t, barycentric: met.barycentric() }
     }
 
     /// Reflectance of the surface there, R G B.
@@ -130,13 +130,12 @@ fn reach(corners: [DVec3; 3]) -> DVec3 {
 pub struct Tracer {
     bvh: Bvh,
     kernel: Kernel,
-    triangles: Vec<UnitTriangle>,
     space: UnitSpace,
 }
 
 impl std::fmt::Debug for Tracer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Tracer").field("triangles", &self.triangles.len()).finish_non_exhaustive()
+        f.debug_struct("Tracer").field("triangles", &self.triangles().len()).finish_non_exhaustive()
     }
 }
 
@@ -161,13 +160,12 @@ impl Tracer {
                 UnitTriangle::new(corners, scene.normal(t).as_vec3a(), keep[t], space.least)
             })
             .collect();
-        let bvh = Bvh::new(&triangles, &distinct(scene));
-        Tracer { bvh, kernel, triangles, space }
+        Tracer { bvh: Bvh::new(triangles, &distinct(scene)), kernel, space }
     }
 
     /// The triangles in unit space, in the order of [`Scene::triangles`].
     pub fn triangles(&self) -> &[UnitTriangle] {
-        &self.triangles
+        &self.bvh.triangles
     }
 
     /// A point of the file in unit space.
@@ -197,7 +195,7 @@ impl Tracer {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        self.bvh.bytes() + size_of_val(&self.triangles[..])
+        self.bvh.bytes() + size_of_val(self.triangles())
     }
 
     /// The first triangle that the ray hits. The direction must not be zero; it need not have unit length.

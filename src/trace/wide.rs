@@ -15,7 +15,7 @@ use glam::Vec3A;
 use super::{
     bvh::{Bvh, Leaf, Node, WIDTH},
     query::Query,
-    watertight::PreparedRay,
+    watertight::{PreparedRay, SLACK},
 };
 
 /// Operations on all lanes.
@@ -115,7 +115,7 @@ impl Lanes for Portable {
     #[inline(always)]
     fn boxes(self, node: &Node, ray: &PreparedRay, limit: f32) -> (u32, [f32; WIDTH]) {
         let mut entry = [0.0; WIDTH];
-        let mut exit = [limit; WIDTH];
+        let mut exit = [f32::INFINITY; WIDTH];
         for axis in 0..3 {
             let near = &node.bounds[axis][usize::from(ray.backward[axis])];
             let far = &node.bounds[axis][usize::from(!ray.backward[axis])];
@@ -126,7 +126,7 @@ impl Lanes for Portable {
         }
         let mut entered = 0;
         for lane in 0..WIDTH {
-            entered |= u32::from(entry[lane] <= exit[lane]) << lane;
+            entered |= u32::from(entry[lane] <= min(exit[lane] * SLACK, limit)) << lane;
         }
         (entered, entry)
     }
@@ -181,11 +181,12 @@ impl Lanes for Avx2 {
                 }};
             }
             let mut entry = _mm256_setzero_ps();
-            let mut exit = _mm256_set1_ps(limit);
+            let mut exit = _mm256_set1_ps(f32::INFINITY);
             for axis in 0..3 {
                 entry = _mm256_max_ps(distance!(axis, ray.backward[axis]), entry);
                 exit = _mm256_min_ps(distance!(axis, !ray.backward[axis]), exit);
             }
+            let exit = _mm256_min_ps(_mm256_mul_ps(exit, _mm256_set1_ps(SLACK)), _mm256_set1_ps(limit));
             let entered = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32;
             let mut entries = [0.0; WIDTH];
             _mm256_storeu_ps(entries.as_mut_ptr(), entry);
@@ -437,8 +438,8 @@ pub(super) mod tests {
                     (random.point().as_vec3a(), random.point().as_vec3a())
                 };
                 let hit = |kernel: Kernel| {
-                    let (triangle, met) = kernel.ask::<Nearest>(&wide.bvh, from, to - from)?;
-                    Some((triangle, met.front(), met.t.to_bits(), bits(met.barycentric())))
+                    let met = kernel.ask::<Nearest>(&wide.bvh, from, to - from)?;
+                    Some((met.triangle, met.front(), met.t.to_bits(), bits(met.barycentric())))
                 };
                 assert_eq!(hit(Kernel::detect()), hit(Kernel::Portable), "{count} {from} {to}");
                 let free = |kernel: Kernel| kernel.ask::<Free>(&wide.bvh, from, to - from);
@@ -448,19 +449,19 @@ pub(super) mod tests {
     }
 
     /// Tests every triangle in turn, each in a leaf of its own.
-    fn closest_of_all(triangles: &[UnitTriangle], ray: &PreparedRay) -> Option<(u32, Met)> {
+    fn closest_of_all(triangles: &[UnitTriangle], ray: &PreparedRay) -> Option<Met> {
         let mut nearest = Nearest::default();
         for (t, triangle) in triangles.iter().enumerate() {
             let (inside, edges) = Portable.edges(&Leaf::new(&[t as u32], triangles), ray);
             if inside & 1 != 0 {
                 let edges = [edges[0][0], edges[1][0], edges[2][0]];
-                if let Some(met) = ray.meet((triangle.corners[0], triangle.normal), edges, (t as u32, 0)) {
-                    nearest.meet(t as u32, met);
+                if let Some(met) = ray.meet(t as u32, (triangle.corners[0], triangle.normal), edges) {
+                    nearest.meet(met);
                 }
             }
         }
         nearest.answer(|met| {
-            let triangle = &triangles[met.place.0 as usize];
+            let triangle = &triangles[met.triangle as usize];
             met.rounding(ray.reach(triangle.corners[0], triangle.normal))
         })
     }
@@ -472,9 +473,9 @@ pub(super) mod tests {
         let mut met = 0;
         for _ in 0..ROUNDS / 5 {
             let (from, to) = (random.point().as_vec3a(), random.point().as_vec3a());
-            let all = closest_of_all(&tracer.triangles, &PreparedRay::new(from, to - from));
+            let all = closest_of_all(tracer.triangles(), &PreparedRay::new(from, to - from));
             let found = tracer.closest(from, to - from);
-            let known = all.map(|(triangle, met)| (triangle, met.front(), met.t));
+            let known = all.map(|met| (met.triangle, met.front(), met.t));
             assert_eq!(found.map(|hit| (hit.triangle, hit.front, hit.t)), known, "{from} {to}");
             met += usize::from(found.is_some());
         }

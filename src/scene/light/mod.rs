@@ -184,6 +184,9 @@ impl Lights {
 
     /// The radiance, R G B, W/(m² sr), of the sky and of distant discs in a direction of any length.
     pub fn seen(&self, direction: DVec3) -> [f64; 3] {
+        if self.is_empty() {
+            return [0.0; 3];
+        }
         let Some(direction) = crate::scene::direction(direction) else { return [0.0; 3] };
         let mut seen = self.sky.as_ref().map_or(DVec3::ZERO, |sky| sky.radiance(direction).into());
         for light in &self.list {
