@@ -18,6 +18,8 @@ struct Emitter {
     /// level.
     first: u32,
     level: u8,
+    /// Emitted radiance. A texture may reduce it.
+    radiance: [f64; 3],
     /// Upper end of its share of \[0, 1).
     cumulative: f64,
     /// Probability per area in unit space.
@@ -55,6 +57,8 @@ pub(super) struct Emitters {
     starts: Vec<u32>,
     /// The largest radiance that any material emits.
     brightest: [f64; 3],
+    /// Whether any emitter has an emission texture.
+    textured: bool,
     /// Power of all emitters, summed over the channels, W.
     power: f64,
 }
@@ -79,6 +83,7 @@ impl Emitters {
                 continue;
             }
             let emission = scene.material(t).emission;
+            emitters.textured |= scene.material(t).emission_map.is_some();
             (0..3).for_each(|c| emitters.brightest[c] = emitters.brightest[c].max(emission[c]));
             let parts = if textured(t) {
                 parts(scene, t, 1 + (PARTS * power / of_textures) as usize)
@@ -96,7 +101,14 @@ impl Emitters {
                 cumulative = sum / total;
                 let density = (cumulative - low) * f64::from(quadtree::children(level)) / area;
                 let first = child << (2 * (DEEPEST - level));
-                emitters.list.push(Emitter { triangle: t as u32, first, level, cumulative, density });
+                emitters.list.push(Emitter {
+                    triangle: t as u32,
+                    first,
+                    level,
+                    radiance: emission,
+                    cumulative,
+                    density,
+                });
             }
         }
         emitters.starts.push(emitters.list.len() as u32);
@@ -146,20 +158,18 @@ impl Emitters {
         let (x, y) = samples.fine_square();
         let i = self.list.partition_point(|e| e.cumulative <= x).min(self.list.len() - 1);
         let low = if i == 0 { 0.0 } else { self.list[i - 1].cumulative };
-        let Emitter { triangle, first, level, cumulative, density } = self.list[i];
+        let Emitter { triangle, first, level, mut radiance, cumulative, density } = self.list[i];
         let rest = ((x - low) / (cumulative - low)) as f32;
         let mut barycentric = square_to_triangle(rest.min(1.0 - f32::EPSILON / 2.0), y);
         if level > 0 {
             let corners = quadtree::corners(first >> (2 * (DEEPEST - level)), level);
             barycentric = in_triangle(barycentric.map(f64::from), &corners).map(|b| b as f32);
         }
-        let shape = &tracer.triangles()[triangle as usize];
-        EmitterPoint {
-            position: shape.point(barycentric),
-            side: shape.side(true),
-            radiance: scene.emission_at(triangle as usize, barycentric.map(f64::from)),
-            density,
+        if self.textured {
+            radiance = scene.emission_at(triangle as usize, barycentric.map(f64::from));
         }
+        let shape = &tracer.triangles()[triangle as usize];
+        EmitterPoint { position: shape.point(barycentric), side: shape.side(true), radiance, density }
     }
 }
 

@@ -89,6 +89,7 @@ impl Material {
     }
 
     /// Whether any point of the material can emit.
+    #[inline]
     pub fn emits(&self) -> bool {
         self.emission.iter().any(|&e| e > 0.0)
     }
@@ -392,6 +393,7 @@ impl Scene {
     }
 
     /// Whether the front of triangle `t` emits anywhere.
+    #[inline]
     pub fn emits(&self, t: usize) -> bool {
         self.material(t).emits()
     }

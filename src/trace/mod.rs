@@ -216,7 +216,7 @@ impl Tracer {
 
     /// Whether no triangle lies between two points, in whichever order they are given. Both should be moved off their surfaces by
     /// [`Side::leave_towards`].
-    #[inline]
+    #[inline(always)]
     pub fn visible(&self, from: Vec3A, to: Vec3A) -> bool {
         let (from, to) = finer_first(from, to);
         self.kernel.ask::<Free>(&self.bvh, from, to - from)
@@ -238,7 +238,7 @@ impl Tracer {
 }
 
 /// Two points, first the one with the smaller coordinates. A ray is most exact where it starts.
-#[inline]
+#[inline(always)]
 fn finer_first(p: Vec3A, q: Vec3A) -> (Vec3A, Vec3A) {
     // No branch: which one is finer cannot be predicted.
     let swap = BVec3A::splat(side::is_finer(q, p));
