@@ -40,7 +40,7 @@ use super::{
     watch::Watch,
 };
 
-/// Largest share of the emitted power that may be missing in the energy ledger by rounding.
+/// Largest share of the power of all lights that may be missing in the energy ledger by rounding.
 const ROUNDING: f64 = 1e-9;
 
 /// Pixels of `--picture`: the defaults of `render`.
@@ -500,7 +500,7 @@ fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outco
     let (imbalance, strays) = (report.energy.imbalance, report.form_factors.out_of_range);
     match args.estimator {
         _ if !report.solve.converged => Outcome::CheckFailed(format!(
-            "{}: the energy does not balance: {} of the emitted power is missing, with a standard error of {}",
+            "{}: the energy does not balance: {} of the power of all lights is missing, with a standard error of {}",
             report.scene.file,
             summary::small(report.energy.sampled_imbalance),
             summary::small(report.energy.sampled_imbalance_error)
@@ -511,7 +511,7 @@ fn verdict(args: &SolveArgs, report: &SolveReport, computed: &Computed) -> Outco
         // The condition also holds for NaN.
         EstimatorName::Pooled if imbalance.abs().partial_cmp(&allowed).is_none_or(|o| o.is_gt()) => {
             Outcome::CheckFailed(format!(
-                "{}: the energy does not balance: {imbalance:.3e} of the emitted power is missing, {allowed:.1e} is allowed",
+                "{}: the energy does not balance: {imbalance:.3e} of the power of all lights is missing, {allowed:.1e} is allowed",
                 report.scene.file
             ))
         }

@@ -95,7 +95,7 @@ pub fn table(
         (Some(sampled), Some(error)) => format!("{sampled:+.1e} as sampled, standard error {error:.1e}"),
         _ => format!("solver {}, reciprocity {}", small(energy.solver_part), small(energy.reciprocity_part)),
     };
-    row("imbalance", format!("{} of the emitted power: {parts}", small(Some(energy.imbalance))));
+    row("imbalance", format!("{} of the power of all lights: {parts}", small(Some(energy.imbalance))));
     let ErrorReport { rms_relative, bias_relative, discretisation_relative, solver_relative, .. } =
         report.error;
     let percent = |x: Option<f64>| x.map_or("unknown".into(), |x| format!("{:.2} %", rounded(100.0 * x, 2)));
