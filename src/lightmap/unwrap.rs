@@ -174,16 +174,19 @@ impl<'a> Unwrapper<'a> {
     /// The best layout on one square page. Charts are split until the page is used well.
     fn best_page(&self, side: usize) -> Option<Atlas> {
         let mut best = self.page(side);
-        let texel = (self.weighted_area() / ENOUGH).sqrt() / side as f64;
         for share in SHARES {
             if best.as_ref().is_some_and(|(used, atlas)| is_good(*used, atlas, share * side as f64)) {
                 continue;
             }
-            let longest = share * side as f64 * texel;
-            let split = Unwrapper::new(self.scene, self.tracer, self.options, Some(longest));
-            better(&mut best, split.page(side));
+            better(&mut best, self.split_into(share).page(side));
         }
         best.map(|(_, atlas)| atlas)
+    }
+
+    /// The scene with charts up to a share of the side of a single page that is used well.
+    fn split_into(&self, share: f64) -> Unwrapper<'a> {
+        let side = (self.weighted_area() / ENOUGH).sqrt();
+        Unwrapper::new(self.scene, self.tracer, self.options, Some(share * side))
     }
 
     /// A layout on one square page, and the share of the page that holds surface. `None` if the charts do not fit, or
@@ -197,8 +200,11 @@ impl<'a> Unwrapper<'a> {
 
     fn too_small(&self, side: usize) -> Error {
         let message = format!("a map of {side} x {side} texels is too small for the charts of this scene");
+        // Split charts may fit where whole ones do not.
+        let split = SHARES.map(|share| self.split_into(share));
+        let fits = |side| self.page(side).is_some() || split.iter().any(|split| split.page(side).is_some());
         let (mut low, mut high) = (side, 2 * side);
-        while high <= LARGEST && self.page(high).is_none() {
+        while high <= LARGEST && !fits(high) {
             (low, high) = (high, 2 * high);
         }
         if high > LARGEST {
@@ -207,7 +213,7 @@ impl<'a> Unwrapper<'a> {
         }
         while high - low > 1 {
             let middle = low.midpoint(high);
-            if self.page(middle).is_some() { high = middle } else { low = middle }
+            if fits(middle) { high = middle } else { low = middle }
         }
         Error::setting(
             &[Setting::Resolution],

@@ -491,16 +491,20 @@ fn texels_of_a_length_take_as_many_pages_as_they_need() {
     assert!(map.texels().iter().all(|&texel| texel != Texel::Empty), "every page is filled");
 }
 
-/// A map that is too small fails with the least size that works, and that size works.
+/// A map that is too small fails with the least size that works. That size works, and a smaller one does not. In a long
+/// strip the least size needs charts that are split.
 #[test]
 fn the_smallest_map_that_works_is_stated_and_works() {
-    let scene = crate::common::load("cornell-box");
-    let tracer = Tracer::new(&scene);
-    let make = |side| Atlas::new(&scene, &tracer, Layout::Resolution(side), Coordinates::Auto);
-    let error = make(8).unwrap_err();
-    let hint = error.hint().unwrap();
-    let least: usize = hint.rsplit(' ').next().unwrap().parse().unwrap();
-    assert!(least > 8 && make(least).is_ok(), "{hint}");
+    let strip = crate::common::level_square(1.0, 0.0, true).into_iter();
+    let strip = strip.map(|corners| corners.map(|p| p * glam::dvec3(500.0, 1.0, 1.0))).collect();
+    for scene in [crate::common::load("cornell-box"), crate::common::scene(&[part(strip, 0.5, 1.0)])] {
+        let tracer = Tracer::new(&scene);
+        let make = |side| Atlas::new(&scene, &tracer, Layout::Resolution(side), Coordinates::Auto);
+        let error = make(8).unwrap_err();
+        let hint = error.hint().unwrap();
+        let least: usize = hint.rsplit(' ').next().unwrap().parse().unwrap();
+        assert!(least > 8 && make(least).is_ok() && make(least - 1).is_err(), "{hint}");
+    }
 }
 
 /// Coordinates of the file are used if they lie in 0..1, do not overlap and use half of the texels; otherwise the reason is
