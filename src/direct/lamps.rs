@@ -226,11 +226,13 @@ impl Surface {
             let (direction, solid_angle) = solid_angle::sample(at, point, [u, v].map(f64::from))?;
             let (cos, cos_lamp) =
                 (direction.dot(from.normal().as_dvec3()), -direction.dot(own.normal().as_dvec3()));
-            let height = -f64::from((own.corners[0] - p).dot(own.normal()));
+            // In double precision: the point must be on the piece up to the rounding of the piece's own coordinates,
+            // which may be much smaller than those of the patch.
+            let height = (point - at[0]).dot(own.normal().as_dvec3());
             if cos <= 0.0 || cos_lamp <= 0.0 || height <= 0.0 {
                 return None;
             }
-            let q = point + direction * (height.abs() / cos_lamp);
+            let q = point + direction * (height / cos_lamp);
             let weight = cos * solid_angle / std::f64::consts::PI / f64::from(of_piece.chosen);
             return Some((p, q.as_vec3a(), whole * weight));
         }
@@ -546,5 +548,46 @@ impl Lamps {
         let (from, to, weight) = piece.sample(from, [x, y, u, v])?;
         let weight = (weight / probability) as f32;
         (weight > 0.0 && weight.is_finite()).then_some(Path { from, to, piece: k as u32, weight })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::trace::Side;
+
+    /// Points on a lamp that is small beside the room are as exact as the lamp's own coordinates. Otherwise rays that leave
+    /// them by the lamp's rounding could start behind the lamp.
+    #[test]
+    fn points_on_a_small_lamp_are_as_exact_as_the_lamp() {
+        let normal = Vec3::new(0.03, -0.15, -0.99).normalize();
+        let along = normal.cross(Vec3::X).normalize();
+        let triangle = |middle: Vec3, normal: Vec3, size: f32| {
+            let across = normal.cross(along);
+            let corners =
+                [middle - size * along, middle + size * along, middle + size * across].map(Vec3A::from);
+            let reach = corners.iter().fold(Vec3A::ZERO, |reach, corner| reach.max(corner.abs()));
+            Footprint { corners, side: Side::new(normal.into(), reach) }
+        };
+        let footprint = triangle(Vec3::new(1e-3, -2e-3, 1e-3), normal, 0.01);
+        let [a, b, c] = footprint.corners.map(|corner| corner.as_dvec3());
+        let facing = Facing { corners: [a, b, c], normal: footprint.normal().as_dvec3() };
+        let area = 0.5 * (b - a).cross(c - a).length();
+        let lamp = Surface { footprint, facing, area, patches: 0..1 };
+        let from = triangle(0.06 * normal + 0.01 * along + Vec3::new(0.0, 0.0, -0.003), -normal, 0.02);
+        let mut found = 0;
+        for k in 0..256 {
+            let point = [0.1, 0.37, 0.61, 0.83].map(|step: f32| (0.5 + step * k as f32).fract());
+            let Some((_, q, _)) = lamp.sample(&from, point) else { continue };
+            found += 1;
+            let height = (q.as_dvec3() - a).dot(lamp.facing.normal).abs();
+            // Half an ulp of each coordinate, and as much for the plane.
+            let reach = q.as_dvec3().abs().max(a.abs());
+            let rounding = f64::from(f32::EPSILON) * lamp.facing.normal.abs().dot(reach);
+            assert!(height <= rounding, "{height:e} {rounding:e}");
+        }
+        assert!(found > 200, "{found}");
     }
 }
