@@ -147,13 +147,15 @@ impl FromStr for SkyArg {
             let strength = strength.parse().ok().filter(|&x| is_radiance(x));
             return Ok(SkyArg::Image(
                 file.into(),
-                strength.ok_or("the strength of the image must be a number that is not negative")?,
+                strength.ok_or_else(|| {
+                    format!("the strength of the image must be a number from 0 to {MOST_RADIANCE:e}")
+                })?,
             ));
         }
         let (kind, value) = text.split_once(':').ok_or(WANTED)?;
         let number = || {
             let number = value.parse().ok().filter(|&x| is_radiance(x));
-            number.ok_or_else(|| format!("`{value}` is not a number from 0 on"))
+            number.ok_or_else(|| format!("`{value}` is not a number from 0 to {MOST_RADIANCE:e}"))
         };
         Ok(match kind {
             "uniform" => SkyArg::Uniform(number()?),
@@ -165,7 +167,11 @@ impl FromStr for SkyArg {
                     value.split(',').map(|x| x.trim().parse().ok().filter(|&x| is_radiance(x))).collect();
                 match numbers.as_deref() {
                     Some(&[direct, diffuse]) => SkyArg::Perez([direct, diffuse]),
-                    _ => return Err("expected perez:DIRECT,DIFFUSE, two numbers from 0 on".into()),
+                    _ => {
+                        return Err(format!(
+                            "expected perez:DIRECT,DIFFUSE, two numbers from 0 to {MOST_RADIANCE:e}"
+                        ));
+                    }
                 }
             }
             _ => return Err(WANTED.into()),

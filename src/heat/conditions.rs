@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::{Error, Result};
+use crate::{Error, Result, scene::text::read_utf8};
 
 /// The thermal boundary condition of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,7 +73,7 @@ impl Conditions {
     /// [`Error::Io`] if the file cannot be read. [`Error::Input`] if it is invalid, names an unknown surface, or lacks
     /// one of `names`.
     pub fn load(path: &Path, names: &[String]) -> Result<Conditions> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
+        let text = read_utf8(path)?;
         let file = toml::de::DeTable::parse(&text).map_err(|error| {
             let line = error.span().map(|span| line_of(&text, span.start));
             Error::input(path, line, error.message().to_owned())

@@ -4,6 +4,8 @@ use std::borrow::Cow;
 use std::ffi::OsStr;
 use std::path::{Component, Path, PathBuf};
 
+use crate::{Error, Result};
+
 /// Decodes a file: as UTF-16 if it has its byte order mark, otherwise as UTF-8. Text that is not UTF-8 is read as
 /// Latin-1. This keeps different names different, unlike a replacement character.
 pub(crate) fn decode(bytes: Vec<u8>) -> String {
@@ -23,6 +25,19 @@ pub(crate) fn decode(bytes: Vec<u8>) -> String {
         Some(rest) => rest.into(),
         None => text,
     }
+}
+
+/// Reads a file of a format that is UTF-8 by definition, such as TOML.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read. [`Error::Input`], with the line, when it is not UTF-8.
+pub(crate) fn read_utf8(path: &Path) -> Result<String> {
+    let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+    String::from_utf8(bytes).map_err(|error| {
+        let before = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+        let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
+        Error::input(path, Some(line), "this line is not UTF-8 text: save the file as UTF-8")
+    })
 }
 
 /// Logical lines, each with the number of its first physical line. LF, CR LF and CR end a line. A backslash at the end

@@ -1,7 +1,7 @@
 //! EULUMDAT files (.ldt): one value a line, in a fixed order (Stockmar, "EULUMDAT - a format for the exchange of
 //! photometric data", 1990).
 
-use super::measured::{Goniometer, MOST_DIRECTIONS, Measured, Opening, Wrong};
+use super::measured::{Goniometer, MOST_DIRECTIONS, Measured, Opening, Wrong, incomplete, reach_all_round};
 
 /// Number of lines for each set of lamps.
 const LINES_OF_SET: usize = 6;
@@ -107,6 +107,11 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
         // Intensities are given per 1000 lm of the lamps.
         candela.push(intensity * factor * flux / 1000.0);
     }
+    let mut warnings = Vec::new();
+    if absolute {
+        warnings.push("photometry is absolute: the flux of the lamps is the flux of the luminaire".into());
+    }
+    warnings.extend(incomplete("vertical", &vertical, &[(0.0, 90.0), (0.0, 180.0), (90.0, 180.0)]));
     let millimetres = 1e-3;
     let round = width == 0.0;
     let width = if round { length } else { width };
@@ -122,11 +127,7 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
             width: width * millimetres,
             round,
         }),
-        warnings: if absolute {
-            vec!["photometry is absolute: the flux of the lamps is the flux of the luminaire".into()]
-        } else {
-            Vec::new()
-        },
+        warnings,
     })
 }
 
@@ -138,8 +139,8 @@ fn measured_planes(symmetry: usize, angles: &[f64]) -> Result<Vec<f64>, String> 
         _ => Err(format!("a luminaire of this symmetry must have C planes from 0 to {last}")),
     };
     match symmetry {
-        0 if angles[0] == 0.0 => Ok(angles.to_vec()),
-        0 => Err("the first C plane must be 0".into()),
+        0 if angles[0] == 0.0 && (angles.len() == 1 || reach_all_round(angles)) => Ok(angles.to_vec()),
+        0 => Err("the C planes of a luminaire without symmetry must begin at 0 and reach all round".into()),
         1 => Ok(vec![0.0]),
         2 => ends_at(upto(180.0), 180.0),
         3 => {
@@ -214,7 +215,7 @@ mod tests {
         let good = file(1, &[("1", "1000")], "200\n100\n0\n");
         let wrong = |from: &str, to: &str, line: usize| {
             let Err(wrong) = parse(&good.replacen(from, to, 1)) else { panic!("{from} -> {to} was read") };
-            assert_eq!(wrong.line, Some(line), "{}", wrong.message);
+            assert_eq!(wrong.line, line, "{}", wrong.message);
         };
         wrong("1\n1\n4\n", "1\n7\n4\n", 3);
         wrong("1\n1\n4\n", "1\n1\nmany\n", 4);
@@ -224,6 +225,11 @@ mod tests {
         wrong("200\n100\n0\n", "200\n-1\n0\n", 51);
         wrong("200\n100\n0\n", "200\n100\n", 51);
         wrong("200\n100\n0\n", "200\nx\n0\n", 51);
-        assert!(parse("").is_err());
+        let whole = file(0, &[("1", "1000")], &"200\n100\n0\n".repeat(4));
+        assert_eq!(
+            parse(&whole.replace("\n180\n270\n", "\n100\n110\n")).err().map(|wrong| wrong.line),
+            Some(4)
+        );
+        assert_eq!(parse("").err().map(|wrong| wrong.line), Some(1));
     }
 }

@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     Error, Result,
-    scene::{MOST_RADIANCE, Scene, direction, is_radiance},
+    scene::{MOST_RADIANCE, Scene, direction, is_radiance, text::read_utf8},
 };
 
 #[derive(Debug, Clone, Copy, Deserialize)]
@@ -171,7 +171,7 @@ pub struct SunInFile {
 /// # Errors
 /// [`Error::Io`] when a file cannot be read. [`Error::Input`], with the line, when its contents cannot be used.
 pub fn add(scene: &mut Scene, path: &Path, up: Option<Up>) -> Result<Option<SunInFile>> {
-    let text = std::fs::read_to_string(path).map_err(|source| Error::io(path, source))?;
+    let text = read_utf8(path)?;
     let wrong = |span: Option<Range<usize>>, message: String| {
         let line = span.map(|span| text[..span.start.min(text.len())].matches('\n').count() + 1);
         Error::input(path, line, message)
@@ -496,6 +496,11 @@ mod tests {
                 other => panic!("{text}: {other:?}"),
             }
         }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lights.toml");
+        std::fs::write(&path, b"up = \"z\"\n# Lampe \xfcber dem Tisch\n").unwrap();
+        let error = add(&mut Scene::default(), &path, None).unwrap_err();
+        assert!(matches!(error, Error::Input { line: Some(2), .. }), "{error:?}");
         assert!(matches!(read("[sky]\nkind = \"image\"\nfile = \"none.hdr\"\n"), Err(Error::Io { .. })));
     }
 }

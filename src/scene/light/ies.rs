@@ -5,7 +5,7 @@
 //! of the opening, the ballast factor, one more factor, and watts. All angles follow, and then the intensities plane by
 //! plane.
 
-use super::measured::{Goniometer, MOST_DIRECTIONS, Measured, Opening, Wrong};
+use super::measured::{Goniometer, MOST_DIRECTIONS, Measured, Opening, Wrong, incomplete, reach_all_round};
 
 /// Metres per foot.
 const FOOT: f64 = 0.3048;
@@ -56,7 +56,10 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
     let has_second = !(header.contains("LM-63-2002") || header.contains("LM-63-2019"));
     let Some(tilt) = lines.iter().position(|line| line.trim_start().to_uppercase().starts_with("TILT="))
     else {
-        return Err(Wrong { line: None, message: "no line begins with TILT=: is it an IES file?".into() });
+        return Err(Wrong::at(
+            lines.len(),
+            "the file ends, and no line began with TILT=: is it an IES file?",
+        ));
     };
     let words: Vec<(usize, &str)> = (tilt + 1..lines.len())
         .flat_map(|k| {
@@ -123,6 +126,23 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
     check_angles(goniometer, &vertical, &horizontal).map_err(|message| {
         Wrong::at(if message.starts_with("vertical") { first_of_vertical } else { numbers.line }, message)
     })?;
+    warnings.extend(
+        match goniometer {
+            Goniometer::C => {
+                vec![incomplete("vertical", &vertical, &[(0.0, 90.0), (0.0, 180.0), (90.0, 180.0)])]
+            }
+            Goniometer::A | Goniometer::B => vec![
+                incomplete("vertical", &vertical, &[(0.0, 90.0), (-90.0, 90.0)]),
+                incomplete(
+                    "horizontal",
+                    &horizontal,
+                    &[(0.0, 90.0), (-90.0, 90.0), (0.0, 180.0), (-180.0, 180.0)],
+                ),
+            ],
+        }
+        .into_iter()
+        .flatten(),
+    );
     let mut candela = Vec::new();
     for _ in 0..rows * columns {
         let intensity = numbers.next("an intensity")?;
@@ -154,8 +174,9 @@ fn check_angles(goniometer: Goniometer, vertical: &[f64], horizontal: &[f64]) ->
             if !(0.0..=180.0).contains(&low) || high > 180.0 {
                 return Err("vertical angles of type C must be between 0 and 180".into());
             }
-            let whole = first == 0.0 && (last == 0.0 || last == 90.0 || last == 180.0 || last > 180.0);
-            if !whole && (first, last) != (90.0, 270.0) {
+            let symmetric = [(0.0, 0.0), (0.0, 90.0), (0.0, 180.0), (90.0, 270.0)].contains(&(first, last));
+            let all_round = first == 0.0 && reach_all_round(horizontal);
+            if !(symmetric || all_round) {
                 return Err(format!(
                     "horizontal angles of type C must run from 0 to 0, 90, 180 or 360, or from 90 to 270, not from {first} to {last}"
                 ));
@@ -163,10 +184,13 @@ fn check_angles(goniometer: Goniometer, vertical: &[f64], horizontal: &[f64]) ->
         }
         Goniometer::B | Goniometer::A => {
             if low < -90.0 || high > 90.0 || (low > 0.0) {
-                return Err("vertical angles of types A and B must run from -90 or 0 to 90".into());
+                return Err(
+                    "vertical angles of types A and B must begin at 0 or below it, and be between -90 and 90"
+                        .into(),
+                );
             }
             if first < -180.0 || last > 180.0 || first > 0.0 {
-                return Err("horizontal angles of types A and B must begin at -180, -90 or 0".into());
+                return Err("horizontal angles of types A and B must begin at 0 or below it, and be between -180 and 180".into());
             }
         }
     }
@@ -253,7 +277,7 @@ mod tests {
     fn wrong_files_name_the_line() {
         let wrong = |from: &str, to: &str, line: usize| {
             let Err(wrong) = parse(&FILE.replace(from, to)) else { panic!("{from} -> {to} was read") };
-            assert_eq!(wrong.line, Some(line), "{}", wrong.message);
+            assert_eq!(wrong.line, line, "{}", wrong.message);
         };
         wrong("1 1000 2", "1 abc 2", 4);
         wrong("2 3 1\n", "2 0 1\n", 4);
@@ -269,6 +293,28 @@ mod tests {
         wrong("100 70.71 0", "100 -1 0", 9);
         wrong("100 70.71 0", "100 nan 0", 9);
         wrong("\n0\n100", "\n30\n100", 8);
-        assert!(parse("").is_err() && parse("IESNA91\n").is_err() && parse("TILT=NONE").is_err());
+        // Planes from 0 to 200 degrees are neither a half nor the whole.
+        wrong(
+            " 3 1\n1 2 0.1 0.2 0\n0.9 0.5 40\n0 45 90\n0\n",
+            " 2 3\n1 2 0 0 0\n1 1 40\n0 90\n0 100 200\n1 1 1 1\n",
+            8,
+        );
+        for (text, line) in [("", 1), ("IESNA91\n", 1), ("IESNA91\n[TEST] a\n", 2), ("TILT=NONE", 1)] {
+            assert_eq!(parse(text).err().map(|wrong| wrong.line), Some(line), "{text}");
+        }
+    }
+
+    /// Where a file has no angles, its intensity is 0, and a warning says so.
+    #[test]
+    fn missing_angles_are_warned_of() {
+        let warned = |text: &str| read(text).warnings;
+        assert!(warned(FILE).is_empty());
+        assert_eq!(warned(&FILE.replace("0 45 90", "0 45 80")).len(), 1);
+        let beam = "IESNA91\nTILT=NONE\n1 -1 1 3 3 2 2 0 0 0 1 1 1\n-45 0 45\n-90 0 90\n0 10 20  30 40 50  60 70 80\n";
+        assert!(warned(beam)[0].starts_with("the vertical angles run from -45 to 45"), "{:?}", warned(beam));
+        assert!(warned(&beam.replace("-45 0 45", "-90 0 90")).is_empty());
+        // Planes every 120 degrees reach all round without the plane at 360.
+        let three = "IESNA91\nTILT=NONE\n1 -1 1 2 3 1 2 0 0 0 1 1 1\n0 90\n0 120 240\n6 3 6 3 6 3\n";
+        assert!(warned(three).is_empty());
     }
 }

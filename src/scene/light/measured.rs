@@ -38,12 +38,30 @@ pub(super) struct Measured {
 /// An error in a text, and its line.
 #[derive(Debug)]
 pub(super) struct Wrong {
-    pub(super) line: Option<usize>,
+    pub(super) line: usize,
     pub(super) message: String,
 }
 
 impl Wrong {
+    /// An error in a line, counted from 1. An empty file has a first line, too.
     pub(super) fn at(line: usize, message: impl Into<String>) -> Wrong {
-        Wrong { line: Some(line), message: message.into() }
+        Wrong { line: line.max(1), message: message.into() }
     }
+}
+
+/// Whether planes of type C reach all round: the gap from the last to the first is no larger than the others.
+pub(super) fn reach_all_round(planes: &[f64]) -> bool {
+    // Files give angles with a few decimals.
+    const ROUNDING: f64 = 0.01;
+    let widest = planes.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
+    planes.len() > 1 && planes[planes.len() - 1] - planes[0] + widest >= 360.0 - ROUNDING
+}
+
+/// The warning about angles that end where a goniometer of their type does not: nothing is known beyond them.
+pub(super) fn incomplete(kind: &str, angles: &[f64], complete: &[(f64, f64)]) -> Option<String> {
+    let ends = (angles[0], angles[angles.len() - 1]);
+    (angles.len() > 1 && !complete.contains(&ends)).then(|| {
+        let (first, last) = ends;
+        format!("the {kind} angles run from {first} to {last}: the intensity beyond them is taken as 0")
+    })
 }

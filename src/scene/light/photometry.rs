@@ -53,7 +53,7 @@ impl Photometry {
         let text = String::from_utf8_lossy(&bytes);
         let is_ldt = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ldt"));
         let read = if is_ldt { eulumdat::parse(&text) } else { ies::parse(&text) };
-        let measured = read.map_err(|Wrong { line, message }| Error::input(path, line, message))?;
+        let measured = read.map_err(|Wrong { line, message }| Error::input(path, Some(line), message))?;
         let mut photometry = Photometry::new(measured);
         if let Some(stated) = photometry.stated_flux {
             let found = photometry.flux();

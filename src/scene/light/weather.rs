@@ -58,6 +58,23 @@ pub struct Hour {
     pub eccentricity: f64,
 }
 
+impl Hour {
+    /// The label in words.
+    fn name(&self) -> String {
+        let [month, day, label] = self.label;
+        format!("hour {label} of {month}/{day}")
+    }
+}
+
+/// Number of days of a month, in a leap year.
+fn days_of(month: u32) -> u32 {
+    match month {
+        2 => 29,
+        4 | 6 | 9 | 11 => 30,
+        _ => 31,
+    }
+}
+
 /// The weather of a place.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -71,7 +88,8 @@ pub struct Weather {
 }
 
 impl Weather {
-    /// Warnings: irradiance is missing while the sun is up, or direct irradiance is there while it is down.
+    /// Warnings: irradiance is missing while the sun is up, direct irradiance is there while it is down, or hours do not
+    /// follow each other.
     pub fn warnings(&self, path: &Path) -> Vec<String> {
         let day = self.hours.iter().filter(|hour| hour.sun.is_some()).count();
         let missing = self.counted(|hour| hour.is_missing).map(|(count, line)| {
@@ -88,7 +106,33 @@ impl Weather {
                 path.display(),
             )
         });
-        missing.into_iter().chain(early).collect()
+        // After the last hour of a year comes its first.
+        let next = |[month, day, label]: [u32; 3]| -> Vec<[u32; 3]> {
+            let midnight = |month, day| [month, day, 1];
+            match (month, day, label) {
+                (_, _, ..24) => vec![[month, day, label + 1]],
+                (12, 31, _) => vec![midnight(1, 1)],
+                // Files of a typical year have no leap day.
+                (2, 28, _) => vec![midnight(2, 29), midnight(3, 1)],
+                _ if day == days_of(month) => vec![midnight(month + 1, 1)],
+                _ => vec![midnight(month, day + 1)],
+            }
+        };
+        let mut jumps = self.hours.windows(2).filter(|two| !next(two[0].label).contains(&two[1].label));
+        let jump = jumps.next().map(|two| {
+            let [before, after] = [two[0], two[1]].map(|hour| hour.name());
+            let more = match jumps.count() {
+                0 => String::new(),
+                more => format!(", and in {more} more places"),
+            };
+            format!(
+                "{}:{}: {after} follows {before}{more}: if hours are missing or repeated, means and autonomy are not those of \
+                 the year",
+                path.display(),
+                two[1].line,
+            )
+        });
+        missing.into_iter().chain(early).chain(jump).collect()
     }
 
     /// The number of hours with a property, if there are any, and the line of the first.
@@ -125,7 +169,7 @@ fn parse(text: &str) -> std::result::Result<Weather, Wrong> {
         longitude: figure(7, -180.0..=180.0, "the longitude, column 8,")?,
     };
     let offset = figure(8, -14.0..=14.0, "the time zone, column 9,")?;
-    check_period(lines.get(HEADERS - 1)).map_err(|message| (HEADERS, message))?;
+    let last_day = last_day(lines.get(HEADERS - 1)).map_err(|message| (HEADERS, message))?;
     let mut hours = Vec::new();
     for (k, line) in lines.iter().enumerate().skip(HEADERS) {
         if line.trim().is_empty() {
@@ -140,17 +184,38 @@ fn parse(text: &str) -> std::result::Result<Weather, Wrong> {
     if hours.is_empty() {
         return Err((lines.len(), "no hours after the eight lines of headers".into()));
     }
+    let last = &hours[hours.len() - 1];
+    if let Some([month, day]) = last_day.filter(|&[month, day]| last.label != [month, day, 24]) {
+        return Err((
+            last.line,
+            format!(
+                "the table ends with {}, but line {HEADERS} says that it ends with {month}/{day}: is the file cut off? \
+                 If not, correct line {HEADERS}",
+                last.name()
+            ),
+        ));
+    }
     Ok(Weather { place, offset, hours })
 }
 
-/// Checks that the table has one record an hour, where its header tells the number.
-fn check_period(line: Option<&&str>) -> std::result::Result<(), String> {
+/// Checks that the table has one record an hour, where its header tells the number. Returns month and day of the last
+/// record, where the header tells them.
+fn last_day(line: Option<&&str>) -> std::result::Result<Option<[u32; 2]>, String> {
     let words: Vec<&str> = line.map_or(Vec::new(), |line| line.split(',').map(str::trim).collect());
     match words[..] {
         [name, _, records, ..] if name.eq_ignore_ascii_case("DATA PERIODS") && records != "1" => {
             Err(format!("the table has `{records}` records an hour: only hourly files can be used"))
         }
-        _ => Ok(()),
+        // Month and day, and a year where the table has the years of measurements. After this come other periods.
+        [name, periods, .., last] if name.eq_ignore_ascii_case("DATA PERIODS") => {
+            let last = if periods == "1" { words.get(6).copied().unwrap_or(last) } else { last };
+            let numbers: Vec<u32> = last.split('/').map_while(|word| word.trim().parse().ok()).collect();
+            Ok(match numbers[..] {
+                [month @ 1..=12, day @ 1..=31] | [month @ 1..=12, day @ 1..=31, _] => Some([month, day]),
+                _ => None,
+            })
+        }
+        _ => Ok(None),
     }
 }
 
@@ -267,19 +332,25 @@ mod tests {
 
     #[test]
     fn missing_light_is_counted_and_wrong_lines_are_named() {
-        let day = [("9999", "9"), ("5", "-9999"), ("5", "9"), ("nan", "9")].map(|(d, s)| (1, 1, 12, d, s));
-        let night = [(1, 1, 1, "9999", "9999")];
+        let light = [("9999", "9"), ("5", "-9999"), ("5", "9"), ("nan", "9")];
+        let day: [_; 4] = std::array::from_fn(|k| (1, 1, 10 + k as u32, light[k].0, light[k].1));
+        let night = [14, 15, 16, 17, 18].map(|hour| (1, 1, hour, "9999", "9999"));
         let weather = parse(&file(&[&day[..], &night].concat())).unwrap();
         let missing: Vec<bool> = weather.hours.iter().map(|hour| hour.is_missing).collect();
-        assert_eq!(missing, [true, true, false, true, false]);
+        assert_eq!(missing, [true, true, false, true, true, true, true, true, false]);
         assert_eq!((weather.hours[0].direct, weather.hours[1].diffuse), (0.0, 0.0));
         let warnings = weather.warnings(Path::new("a.epw"));
         assert!(
-            warnings[0].starts_with("a.epw:9: irradiance is missing in 3 of the 4 hours"),
+            warnings[0].starts_with("a.epw:9: irradiance is missing in 7 of the 8 hours"),
             "{warnings:?}"
         );
         assert_eq!(warnings.len(), 1);
-        assert!(parse(&file(&[(1, 1, 1, "9999", "0"), day[2]])).unwrap().warnings(Path::new("")).is_empty());
+        assert!(
+            parse(&file(&[(1, 1, 18, "9999", "0"), (1, 1, 19, "0", "0")]))
+                .unwrap()
+                .warnings(Path::new(""))
+                .is_empty()
+        );
         // At three in the night, direct sunlight is a contradiction.
         let night = parse(&file(&[day[2], (1, 1, 3, "100", "20"), (1, 1, 4, "19", "2")])).unwrap();
         let warnings = night.warnings(Path::new("a.epw"));
@@ -298,5 +369,33 @@ mod tests {
             assert_eq!(parse(&text).unwrap_err().0, line, "{text}");
         }
         assert!(parse(&file(&[(2, 29, 12, "1", "1")])).is_ok());
+    }
+
+    /// A file that is cut off is an error. Missing and repeated hours are warned of.
+    #[test]
+    fn the_table_has_all_hours_of_its_period() {
+        let day = |day: u32| (1..=24).map(move |hour| (2, day, hour, "0", "0"));
+        let hours: Vec<_> = day(28).chain((1..=24).map(|hour| (3, 1, hour, "0", "0"))).collect();
+        let text = |header: &str| file(&hours).replacen("HEADER,0\n2026", &format!("{header}\n2026"), 1);
+        for header in [
+            "DATA PERIODS,1,1,Data,Sunday, 2/28, 3/ 1",
+            "DATA PERIODS,2,1,A,Sunday,2/28,2/28,B,Sunday,3/1,3/1/2026",
+        ] {
+            assert!(parse(&text(header)).unwrap().warnings(Path::new("")).is_empty());
+        }
+        let year = text("DATA PERIODS,1,1,Data,Sunday,1/1,12/31");
+        let (line, message) = parse(&year).unwrap_err();
+        assert!(line == 56 && message.contains("hour 24 of 3/1"), "{line}: {message}");
+        let cut = text("DATA PERIODS,1,1,Data,Sunday,2/28,3/1");
+        let cut = &cut[..cut.trim_end().rfind('\n').unwrap()];
+        assert_eq!(parse(cut).unwrap_err().0, 55);
+        let mut gap = hours.clone();
+        gap.remove(30);
+        gap.insert(5, gap[5]);
+        let warnings = parse(&file(&gap)).unwrap().warnings(Path::new("a.epw"));
+        assert!(
+            warnings[0].starts_with("a.epw:15: hour 6 of 2/28 follows hour 6 of 2/28, and in 1 more places"),
+            "{warnings:?}"
+        );
     }
 }
