@@ -139,17 +139,17 @@ fn work_beyond_the_memory_is_refused_with_a_way_out() {
         assert!(errors.contains("of memory, --memory allows") && errors.contains("\nhint: "), "{errors}");
         assert_eq!(errors.lines().count(), 2, "{errors}");
     }
-    let command = format!("solve {file} -o out.ply --quiet --memory 70MB --solver cg");
-    let errors = here.fails(&format!("{command} --patches 8000 --rays 256"), 2);
+    let command = format!("solve {file} -o out.ply --quiet --memory 40MB --solver cg");
+    let errors = here.fails(&format!("{command} --patches 4000 --rays 256"), 2);
     let hint = errors.split_once("hint: use ").unwrap().1.trim();
     let (hint, _) = hint.split_once("; ").unwrap();
     let ways: Vec<&str> = hint.split(", or ").collect();
     assert_eq!(ways.len(), 3, "{hint}");
     let fewer = here.run(&format!("{command} --rays 256 {}", ways[0]));
     assert_eq!(fewer.status.code(), Some(0), "{}", stderr(&fewer));
-    let thinner = here.run(&format!("{command} --patches 8000 {}", ways[1]));
+    let thinner = here.run(&format!("{command} --patches 4000 {}", ways[1]));
     assert_eq!(thinner.status.code(), Some(0), "{}", stderr(&thinner));
-    let more = command.replace("--memory 70MB", ways[2]) + " --patches 8000 --rays 256";
+    let more = command.replace("--memory 40MB", ways[2]) + " --patches 4000 --rays 256";
     assert_eq!(here.run(&more).status.code(), Some(0));
 
     // Pictures and maps have sizes of their own.

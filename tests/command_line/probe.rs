@@ -102,7 +102,7 @@ fn both_methods_agree_on_indirect_light() {
     let by = |options: &str| probe(&here, &format!("{scene} --points p {options}"));
     let paths = by("--spp 32768");
     let [coarse, fine] =
-        [2_000, 8_000].map(|n| by(&format!("--method radiosity --rays 256 --patches {n} --spp 8192")));
+        [1_000, 4_000].map(|n| by(&format!("--method radiosity --rays 256 --patches {n} --spp 8192")));
     for (i, p) in paths.iter().enumerate() {
         for c in 0..3 {
             let (want, error) = (p[6 + c], p[9 + c]);

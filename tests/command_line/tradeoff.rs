@@ -10,7 +10,7 @@ const ROOM: &str = "mtllib scene.mtl\nusemtl wall
 v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1
 f 1 2 4 3\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\nusemtl lamp\nf 5 7 8 6\n";
 const MATERIALS: &str = "newmtl wall\nKd 0.5 0.5 0.5\nnewmtl lamp\nKd 0 0 0\nKe 1 1 1\n";
-const SMALL: &str = "--patches 800 --most-rays 400000";
+const SMALL: &str = "--patches 150 --most-rays 110000";
 
 /// Upper limit for the ratio of a mean square error to its expectation. The errors of the patches of one triangle may
 /// be fully correlated, so there are at least 12 independent ones. The mean of 12 squares of normal variables has a

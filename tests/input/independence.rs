@@ -40,7 +40,7 @@ const LAYERS: [(&str, &[&str], &[&str]); 26] = [
         &[],
     ),
     ("daylight", &["scene", "trace", "patch", "rays", "direct", "form_factor"], &[]),
-    ("heat", &["form_factor", "view_factor", "solve"], &[]),
+    ("heat", &["form_factor", "scene", "view_factor", "solve"], &[]),
     ("energy", &["patch", "form_factor", "solve"], &["scene", "trace"]),
     ("monte_carlo", &["tone", "scene", "trace"], &[]),
     (

@@ -114,7 +114,7 @@ fn script_f_of_concentric_bodies() {
 #[test]
 fn a_shield_between_concentric_bodies() {
     let faces = |radius: f64, inward: bool| -> Vec<Vec<DVec3>> {
-        let sphere = icosphere(radius, 1);
+        let sphere = icosphere(radius, 0);
         (if inward { flipped(sphere) } else { sphere }).into_iter().map(Vec::from).collect()
     };
     let surfaces = [

@@ -23,7 +23,7 @@ fn placed(triangles: Vec<Corners>, by: DQuat) -> Vec<Corners> {
 
 /// Squares of 1 m, this far apart, that face each other in the middle of a dome. Which of the three emits.
 fn plates(gap: f64, radius: f64, by: DQuat, emits: Option<usize>) -> [Part; 3] {
-    let parts = [level_square(1.0, 0.0, true), level_square(1.0, gap, false), flipped(icosphere(radius, 2))];
+    let parts = [level_square(1.0, 0.0, true), level_square(1.0, gap, false), flipped(icosphere(radius, 1))];
     let mut k = 0;
     parts.map(|triangles| {
         k += 1;
