@@ -145,7 +145,8 @@ fn show_sides(
     }
     progress.check()?;
     if options.close_seams {
-        let seams = Seams::new(map.atlas.scene(scene), &map.atlas, &map.sides);
+        let shown = map.shown_charts(&grid);
+        let seams = Seams::new(map.atlas.scene(scene), &map.atlas, &map.sides, &shown);
         map.seam_samples = seams.points();
         map.seam_differences[0] = seams.difference(&map.irradiance);
         map.step("seams", |map| {

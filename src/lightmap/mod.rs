@@ -327,8 +327,10 @@ impl Lightmap {
 
     fn dilate(&mut self, grid: &Grid) {
         let mut owner = vec![NONE; self.texels.len()];
+        let shown = self.shown_charts(grid);
         for (i, &at) in self.coverage.texels().iter().enumerate() {
-            if self.open[i] > 0.0 {
+            // A chart that is all inside a solid stays dark. Otherwise it would get the light of the charts beside it.
+            if self.open[i] > 0.0 || !shown[grid.chart(i) as usize] {
                 owner[at as usize] = grid.chart(i);
             }
         }
@@ -338,6 +340,15 @@ impl Lightmap {
                 *texel = Texel::Dilated;
             }
         }
+    }
+
+    /// For each chart, whether any of its surface is not inside a solid.
+    fn shown_charts(&self, grid: &Grid) -> Vec<bool> {
+        let mut shown = vec![false; self.atlas.charts];
+        for i in 0..self.coverage.len() {
+            shown[grid.chart(i) as usize] |= self.open[i] > 0.0;
+        }
+        shown
     }
 
     /// Sets texels without open surface to 0.

@@ -35,12 +35,14 @@ pub struct Seams {
 }
 
 impl Seams {
-    /// Finds the edges across which the surface is smooth but the map is not.
-    pub fn new(scene: &Scene, atlas: &Atlas, sides: &[bool]) -> Seams {
+    /// Finds the edges across which the surface is smooth but the map is not. `shown` has for each chart whether it holds
+    /// light: a dark chart inside a solid may border on a lit one.
+    pub fn new(scene: &Scene, atlas: &Atlas, sides: &[bool], shown: &[bool]) -> Seams {
         let mut samples = Vec::new();
         for [e, f] in smooth_edges(scene, CREASE) {
             let (t, u) = (e as usize / 3, f as usize / 3);
-            if atlas.chart[t] == NONE || atlas.chart[u] == NONE || sides[t] != sides[u] {
+            let is_shown = |t: usize| atlas.chart[t] != NONE && shown[atlas.chart[t] as usize];
+            if !is_shown(t) || !is_shown(u) || sides[t] != sides[u] {
                 continue;
             }
             // The edge runs from corner k to the next one. On the other triangle it has the opposite direction.

@@ -6,6 +6,7 @@ use radiosity::{
     Progress, Scene,
     accuracy::solved::Solved,
     form_factor::CastOptions,
+    lightmap::{Atlas, BakeOptions, Coordinates, Layout, bake},
     monte_carlo::{Effort, Receiver},
     output::final_gather::FinalGather,
     patch::Subdivision,
@@ -103,11 +104,11 @@ fn sealed_rooms_on_a_large_ground_are_dark_inside() {
     ];
     for case in cases {
         let (scene, progress) = (case.scene(), Progress::new());
+        let tracer = Tracer::new(&scene);
         let cast = CastOptions::default().with_rays(64.0);
         let cut = Subdivision::Count(2000);
         let Solved { patches, solution, .. } =
-            Solved::new(&scene, &Tracer::new(&scene), &cut, &cast, &SolveOptions::default(), &progress)
-                .unwrap();
+            Solved::new(&scene, &tracer, &cut, &cast, &SolveOptions::default(), &progress).unwrap();
         let inner =
             |p: DVec3| p.x.abs() < 2.0 - case.thickness && p.z.abs() < 1.5 - case.thickness && p.y < 2.4;
         let (mut inside, mut outside): (f64, f64) = (0.0, 0.0);
@@ -122,6 +123,23 @@ fn sealed_rooms_on_a_large_ground_are_dark_inside() {
         }
         let what = format!("ground of {}, walls of {} from {}", 2.0 * case.half, case.thickness, case.from);
         assert!(outside > 1.0 && inside < 1e-3 * outside, "{what}: {inside} inside, {outside} outside");
+        if case.thickness > 0.0 {
+            continue;
+        }
+        // The map is as dark, up to the walls, although a dark room of faces that look outward is like a solid.
+        let atlas = Atlas::new(&scene, &tracer, Layout::Resolution(256), Coordinates::Auto).unwrap();
+        let options = BakeOptions::default().with_final_gather(4);
+        let map = bake(&scene, &tracer, (&patches, &solution), atlas, &options, &progress).unwrap();
+        for (t, triangle) in scene.triangles.iter().enumerate() {
+            for at in [[0.98, 0.01, 0.01], [0.01, 0.98, 0.01], [0.01, 0.01, 0.98]] {
+                let corners = scene.corners(t);
+                let p = case.back((0..3).map(|k| corners[k] * at[k]).sum());
+                if triangle.material == GROUND && inner(p) {
+                    let found = map.at(t, at).unwrap_or_default()[0];
+                    assert!(found < 1e-3 * outside, "{what}: the map has {found} at {p}");
+                }
+            }
+        }
     }
 }
 
