@@ -40,7 +40,7 @@ pub use self::{
 use self::{bake::Cells, grid::Grid};
 use crate::{
     output::final_gather::outgoing,
-    patch::Patches,
+    patch::{Patches, within_solids},
     scene::Scene,
     solve::Solution,
     tone::{luminance, rgb},
@@ -178,6 +178,11 @@ impl Lightmap {
     /// Area of the surface inside solids, where no light arrives. One entry per material of the scene.
     pub fn hidden_areas(&self, scene: &Scene) -> Vec<f64> {
         let mut areas = vec![0.0; scene.materials.len()];
+        let is_mapped = |t: usize| self.atlas.facets_of(t).any(|facet| self.atlas.chart[facet] != NONE);
+        let within = within_solids(scene);
+        for t in (0..within.len()).filter(|&t| within[t] && !is_mapped(t)) {
+            areas[scene.triangles[t].material as usize] += scene.area(t);
+        }
         for i in 0..self.coverage.len() {
             for piece in self.coverage.pieces(i) {
                 let t = self.atlas.triangle(piece.triangle as usize);
@@ -400,12 +405,16 @@ impl Lightmap {
         for i in 0..patches.len() {
             let t = patches.triangle(i);
             let e = rgb(&solution.irradiance[i * channels..][..channels]);
+            let is_mapped = self.atlas.facets_of(t).any(|facet| self.atlas.chart[facet] != NONE);
+            if !is_mapped && patches.is_shut_in(i) {
+                continue;
+            }
             let of_map = self.is_of(t, patches.is_front(i));
             let area = patches.area(i);
             let sum = if !of_map {
                 self.other_sides_area += if luminance(e) > 0.0 { area } else { 0.0 };
                 &mut self.flux.other_sides
-            } else if self.atlas.facets_of(t).all(|facet| self.atlas.chart[facet] == NONE) {
+            } else if !is_mapped {
                 self.unmapped_area += area;
                 &mut self.flux.unmapped
             } else {

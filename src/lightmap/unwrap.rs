@@ -17,7 +17,7 @@ use super::{
 use crate::{
     Error, Result, Setting,
     output::surfaces::smooth_edges,
-    patch::DisjointSets,
+    patch::{DisjointSets, within_solids},
     scene::{NEW_CORNER, Scene},
     trace::Tracer,
 };
@@ -94,7 +94,11 @@ impl<'a> Unwrapper<'a> {
         }
         let facets = unwrapper.facets();
         let mut groups: BTreeMap<u64, (f64, Vec<u32>)> = BTreeMap::new();
-        for (f, triangle) in facets.triangles.iter().enumerate() {
+        // Nobody sees what is within solids, and no light is there.
+        let within = within_solids(scene);
+        let is_within =
+            |f: usize| within[unwrapper.cut.as_ref().map_or(f, |cut| cut.facets[f].triangle as usize)];
+        for (f, triangle) in facets.triangles.iter().enumerate().filter(|&(f, _)| !is_within(f)) {
             let factor = options.factor(triangle.material);
             groups.entry(factor.to_bits()).or_insert_with(|| (factor, Vec::new())).1.push(f as u32);
         }
@@ -164,11 +168,11 @@ impl<'a> Unwrapper<'a> {
         uvunwrap::generate(&meshes, &options)
     }
 
-    /// Sum over all facets of area times squared density factor: the number of texels of unit length.
+    /// Sum over all facets with a place in the map of area times squared density factor: the number of texels of unit length.
     fn weighted_area(&self) -> f64 {
         let facets = self.facets();
-        let area = |f: usize| facets.area(f) * self.options.factor(facets.triangles[f].material).powi(2);
-        (0..facets.triangles.len()).map(area).sum()
+        let area = |members: &[u32]| members.iter().map(|&f| facets.area(f as usize)).sum::<f64>();
+        self.groups.iter().map(|(factor, members)| factor * factor * area(members)).sum()
     }
 
     /// The best layout on one square page. Charts are split until the page is used well.

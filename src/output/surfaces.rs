@@ -2,15 +2,17 @@
 //!
 //! Two triangles continue each other across an edge if no third triangle has that edge, their windings agree, they have
 //! the same material, and their normals differ by less than the crease angle. At an edge of three triangles several
-//! surfaces meet, for example a floor and a wall with a room on each side. Their light is independent. If the file has
-//! normals, these decide instead of the crease angle.
+//! surfaces meet, for example a floor and a wall with a room on each side. Their light is independent. Triangles within
+//! solids do not count: the floor of a world of blocks is smooth. If the file has normals, these decide instead of the
+//! crease angle.
 
 use glam::Vec3;
 
 use crate::{
     patch::{
         DisjointSets, Patches,
-        edges::{same_edge, slots},
+        edges::{Slot, same_edge, slots},
+        within_solids,
     },
     scene::Scene,
 };
@@ -130,10 +132,12 @@ fn shaded_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
 fn edges_within(scene: &Scene, angle: f64, counts: impl Fn([u32; 2]) -> bool) -> Vec<[u32; 2]> {
     let normals: Vec<_> = (0..scene.triangles.len()).map(|t| scene.normal(t)).collect();
     let least_cosine = angle.to_radians().cos();
+    let within = within_solids(scene);
     slots(scene)
         .chunk_by(same_edge)
         .filter_map(|group| {
-            let &[(_, _, e), (_, _, f)] = group else { return None };
+            let open: Vec<&Slot> = group.iter().filter(|(_, _, slot)| !within[*slot as usize / 3]).collect();
+            let &[&(_, _, e), &(_, _, f)] = &open[..] else { return None };
             let (t, u) = (e as usize / 3, f as usize / 3);
             let start = |slot: u32| scene.triangles[slot as usize / 3].vertices[slot as usize % 3];
             let smooth = start(e) != start(f) && normals[t].dot(normals[u]) > least_cosine;

@@ -71,6 +71,12 @@ pub fn shut_in_solids(scene: &Scene) -> Vec<[bool; 2]> {
     solids::shut_in(scene)
 }
 
+/// Whether both sides of each triangle are shut in solids ([`shut_in_solids`]).
+pub(crate) fn within_solids(scene: &Scene) -> Vec<bool> {
+    let shut_in = solids::shut_in(scene);
+    (0..scene.triangles.len()).map(|t| shut_in.get(t) == Some(&[true; 2])).collect()
+}
+
 impl Patches {
     /// Cuts the fronts of all triangles.
     ///

@@ -3,7 +3,7 @@
 
 use std::sync::LazyLock;
 
-use crate::common::{Corners, Random, icosphere, part, rectangle, room_faces};
+use crate::common::{Corners, Random, flipped, icosphere, part, rectangle, room, room_faces};
 use glam::{DVec3, dvec3};
 use radiosity::{
     Progress, Scene,
@@ -13,6 +13,7 @@ use radiosity::{
     },
     monte_carlo::{Effort, PathOptions, PathTracer, Receiver},
     patch::{Patches, Subdivision},
+    scene::Material,
     solve::{Solution, SolveOptions, solve},
     trace::{Tracer, sampling::square_to_triangle},
 };
@@ -780,4 +781,26 @@ fn a_house_whose_walls_face_outward_is_no_solid() {
     let compared = s.at_places(&map, &places, 2048);
     let (bias, error) = compared.bias();
     assert!(bias.abs() < 4.0 * error + 0.15, "{bias} +- {error}");
+}
+
+/// Four blocks that touch, each with all six faces, under a lamp. The faces between them have no place in the map and
+/// count as hidden. The outer faces of all blocks are one smooth surface per side: top, bottom and four walls.
+#[test]
+fn faces_within_solids_have_no_texels() {
+    let mut parts: Vec<(Corners, u32)> = Vec::new();
+    for (x, z) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
+        let low = dvec3(x, 0.0, z);
+        parts.extend(flipped(room(low, low + 1.0)).into_iter().map(|t| (t, 0)));
+    }
+    let lamp = rectangle(dvec3(0.0, 3.0, 0.0), DVec3::X, DVec3::Z);
+    parts.extend(lamp.into_iter().map(|t| (t, 1)));
+    let materials =
+        vec![Material::new("stone", [0.5; 3], [0.0; 3]), Material::new("lamp", [0.0; 3], [1.0; 3])];
+    let s = solved(Scene::new(&parts, materials), 200, 64.0);
+    let map = s.bake(Layout::Resolution(64), &BakeOptions::default());
+    assert_eq!(map.atlas().charts, 7);
+    assert_eq!(map.hidden_areas(&s.scene), [8.0, 0.0]);
+    assert_eq!(map.unmapped_area(), 0.0);
+    let mapped: f64 = (0..map.coverage().len()).map(|i| map.coverage().area(i)).sum();
+    assert!((mapped - 17.0).abs() < 1e-6, "{mapped}");
 }
