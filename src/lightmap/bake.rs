@@ -1,15 +1,19 @@
 //! All steps from a solution to a finished map.
 
 use super::{
-    Atlas, BakeOptions, Coverage, Flux, Lightmap, Texel, denoise,
-    gather::{self, Noisy},
+    Atlas, BakeOptions, Coverage, Flux, Lightmap, NONE, Texel, denoise, fireflies,
+    gather::{self, Gatherer, Noisy},
     grid::Grid,
     seams::Seams,
     texels,
 };
 use crate::{
-    Progress, Result, output::final_gather::FinalGather, patch::Patches, scene::Scene, solve::Solution,
-    trace::Tracer,
+    Progress, Result,
+    output::final_gather::FinalGather,
+    patch::Patches,
+    scene::Scene,
+    solve::Solution,
+    trace::{Tracer, sampling::mix},
 };
 
 /// Both sides of a triangle get texels if the darker side has more than this share of the flux on the brighter side.
@@ -88,6 +92,11 @@ pub fn divide(
     Ok(parts)
 }
 
+/// A texel that stands out from its neighbours is gathered again with this many times as many rays. The error of its
+/// value is then a quarter of the first, so that what chance made is told from a bright spot.
+const MORE_RAYS: u32 = 16;
+const AGAIN_SEED: u64 = 0x6167_6169_6e21;
+
 /// Computes a map of the given side of each facet.
 fn show_sides(
     (scene, tracer): (&Scene, &Tracer),
@@ -102,8 +111,10 @@ fn show_sides(
     let mut cells = if options.final_gather == 0 {
         Cells::exact(texels::means(&atlas, &coverage, patches, solution, &sides))
     } else {
-        let effort = (options.final_gather, options.seed);
-        Cells::gathered(gather::gather(&atlas, &coverage, tracer, &sides, &source, effort, progress)?)
+        let gatherer =
+            Gatherer { atlas: &atlas, coverage: &coverage, tracer, sides: &sides, source: &source };
+        let all: Vec<u32> = (0..coverage.len() as u32).collect();
+        Cells::gathered(gatherer.gather(&all, (options.final_gather, options.seed), progress)?)
     };
     let mut map = Lightmap {
         irradiance: vec![[0.0; 3]; atlas.texels()],
@@ -128,7 +139,7 @@ fn show_sides(
     progress.check()?;
     if options.final_gather == 0 {
         // Patches do not show which surface is inside a solid, so a few gather rays find it.
-        let hidden = gather::hidden(&map.atlas, &map.coverage, tracer, &map.sides, &source, options.seed);
+        let hidden = map.gatherer(tracer, &source).hidden(options.seed);
         cells.open.iter_mut().zip(hidden).filter(|(_, hidden)| *hidden).for_each(|(open, _)| *open = 0.0);
         map.step("hide", |map| {
             map.open.clone_from(&cells.open);
@@ -136,7 +147,10 @@ fn show_sides(
         });
     }
     if options.denoise && options.final_gather > 0 {
-        let smooth = cells.denoised(&grid, &map.coverage);
+        let gatherer = map.gatherer(tracer, &source);
+        let effort = (MORE_RAYS.saturating_mul(options.final_gather), mix(&[options.seed, AGAIN_SEED]));
+        let smooth =
+            cells.denoised(&grid, &map.coverage, &|texels| gatherer.gather(texels, effort, progress))?;
         map.step("denoise", |map| map.show(&smooth));
     }
     // Seams are compared by bilinear samples, which read texels outside the charts.
@@ -201,15 +215,41 @@ impl Cells {
         Cells { direct, reflected, ..self.clone() }
     }
 
-    fn denoised(&self, grid: &Grid, coverage: &Coverage) -> Cells {
+    /// Denoised values. `gather` gathers some texels again, with more rays.
+    fn denoised(
+        &self,
+        grid: &Grid,
+        coverage: &Coverage,
+        gather: &dyn Fn(&[u32]) -> Result<Vec<gather::Texel>>,
+    ) -> Result<Cells> {
         let counts = |i: usize| self.open[i] > 0.0;
-        let [direct, reflected] =
+        let [direct, mut reflected] =
             [&self.direct, &self.reflected].map(|signal| denoise::filter(grid, coverage, signal, counts));
-        Cells { direct, reflected, ..self.clone() }
+        let total =
+            |direct: &Noisy, reflected: &Noisy| std::array::from_fn(|c| direct.mean[c] + reflected.mean[c]);
+        let (mut chart, mut shown) = (vec![NONE; grid.places()], vec![[0.0f32; 3]; grid.places()]);
+        let counted: Vec<u32> = (0..self.open.len() as u32).filter(|&i| counts(i as usize)).collect();
+        let texels: Vec<(usize, u32)> =
+            counted.iter().map(|&i| (coverage.texels()[i as usize] as usize, i)).collect();
+        for &(place, i) in &texels {
+            let i = i as usize;
+            (chart[place], shown[place]) = (grid.chart(i), total(&direct[i], &reflected[i]));
+        }
+        let again = |texels: &[u32]| {
+            let found = gather(texels)?;
+            Ok(found.iter().map(|texel| total(&texel.direct, &texel.reflected)).collect())
+        };
+        fireflies::spread(grid, &chart, &texels, &mut shown, &again)?;
+        for (place, i) in texels {
+            let direct = direct[i as usize].mean;
+            reflected[i as usize].mean = std::array::from_fn(|c| shown[place][c] - direct[c]);
+        }
+        Ok(Cells { direct, reflected, ..self.clone() })
     }
 
     pub(super) fn mean(&self, i: usize) -> [f32; 3] {
-        std::array::from_fn(|c| self.direct[i].mean[c] + self.reflected[i].mean[c])
+        // Rounding may take a sum of zero below zero.
+        std::array::from_fn(|c| (self.direct[i].mean[c] + self.reflected[i].mean[c]).max(0.0))
     }
 
     pub(super) fn standard_error(&self, i: usize) -> [f32; 3] {

@@ -27,7 +27,7 @@
 
 use rayon::prelude::*;
 
-use super::{atlas::NONE, coverage::Coverage, fireflies, gather::Noisy, grid::Grid};
+use super::{atlas::NONE, coverage::Coverage, gather::Noisy, grid::Grid};
 
 /// Radii of the discs in texels.
 const RADII: [f64; 6] = [1.0, 1.5, 2.3, 3.5, 5.5, 8.5];
@@ -113,15 +113,7 @@ pub fn filter(
             half: signal[i].half,
         }
     };
-    let mut smooth: Vec<Noisy> = found.par_iter().enumerate().map(noisy).collect();
-
-    let mut shown = vec![[0.0; 3]; grid.places()];
-    smooth.iter().zip(places).for_each(|(noisy, &place)| shown[place as usize] = noisy.mean);
-    let uncertain: Vec<(usize, f32)> =
-        counted.iter().map(|&i| fits.own_error(&signal[i], places[i])).collect();
-    fireflies::spread(grid, &fits.chart, &uncertain, &mut shown);
-    smooth.iter_mut().zip(places).for_each(|(noisy, &place)| noisy.mean = shown[place as usize]);
-    smooth
+    found.par_iter().enumerate().map(noisy).collect()
 }
 
 /// The same signal, with variances averaged over neighbours. Four replicates determine their variance to a factor of
@@ -279,13 +271,6 @@ impl<'a> Fits<'a> {
                 }
             }
         }
-    }
-
-    /// The place of a texel, and the standard error of its own samples, summed over the channels.
-    fn own_error(&self, noisy: &Noisy, place: u32) -> (usize, f32) {
-        let place = place as usize;
-        let pooled = self.pooled[place];
-        (place, (0..3).map(|c| noisy.variance[c].max(pooled[c]).sqrt()).sum())
     }
 
     /// Whether a neighbour of a place is not on its chart.

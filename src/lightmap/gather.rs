@@ -29,12 +29,12 @@ use crate::{
 const REPLICATES: u32 = 4;
 /// Rays that decide whether a point is inside a solid, if some ray of its texel suggests it.
 const PROBES: u32 = 16;
-/// Random walks that look for light from a point that seems to be inside a solid, in [`hidden`]. [`gather`] does one
+/// Random walks that look for light from a point that seems to be inside a solid, in [`Gatherer::hidden`]. [`Gatherer::gather`] does one
 /// walk per sample.
 const WALKS: u32 = 4;
 /// Most hits of a walk.
 const STEPS: u32 = 16;
-/// Points per texel in [`hidden`]. All must be inside a solid for the texel to be hidden.
+/// Points per texel in [`Gatherer::hidden`]. All must be inside a solid for the texel to be hidden.
 const HIDDEN_POINTS: u32 = 4;
 const PROBE_SEED: u64 = 0x6275_7269_6564;
 
@@ -61,58 +61,97 @@ pub struct Texel {
     pub open: f32,
 }
 
-/// Gathers irradiance for every covered texel, with `rays` hemisphere rays and as many shadow rays per texel, rounded
-/// up to a multiple of [`REPLICATES`].
-///
-/// The random numbers depend only on the seed and the texel's place.
-///
-/// # Errors
-/// [`Error::Stopped`](crate::Error::Stopped).
-pub fn gather(
-    atlas: &Atlas,
-    coverage: &Coverage,
-    tracer: &Tracer,
-    sides: &[bool],
-    source: &FinalGather,
-    (rays, seed): (u32, u64),
-    progress: &Progress,
-) -> Result<Vec<Texel>> {
-    let each = rays.div_ceil(REPLICATES).max(1);
-    progress.begin("final gather", coverage.len() as u64 * u64::from(each * REPLICATES));
-    (0..coverage.len())
-        .into_par_iter()
-        .with_min_len(super::texels::STRETCH)
-        .map_init(Default::default, |(parts, gathered): &mut (Vec<_>, Vec<Sample>), i| {
-            progress.check()?;
-            let surface = Surface::new(parts, atlas, coverage, i);
-            let (tile, number) = tile(atlas, coverage.texels()[i]);
-            let tile_seed = mix(&[seed, tile]);
-            if surface.0.is_empty() {
+/// The surface of a map, and the light that reaches it.
+#[derive(Clone, Copy)]
+pub struct Gatherer<'a> {
+    pub atlas: &'a Atlas,
+    pub coverage: &'a Coverage,
+    pub tracer: &'a Tracer,
+    /// For each facet, whether the map shows the front of its triangle there.
+    pub sides: &'a [bool],
+    pub source: &'a FinalGather<'a>,
+}
+
+impl Gatherer<'_> {
+    /// Gathers irradiance for the given covered texels, with `rays` hemisphere rays and as many shadow rays per texel,
+    /// rounded up to a multiple of [`REPLICATES`].
+    ///
+    /// The random numbers depend only on the seed and the texel's place.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped).
+    pub fn gather(
+        &self,
+        texels: &[u32],
+        (rays, seed): (u32, u64),
+        progress: &Progress,
+    ) -> Result<Vec<Texel>> {
+        let each = rays.div_ceil(REPLICATES).max(1);
+        progress.begin("final gather", texels.len() as u64 * u64::from(each * REPLICATES));
+        texels
+            .par_iter()
+            .with_min_len(super::texels::STRETCH)
+            .map_init(Default::default, |scratch, &i| {
+                progress.check()?;
+                let found = self.texel(i as usize, (each, seed), scratch);
                 progress.advance(u64::from(each * REPLICATES));
-                return Ok(Texel::default());
+                Ok(found)
+            })
+            .collect()
+    }
+
+    fn texel(
+        &self,
+        i: usize,
+        (each, seed): (u32, u64),
+        (parts, gathered): &mut (Vec<Part>, Vec<Sample>),
+    ) -> Texel {
+        let surface = Surface::new(parts, self.atlas, self.coverage, i);
+        let (tile, number) = tile(self.atlas, self.coverage.texels()[i]);
+        let tile_seed = mix(&[seed, tile]);
+        if surface.0.is_empty() {
+            return Texel::default();
+        }
+        gathered.clear();
+        for k in 0..REPLICATES {
+            let seed = mix(&[tile_seed, k.into()]);
+            for s in number * each..(number + 1) * each {
+                let mut samples = Samples::new(s, seed);
+                let at = surface.receiver(self.tracer, self.sides, &mut samples);
+                let found = self.source.gather(at, &mut samples);
+                let seed = mix(&[seed, s.into(), PROBE_SEED]);
+                gathered.push(Sample { replicate: k as usize, at, seed, found });
             }
-            gathered.clear();
-            for k in 0..REPLICATES {
-                let seed = mix(&[tile_seed, k.into()]);
-                for s in number * each..(number + 1) * each {
-                    let mut samples = Samples::new(s, seed);
-                    let at = surface.receiver(tracer, sides, &mut samples);
-                    let found = source.gather(at, &mut samples);
-                    let seed = mix(&[seed, s.into(), PROBE_SEED]);
-                    gathered.push(Sample { replicate: k as usize, at, seed, found });
-                }
+        }
+        let buried = buried(self.source, self.tracer, gathered);
+        let mut replicates = [Replicate::default(); REPLICATES as usize];
+        for (sample, buried) in gathered.iter().zip(buried) {
+            if !buried {
+                replicates[sample.replicate].add(&sample.found);
             }
-            let buried = buried(source, tracer, gathered);
-            let mut replicates = [Replicate::default(); REPLICATES as usize];
-            for (sample, buried) in gathered.iter().zip(buried) {
-                if !buried {
-                    replicates[sample.replicate].add(&sample.found);
-                }
-            }
-            progress.advance(u64::from(each * REPLICATES));
-            Ok(texel(&replicates, each))
-        })
-        .collect()
+        }
+        texel(&replicates, each)
+    }
+
+    /// For each covered texel, whether its surface is all inside a solid, as tested by [`HIDDEN_POINTS`] points.
+    pub fn hidden(&self, seed: u64) -> Vec<bool> {
+        (0..self.coverage.len())
+            .into_par_iter()
+            .with_min_len(super::texels::STRETCH)
+            .map_init(Vec::new, |parts, i| {
+                let surface = Surface::new(parts, self.atlas, self.coverage, i);
+                let seed = mix(&[seed, u64::from(self.coverage.texels()[i])]);
+                !surface.0.is_empty()
+                    && (0..HIDDEN_POINTS).all(|s| {
+                        let mut samples = Samples::new(s, seed);
+                        let at = surface.receiver(self.tracer, self.sides, &mut samples);
+                        let (_, hit) = self.source.direct(at, &mut samples);
+                        met_back(hit.as_ref())
+                            && is_buried(self.source, self.tracer, at, mix(&[seed, s.into(), PROBE_SEED]))
+                    })
+            })
+            .collect()
+    }
 }
 
 /// The tile of 8 x 8 texels that a texel lies in, and the texel's index in the tile, in Morton order.
@@ -124,33 +163,6 @@ fn tile(atlas: &Atlas, texel: u32) -> (u64, u32) {
     let (x, row) = (texel % atlas.width as u32, texel / atlas.width as u32);
     let bits = |a: u32| (a & 1) | (a & 2) << 1 | (a & 4) << 2;
     (u64::from(row >> 3) << 32 | u64::from(x >> 3), bits(x) | bits(row) << 1)
-}
-
-/// For each covered texel, whether its surface is all inside a solid, as tested by [`HIDDEN_POINTS`] points.
-pub fn hidden(
-    atlas: &Atlas,
-    coverage: &Coverage,
-    tracer: &Tracer,
-    sides: &[bool],
-    source: &FinalGather,
-    seed: u64,
-) -> Vec<bool> {
-    (0..coverage.len())
-        .into_par_iter()
-        .with_min_len(super::texels::STRETCH)
-        .map_init(Vec::new, |parts, i| {
-            let surface = Surface::new(parts, atlas, coverage, i);
-            let seed = mix(&[seed, u64::from(coverage.texels()[i])]);
-            !surface.0.is_empty()
-                && (0..HIDDEN_POINTS).all(|s| {
-                    let mut samples = Samples::new(s, seed);
-                    let at = surface.receiver(tracer, sides, &mut samples);
-                    let (_, hit) = source.direct(at, &mut samples);
-                    met_back(hit.as_ref())
-                        && is_buried(source, tracer, at, mix(&[seed, s.into(), PROBE_SEED]))
-                })
-        })
-        .collect()
 }
 
 /// Whether the hemisphere ray hit the back of a face.

@@ -37,14 +37,14 @@ pub use self::{
     bake::{bake, divide, lit_on_both_sides},
     coverage::{Coverage, Piece},
 };
-use self::{bake::Cells, grid::Grid};
+use self::{bake::Cells, gather::Gatherer, grid::Grid};
 use crate::{
-    output::final_gather::outgoing,
+    output::final_gather::{FinalGather, outgoing},
     patch::{Patches, within_solids},
     scene::Scene,
     solve::Solution,
     tone::{luminance, rgb},
-    trace::Hit,
+    trace::{Hit, Tracer},
 };
 
 /// Options of [`bake()`].
@@ -345,6 +345,10 @@ impl Lightmap {
                 *texel = Texel::Dilated;
             }
         }
+    }
+
+    fn gatherer<'a>(&'a self, tracer: &'a Tracer, source: &'a FinalGather) -> Gatherer<'a> {
+        Gatherer { atlas: &self.atlas, coverage: &self.coverage, tracer, sides: &self.sides, source }
     }
 
     /// For each chart, whether any of its surface is not inside a solid.
