@@ -4,7 +4,10 @@ use std::io::{self, Seek, Write};
 
 use exr::prelude::{Blocks, Compression, Encoding, LineOrder, SpecificChannels, Vec2, WritableImage};
 use glam::Vec3A;
-use image::{ImageFormat, Rgb32FImage, RgbImage};
+use image::{
+    Rgb32FImage, RgbImage,
+    codecs::{hdr::HdrEncoder, png::PngEncoder},
+};
 use rayon::prelude::*;
 
 use super::{Camera, Lens, PathTracer, Samples, samples::take};
@@ -197,12 +200,13 @@ impl Film {
             PictureFormat::Png => {
                 let pixels = self.to_srgb(exposure).into_flattened();
                 let image = RgbImage::from_raw(width, height, pixels).expect("the buffer fits its size");
-                image.write_to(&mut bytes, ImageFormat::Png).map_err(io::Error::other)?;
+                // `write_to` would compile the encoders of all formats.
+                image.write_with_encoder(PngEncoder::new(&mut bytes)).map_err(io::Error::other)?;
             }
             PictureFormat::Hdr => {
                 let pixels = self.pixels.as_flattened().to_vec();
                 let image = Rgb32FImage::from_raw(width, height, pixels).expect("the buffer fits its size");
-                image.write_to(&mut bytes, ImageFormat::Hdr).map_err(io::Error::other)?;
+                image.write_with_encoder(HdrEncoder::new(&mut bytes)).map_err(io::Error::other)?;
             }
             PictureFormat::Exr => self.encode_exr(&mut bytes)?,
         }

@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use image::{ImageFormat, Rgb, RgbImage};
+use image::{Rgb, RgbImage, codecs::png::PngEncoder};
 
 use crate::{monte_carlo::Film, tone::luminance};
 
@@ -177,9 +177,10 @@ pub fn draw(film: &Film, options: &FalseColour, unit: &str) -> RgbImage {
 /// # Errors
 /// Errors of `out`.
 pub fn encode(out: &mut dyn Write, film: &Film, options: &FalseColour, unit: &str) -> io::Result<()> {
-    let mut bytes = io::Cursor::new(Vec::new());
-    draw(film, options, unit).write_to(&mut bytes, ImageFormat::Png).map_err(io::Error::other)?;
-    out.write_all(bytes.get_ref())
+    let mut bytes = Vec::new();
+    let picture = draw(film, options, unit);
+    picture.write_with_encoder(PngEncoder::new(&mut bytes)).map_err(io::Error::other)?;
+    out.write_all(&bytes)
 }
 
 #[cfg(test)]

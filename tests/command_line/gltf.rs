@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use crate::common::{
     gltf::{Gltf, taken_apart},
     program::{Here, stderr},
+    save_png,
 };
 
 /// The reflectance of the files is the diffuse one alone, so that what is shown is known in closed form.
@@ -110,7 +111,7 @@ fn a_lit_scene_keeps_its_contents_and_shows_the_radiosity() {
     let range = |key: &str| view[key].as_u64().unwrap() as usize;
     let png = &bytes[range("byteOffset")..][..range("byteLength")];
     let shown = image::load_from_memory(png).unwrap().into_rgb8();
-    let map = image::open(here.path("out.exr")).unwrap().into_rgb32f();
+    let map = image::load_from_memory(&here.read("out.exr")).unwrap().into_rgb32f();
     assert_eq!(shown.dimensions(), map.dimensions());
     let mut compared = 0;
     for uv in floats(&out, &bytes, &floor["attributes"]["TEXCOORD_1"], 2) {
@@ -195,7 +196,7 @@ fn other_encodings_keep_the_materials() {
     let light = &floor["extensions"]["MOZ_lightmap"];
     assert_eq!((&light["texCoord"], &light["index"]), (&json!(1), &json!(0)));
     // Linear irradiance. White is the maximum.
-    let map = image::open(here.path("out.exr")).unwrap().into_rgb32f();
+    let map = image::load_from_memory(&here.read("out.exr")).unwrap().into_rgb32f();
     let most = map.pixels().flat_map(|p| p.0).fold(0.0, f32::max);
     assert!((light["intensity"].as_f64().unwrap() as f32 - most).abs() < 1e-3 * most);
     let view = &out["bufferViews"][out["images"][0]["bufferView"].as_u64().unwrap() as usize];
@@ -220,7 +221,7 @@ fn scenes_of_other_formats_become_gltf_with_their_materials() {
          usemtl wall\nf 1/1 2/2 3/3 4/4\nusemtl lamp\nf 5 6 7 8\n",
         "newmtl wall\nKd 0.5 0.25 0.125\nmap_Kd t.png\nnewmtl lamp\nKd 0 0 0\nKe 3 3 3\n",
     );
-    image::RgbImage::from_pixel(2, 2, image::Rgb([255; 3])).save(here.path("t.png")).unwrap();
+    save_png(&image::RgbImage::from_pixel(2, 2, image::Rgb([255; 3])), here.path("t.png"));
     let output = here.run(&format!("bake scene.obj -o out.glb --gltf-lightmap uv {FAST}"));
     assert!(output.status.success(), "{}", stderr(&output));
     assert_eq!(corners(&here.path("scene.obj")), corners(&here.path("out.glb")));

@@ -200,7 +200,7 @@ fn no_output_replaces_a_file_of_the_scene() {
         .replace("f 1 2 4 3", "f 1/1 2/2 4/3 3/1");
     let here = Here::new(&obj, "");
     std::fs::write(here.path("out.ply"), "newmtl wall\nKd 0.5\nKe 1\nmap_Kd t.PNG\n").unwrap();
-    image::RgbImage::from_pixel(2, 2, image::Rgb([90; 3])).save(here.path("t.png")).unwrap();
+    save_png(&image::RgbImage::from_pixel(2, 2, image::Rgb([90; 3])), here.path("t.png"));
     let (mtl, texture) = (here.read("out.ply"), here.read("t.png"));
     for arguments in [
         "solve scene.obj -o out.ply --quality draft",

@@ -98,9 +98,9 @@ impl Gltf {
 
     /// A texture with an image stored in the file.
     pub fn texture(&mut self, pixels: &image::RgbaImage) -> usize {
-        let mut png = std::io::Cursor::new(Vec::new());
-        pixels.write_to(&mut png, image::ImageFormat::Png).unwrap();
-        let view = self.view(png.get_ref());
+        let mut png = Vec::new();
+        pixels.write_with_encoder(image::codecs::png::PngEncoder::new(&mut png)).unwrap();
+        let view = self.view(&png);
         let image = self.push("images", json!({"bufferView": view, "mimeType": "image/png"}));
         self.push("textures", json!({"source": image}))
     }

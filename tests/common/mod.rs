@@ -19,6 +19,15 @@ use radiosity::{
     trace::{Tracer, sampling::mix},
 };
 
+/// Writes a picture as PNG. `ImageBuffer::save` would compile the encoders of all formats into the test program.
+pub fn save_png<P>(picture: &image::ImageBuffer<P, Vec<u8>>, path: impl AsRef<std::path::Path>)
+where
+    P: image::Pixel<Subpixel = u8> + image::PixelWithColorType,
+{
+    let file = std::fs::File::create(path).unwrap();
+    picture.write_with_encoder(image::codecs::png::PngEncoder::new(file)).unwrap();
+}
+
 pub type Corners = [DVec3; 3];
 
 pub const BOTH: [Estimator; 2] = [Estimator::OneWay, Estimator::Pooled];

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use crate::common::save_png;
 use radiosity::{Error, Scene};
 use tempfile::TempDir;
 
@@ -18,7 +19,7 @@ fn square(statements: &str) -> (TempDir, std::path::PathBuf) {
 /// An image that is opaque where `solid` is true.
 fn image(folder: &TempDir, name: &str, side: u32, solid: impl Fn(u32, u32) -> bool) {
     let texel = |x, y| image::Rgba([200, 100, 50, if solid(x, y) { 128 } else { 127 }]);
-    image::RgbaImage::from_fn(side, side, texel).save(folder.path().join(name)).unwrap();
+    save_png(&image::RgbaImage::from_fn(side, side, texel), folder.path().join(name));
 }
 
 fn load(statements: &str, side: u32, solid: impl Fn(u32, u32) -> bool) -> Result<Scene, Error> {
@@ -100,7 +101,7 @@ fn holes_emit_nothing() {
 fn transparent_texels_are_no_albedo() {
     let (folder, path) = square("map_Kd a.png\n");
     let texel = |x, _| if x < 1 { image::Rgba([255, 255, 255, 255]) } else { image::Rgba([0, 0, 0, 0]) };
-    image::RgbaImage::from_fn(3, 2, texel).save(folder.path().join("a.png")).unwrap();
+    save_png(&image::RgbaImage::from_fn(3, 2, texel), folder.path().join("a.png"));
     let scene = Scene::load(path).unwrap();
     let whole = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     for t in 0..scene.triangles.len() {
@@ -113,9 +114,8 @@ fn transparent_texels_are_no_albedo() {
 #[test]
 fn masks_and_dissolve() {
     let (folder, path) = square("map_d a.png\n");
-    image::GrayImage::from_fn(4, 1, |x, _| image::Luma([if x < 3 { 200 } else { 90 }]))
-        .save(folder.path().join("a.png"))
-        .unwrap();
+    let mask = image::GrayImage::from_fn(4, 1, |x, _| image::Luma([if x < 3 { 200 } else { 90 }]));
+    save_png(&mask, folder.path().join("a.png"));
     assert!((area(&Scene::load(&path).unwrap()) - 12.0).abs() < 1e-9);
     // Opaque everywhere.
     let whole = load("map_Kd a.png\n", 4, |_, _| true).unwrap();

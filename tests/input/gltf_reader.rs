@@ -398,11 +398,11 @@ fn text_files_with_buffers_beside_them_or_in_them_are_the_same_scene() {
 #[test]
 fn webp_images_are_read_by_extension_and_as_they_are() {
     let (mut file, _) = triangle();
-    let mut webp = std::io::Cursor::new(Vec::new());
+    let mut webp = Vec::new();
     image::RgbImage::from_pixel(2, 2, image::Rgb([0, 255, 0]))
-        .write_to(&mut webp, image::ImageFormat::WebP)
+        .write_with_encoder(image::codecs::webp::WebPEncoder::new_lossless(&mut webp))
         .unwrap();
-    let view = file.view(webp.get_ref());
+    let view = file.view(&webp);
     let image = file.push("images", json!({"bufferView": view, "mimeType": "image/webp"}));
     file.push("textures", json!({"extensions": {"EXT_texture_webp": {"source": image}}}));
     let uv = file.floats::<2>(&[[0., 0.], [1., 0.], [0., 1.]]);

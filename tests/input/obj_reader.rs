@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use crate::common::save_png;
+
 use glam::{DVec2, DVec3};
 use radiosity::{
     Error, Scene,
@@ -30,10 +32,14 @@ impl Folder {
 
     fn image(self, name: &str, width: u32, rgb: &[[u8; 3]]) -> Self {
         let height = rgb.len() as u32 / width;
-        image::RgbImage::from_raw(width, height, rgb.concat())
-            .unwrap()
-            .save(self.0.path().join(name))
-            .unwrap();
+        let pixels = image::RgbImage::from_raw(width, height, rgb.concat()).unwrap();
+        let path = self.0.path().join(name);
+        if name.ends_with(".bmp") {
+            let mut file = std::fs::File::create(path).unwrap();
+            pixels.write_with_encoder(image::codecs::bmp::BmpEncoder::new(&mut file)).unwrap();
+        } else {
+            save_png(&pixels, path);
+        }
         self
     }
 

@@ -21,8 +21,8 @@ use radiosity::{
 const SEEDS: u64 = 12;
 
 /// A sphere of facets without the lowest ones. The highest six emit.
-fn sphere(missing: usize) -> (Vec<Corners>, Vec<bool>) {
-    let mut facets = flipped(icosphere(1.0, 2));
+fn sphere(level: u32, missing: usize) -> (Vec<Corners>, Vec<bool>) {
+    let mut facets = flipped(icosphere(1.0, level));
     let height = |[a, b, c]: &Corners| (*a + *b + *c).z;
     facets.sort_by(|p, q| height(q).total_cmp(&height(p)));
     facets.truncate(facets.len() - missing);
@@ -143,13 +143,13 @@ fn check(name: &str, shape: (Vec<Corners>, Vec<bool>)) {
 /// A sphere without 0.6 % of its surface: nearly all light is reflected many times before it escapes.
 #[test]
 fn a_sphere_with_a_small_port() {
-    check("port of 0.6 %", sphere(2));
+    check("port of 0.6 %", sphere(2, 2));
 }
 
 /// A sphere without 5 % of its surface.
 #[test]
 fn a_sphere_with_a_large_port() {
-    check("port of 5 %", sphere(16));
+    check("port of 5 %", sphere(1, 4));
 }
 
 /// A room with one cell missing in a wall.
@@ -161,7 +161,7 @@ fn a_room_with_a_window() {
 /// Sampling in rounds until an error is reached depends on earlier results. The escaped power must stay unbiased.
 #[test]
 fn a_wanted_error_leaves_the_escaped_power_unbiased() {
-    let (truth, rho) = (Truth::of(sphere(2)), 0.9);
+    let (truth, rho) = (Truth::of(sphere(2, 2)), 0.9);
     let (scene, (irradiance, escaped)) = (truth.scene(rho), truth.light(rho));
     let tracer = Tracer::new(&scene);
     let plan = Plan::default().with_error(Some(0.004));

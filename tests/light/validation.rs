@@ -67,7 +67,7 @@ fn against(
     [path, light].map(|seen| Comparison::of(radiosity, &seen, &areas(patches)))
 }
 
-/// The limits are set so that about one right answer in a hundred fails, whatever the numbers of paths and particles.
+/// The limits are set so that about one right answer in a hundred fails, whatever the numbers of rays, paths and particles.
 /// With four answers, two failures have a probability of one in seventeen hundred.
 #[test]
 fn right_answers_pass() {
@@ -76,7 +76,7 @@ fn right_answers_pass() {
         let scene = Scene::load(scene).unwrap();
         let tracer = Tracer::new(&scene);
         for seed in 0..2 {
-            let options = options(seed).with_paths(128).with_particles(1 << 18);
+            let options = options(seed).with_rays(256.0).with_paths(128).with_particles(1 << 18);
             let objections =
                 Validation::of(&scene, &tracer, &options, &Progress::new()).unwrap().objections();
             if !objections.is_empty() {

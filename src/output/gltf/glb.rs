@@ -100,10 +100,11 @@ impl Glb {
 
     /// Adds an 8-bit R G B image as PNG and returns the index of the image.
     pub fn png(&mut self, name: &str, pixels: &image::RgbImage) -> usize {
-        let mut png = std::io::Cursor::new(Vec::new());
+        let mut png = Vec::new();
         // Writing to memory does not fail, and PNG holds eight bits of R G B.
-        pixels.write_to(&mut png, image::ImageFormat::Png).expect("an image can be encoded into memory");
-        self.image(name, png.get_ref(), "image/png")
+        let encoder = image::codecs::png::PngEncoder::new(&mut png);
+        pixels.write_with_encoder(encoder).expect("an image can be encoded into memory");
+        self.image(name, &png, "image/png")
     }
 
     /// Lists an extension as used.

@@ -1,6 +1,6 @@
 //! The glTF file that a lightmap is added to, and the triangles of the scene for each of its triangles.
 
-use std::{collections::HashMap, io::Cursor, path::Path};
+use std::{collections::HashMap, path::Path};
 
 use glam::{DVec2, DVec3};
 use serde_json::{Value, json};
@@ -174,7 +174,7 @@ fn look_up(glb: &mut Glb, map: &TextureMap, textures: &[usize]) -> Value {
 
 /// The MIME type of an image file by its first bytes; `None` if glTF does not allow this type.
 pub(super) fn mime(bytes: &[u8]) -> Option<&'static str> {
-    match image::ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?.format()? {
+    match image::guess_format(bytes).ok()? {
         image::ImageFormat::Png => Some("image/png"),
         image::ImageFormat::Jpeg => Some("image/jpeg"),
         image::ImageFormat::WebP => Some("image/webp"),
