@@ -1,7 +1,7 @@
-//! Fireflies: single texels that stand out from all their neighbours, because some of their samples happened to find a
-//! rare bright light.
+//! Fireflies: single texels, or two adjacent ones, that stand out from their neighbours, because some of their samples
+//! happened to find a rare bright light. Texels are dark in the same way where all samples missed it.
 //!
-//! The denoiser keeps a texel that contradicts its neighbours, because it may be a small bright spot. Its own samples
+//! The denoiser keeps a texel that contradicts its neighbours, because it may be a small spot. Its own samples
 //! cannot decide: few of them found the light, so their spread says little. So a texel that stands out is measured again,
 //! with new and more rays. If these do not confirm it, it is a firefly. Its light is real on average, so it is spread over
 //! the neighbours and not removed.
@@ -13,15 +13,16 @@ use rayon::prelude::*;
 use super::{denoise::square, grid::Grid};
 use crate::Result;
 
-/// A texel stands out if it is brighter than its brightest neighbour by more than this share of that neighbour.
+/// A texel stands out if the larger of its brightness and that of its brightest neighbour but one exceeds the other by
+/// more than this share, or the same with its darkest neighbour but one. One neighbour may be a firefly as well.
 const CONTRAST: f32 = 0.1;
-/// New samples confirm a texel if they exceed its brightest neighbour by more than this share of what the texel does.
+/// New samples confirm a texel if they differ from that neighbour by more than this share of what the texel does.
 const CONFIRMED: f32 = 0.5;
 /// Fireflies are spread over a square that reaches this many texels out in each direction.
 const REACH: isize = 2;
 /// A texel has too few neighbours to compare if fewer than this number are on its chart.
-const FEWEST: usize = 3;
-/// After the brightest of several adjacent fireflies was spread, another one stands out.
+const FEWEST: usize = 4;
+/// After one of several adjacent fireflies was spread, another one stands out.
 const PASSES: usize = 8;
 
 /// Measures the texels with these numbers.
@@ -44,11 +45,19 @@ pub(super) fn spread(
         square(reach).filter_map(move |(dx, dy)| grid.neighbour(place, dx, dy)).filter(on_chart)
     };
     let brightness = |value: [f32; 3]| value.iter().sum::<f32>();
-    // The brightness of the brightest neighbour of a place that stands out.
+    // If a place stands out: the brightness of its brightest, or its darkest, neighbour but one.
     let beside = |values: &[[f32; 3]], place: usize| {
-        let others = near(place, 1).map(|at| brightness(values[at]));
-        let (count, most) = others.fold((0, 0.0f32), |(count, most), b| (count + 1, most.max(b)));
-        (count >= FEWEST && brightness(values[place]) > (1.0 + CONTRAST) * most).then_some(most)
+        let mut others: Vec<f32> = near(place, 1).map(|at| brightness(values[at])).collect();
+        if others.len() < FEWEST {
+            return None;
+        }
+        others.sort_unstable_by(f32::total_cmp);
+        let (least, most, here) = (others[1], others[others.len() - 2], brightness(values[place]));
+        match here {
+            _ if here > (1.0 + CONTRAST) * most => Some(most),
+            _ if (1.0 + CONTRAST) * here < least => Some(least),
+            _ => None,
+        }
     };
     let mut measured: HashMap<u32, f32> = HashMap::new();
     for _ in 0..PASSES {
@@ -61,8 +70,9 @@ pub(super) fn spread(
         let mut found = false;
         for (place, i) in stand_out {
             // The texel may stand out no more, because a neighbour was spread.
-            let Some(most) = beside(values, place) else { continue };
-            if measured[&i] - most > CONFIRMED * (brightness(values[place]) - most) {
+            let Some(other) = beside(values, place) else { continue };
+            let excess = brightness(values[place]) - other;
+            if (measured[&i] - other) * excess.signum() > CONFIRMED * excess.abs() {
                 continue;
             }
             found = true;
@@ -109,13 +119,14 @@ mod tests {
         assert_eq!(spread_in(&[(MIDDLE, 1.8)], 1.7)[MIDDLE], [1.8; 3]);
     }
 
-    /// Of adjacent outliers of different size, the larger one is spread first. Two equal ones do not stand out.
+    /// Two adjacent outliers are spread, and dark ones as well.
     #[test]
-    fn adjacent_fireflies_are_spread_one_after_the_other() {
-        let bright = [(MIDDLE, 1.9), (MIDDLE + 1, 1.5), (MIDDLE + SIDE, 1.3)];
+    fn adjacent_and_dark_outliers_are_spread() {
+        let bright = [(MIDDLE, 1.9), (MIDDLE + 1, 1.5)];
         let most = spread_in(&bright, 1.0).iter().map(|v| v[1]).fold(0.0, f32::max);
         // A texel may exceed its brightest neighbour by a tenth, and the neighbours have got the light.
         assert!(most < 1.15, "{most}");
-        assert_eq!(spread_in(&[(MIDDLE, 1.8), (MIDDLE + 1, 1.8)], 1.0)[MIDDLE], [1.8; 3]);
+        assert!((spread_in(&[(MIDDLE, 0.2)], 1.0)[MIDDLE][0] - 0.968).abs() < 1e-6);
+        assert_eq!(spread_in(&[(MIDDLE, 0.2)], 0.3)[MIDDLE], [0.2; 3]);
     }
 }
