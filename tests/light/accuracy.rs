@@ -32,14 +32,14 @@ static CORNELL_BOX: LazyLock<Case> = LazyLock::new(|| Case::new("cornell-box.obj
 static TEXTURED: LazyLock<Case> = LazyLock::new(|| Case::new("textured.obj"));
 
 impl Case {
-    /// A mesh of this repository in about 300 patches, with a reference of 4096 rays per patch. The error of the
-    /// reference is at most a quarter of the error of 256 rays.
+    /// A mesh of this repository in about 300 patches, with a reference of 8192 rays per patch. The error of the
+    /// reference is at most a third of the error of 1024 rays.
     fn new(name: &str) -> Case {
         let path: std::path::PathBuf = [env!("CARGO_MANIFEST_DIR"), "meshes", name].iter().collect();
         let scene = Scene::load(&path).unwrap();
         let tracer = Tracer::new(&scene);
         let subdivision = Subdivision::Count(300);
-        let reference = solve_with(&scene, &tracer, subdivision, 4096.0, 1000);
+        let reference = solve_with(&scene, &tracer, subdivision, 8192.0, 1000);
         Case { scene, tracer, subdivision, reference }
     }
 
@@ -76,7 +76,7 @@ fn errors_are_as_estimated_and_fall() {
     const SEEDS: u64 = 8;
     for (name, case) in [("cornell-box", &*CORNELL_BOX), ("textured", &*TEXTURED)] {
         let mut before = f64::INFINITY;
-        for rays in [64.0, 256.0] {
+        for rays in [64.0, 256.0, 1024.0] {
             let (mut actual, mut estimated, mut within) = (0.0, 0.0, 0.0);
             for seed in 0..SEEDS {
                 let (a, e, w) = case.errors(&case.solve(rays, seed));
@@ -86,7 +86,7 @@ fn errors_are_as_estimated_and_fall() {
             }
             let (actual, estimated) = (actual.sqrt(), estimated.sqrt());
             println!("{name} {rays}: {actual:.5}, estimated {estimated:.5}, within {within:.3}");
-            let of_reference = 0.5 * (rays / 4096.0f64).powf(1.2);
+            let of_reference = 0.5 * (rays / 8192.0f64).powf(1.2);
             let allowed = 4.0 * (2.0 * 0.025f64.powi(2) + of_reference.powi(2)).sqrt();
             assert!((actual / estimated - 1.0).abs() < allowed, "{name} {rays}: {actual}, not {estimated}");
             assert!((within - 0.95).abs() < 4.0 * 0.008, "{name} {rays}: {within} within");
@@ -219,7 +219,7 @@ fn discretisation_falls_with_the_square_of_the_edge() {
 }
 
 /// Whole triangles have an estimate of the discretisation error too. It is larger than that of the smaller patches of the
-/// reference. The bias of 4096 rays is below the noise: it vanishes within four standard errors of the mean irradiance.
+/// reference. The bias of 8192 rays is below the noise: it vanishes within four standard errors of the mean irradiance.
 #[test]
 fn whole_triangles_have_an_estimate_and_there_is_no_bias_beyond_noise() {
     let case = &*CORNELL_BOX;
@@ -265,7 +265,7 @@ impl ShiningCeiling {
         let walls = [x0, x1, y0, y1, floor].concat();
         let scene = scene(&[part(walls, 0.5, 0.0), part(ceiling, 0.0, 1.0)]);
         let tracer = Tracer::new(&scene);
-        let reference = Self::solve_in(&scene, &tracer, 4096.0, 1000);
+        let reference = Self::solve_in(&scene, &tracer, 8192.0, 1000);
         ShiningCeiling { scene, tracer, reference }
     }
 
@@ -283,7 +283,7 @@ impl ShiningCeiling {
 }
 
 /// The light of a ceiling that emits as a whole reaches floor and walls in the right proportion. The mean of 32 casts
-/// of few rays agrees with the reference of 4096 rays within five standard errors. The error of the reference is at
+/// of few rays agrees with the reference of 8192 rays within five standard errors. The error of the reference is at
 /// most a tenth of the error of one cast, since errors fall at least with the power 0.6 of the rays; five times that is
 /// added.
 #[test]
@@ -324,7 +324,7 @@ fn light_that_returns_to_a_large_lamp_is_known_to_its_bar() {
     let mean = |of: &dyn Fn(usize) -> f64| lamps.iter().map(|&i| of(i)).sum::<f64>() / lamps.len() as f64;
     let seen = |i: usize| form_factors.row(i).map(|(j, f)| f * truth.radiosity[j].powi(2)).sum::<f64>();
     let of_own_rays = (mean(&|i| seen(i) - truth.irradiance[i].powi(2)) / 16.0).sqrt();
-    for rays in [64.0, 256.0] {
+    for rays in [64.0, 256.0, 1024.0] {
         let (mut squares, mut shares) = (0.0, Vec::new());
         for seed in 0..SEEDS {
             let solved = room.solve(rays, seed);

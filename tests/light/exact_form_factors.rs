@@ -349,7 +349,7 @@ fn rotation() -> impl Strategy<Value = DMat3> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Contour integrals of polygons agree with corner sums of rectangles. Both have errors of some units of 1e-16
     /// times 16 terms of the order of the squared extent, 12 at most.

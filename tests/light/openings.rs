@@ -21,8 +21,8 @@ use radiosity::{
 const SEEDS: u64 = 12;
 
 /// A sphere of facets without the lowest ones. The highest six emit.
-fn sphere(level: u32, missing: usize) -> (Vec<Corners>, Vec<bool>) {
-    let mut facets = flipped(icosphere(1.0, level));
+fn sphere(missing: usize) -> (Vec<Corners>, Vec<bool>) {
+    let mut facets = flipped(icosphere(1.0, 2));
     let height = |[a, b, c]: &Corners| (*a + *b + *c).z;
     facets.sort_by(|p, q| height(q).total_cmp(&height(p)));
     facets.truncate(facets.len() - missing);
@@ -128,28 +128,30 @@ fn compare(name: &str, found: &[[f64; 3]], wanted: f64, rho: f64, rays: f64) -> 
     within
 }
 
-/// Checks the escaped power at three reflectances, and at the lowest also the intervals of patches. The numbers of rays
-/// differ too, since an error of second order is largest with few rays. If light is reflected more often, the error that all patches share is so large that twelve seeds do not measure how often intervals hold.
+/// Checks the escaped power at three reflectances, and at the lowest also the intervals of patches. If light is reflected
+/// more often, the error that all patches share is so large that twelve seeds do not measure how often intervals hold.
 fn check(name: &str, shape: (Vec<Corners>, Vec<bool>)) {
     let truth = Truth::of(shape);
-    for (rho, rays) in [(0.8, 256.0), (0.95, 64.0), (0.99, 64.0)] {
+    for rho in [0.8, 0.95, 0.99] {
         let (scene, (irradiance, escaped)) = (truth.scene(rho), truth.light(rho));
-        let one = |seed| measure(&whole(Estimator::Pooled, rays, seed, &scene), &irradiance);
-        let within = compare(name, &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, rays);
-        assert!(rho > 0.8 || (0.91..=0.985).contains(&within), "{name}: {within} within");
+        for rays in [64.0, 256.0] {
+            let one = |seed| measure(&whole(Estimator::Pooled, rays, seed, &scene), &irradiance);
+            let within = compare(name, &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, rays);
+            assert!(rho > 0.8 || (0.91..=0.985).contains(&within), "{name}: {within} within");
+        }
     }
 }
 
 /// A sphere without 0.6 % of its surface: nearly all light is reflected many times before it escapes.
 #[test]
 fn a_sphere_with_a_small_port() {
-    check("port of 0.6 %", sphere(2, 2));
+    check("port of 0.6 %", sphere(2));
 }
 
 /// A sphere without 5 % of its surface.
 #[test]
 fn a_sphere_with_a_large_port() {
-    check("port of 5 %", sphere(1, 4));
+    check("port of 5 %", sphere(16));
 }
 
 /// A room with one cell missing in a wall.
@@ -161,10 +163,10 @@ fn a_room_with_a_window() {
 /// Sampling in rounds until an error is reached depends on earlier results. The escaped power must stay unbiased.
 #[test]
 fn a_wanted_error_leaves_the_escaped_power_unbiased() {
-    let (truth, rho) = (Truth::of(sphere(2, 2)), 0.9);
+    let (truth, rho) = (Truth::of(sphere(2)), 0.9);
     let (scene, (irradiance, escaped)) = (truth.scene(rho), truth.light(rho));
     let tracer = Tracer::new(&scene);
-    let plan = Plan::default().with_error(Some(0.004));
+    let plan = Plan::default().with_error(Some(0.002));
     let one = |seed| {
         let patches = Patches::subdivide(&scene, &Subdivision::Edge(f64::INFINITY));
         let cast = CastOptions::default().with_rays(64.0).with_seed(seed);
@@ -173,7 +175,7 @@ fn a_wanted_error_leaves_the_escaped_power_unbiased() {
         let next = |_: &Solved, rounds: &[_]| Ok(plan.next(rounds));
         measure(&refine(&scene, &tracer, first, &options, next, &progress).unwrap().0, &irradiance)
     };
-    compare("error of 0.4 %", &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, 64.0);
+    compare("error of 0.2 %", &(0..SEEDS).map(one).collect::<Vec<_>>(), escaped, rho, 64.0);
 }
 
 /// If all patches emit, the estimate from both ends of a ray is no worse than the one-way estimate.
@@ -236,7 +238,7 @@ fn a_terrain_that_emits_everywhere() {
         let parts: Vec<Part> =
             triangles.iter().enumerate().map(|(i, &t)| part(vec![t], rho, emission(i))).collect();
         let scene = scene(&parts);
-        let truth = whole(Estimator::OneWay, 4096.0, 99, &scene).solution.irradiance;
+        let truth = whole(Estimator::OneWay, 16384.0, 99, &scene).solution.irradiance;
         let mean = truth.iter().sum::<f64>() / truth.len() as f64;
         let [one_way, pooled] = [Estimator::OneWay, Estimator::Pooled].map(|estimator| {
             let (mut squares, mut estimated) = (0.0, 0.0);
@@ -249,19 +251,18 @@ fn a_terrain_that_emits_everywhere() {
             [squares, estimated].map(|sum| (sum / (4 * truth.len()) as f64).sqrt() / mean)
         });
         println!("emission differs by {emits}: one-way {one_way:.4?}, pooled {pooled:.4?}");
-        // From 2,048 errors each root mean square is known to 2 %. The truth has sixteen times the rays: it adds at most
-        // a sixteenth to the squares of both.
+        // From 2,048 errors each root mean square is known to 2 %.
         assert!(pooled[0] <= 1.06 * one_way[0], "pooled {pooled:?}, one-way {one_way:?}");
         assert!((0.85..1.2).contains(&(pooled[1] / pooled[0])), "pooled {pooled:?}");
     }
 }
 
 /// A lamp above a black grille whose cells are as high as wide. The share of its light that escapes is the form factor
-/// between opposite faces of a cube. Cut along the blades, the lamp becomes dozens of small ones: a blade sees two of
+/// between opposite faces of a cube. Cut along the blades, the lamp becomes hundreds of small ones: a blade sees two of
 /// them in full and most not at all. The tolerance is four standard errors.
 #[test]
 fn a_lamp_cut_by_the_grille_below_it() {
-    const CELLS: usize = 6;
+    const CELLS: usize = 8;
     let cell = 1.0 / CELLS as f64;
     let along =
         |k: usize, u: DVec3, v: DVec3| rectangle(u * (k as f64 * cell - 0.5) - v * 0.5, v, DVec3::Z * cell);

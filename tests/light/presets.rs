@@ -21,8 +21,8 @@ fn means(scene: &Scene, common: &Patches, quality: Quality, seed: u64) -> Vec<f6
 
 /// `src/quality.rs` states 4.4 % for draft and 0.58 % for medium, as upper limits. The product of the deviations from
 /// two independent references is free of the noise of the references. A thousand patches count like about a hundred
-/// independent values, since neighbours err together. So the error scatters by 1 / sqrt(200) = 7 %, and by 5 % over
-/// two seeds. Three standard deviations are allowed.
+/// independent values, since neighbours err together. So the error scatters by 1 / sqrt(200) = 7 %, and by 4 % over
+/// three seeds. Three standard deviations are allowed.
 #[test]
 fn presets_reach_their_stated_errors() {
     let scene = Scene::load(format!("{}/meshes/cornell-box.obj", env!("CARGO_MANIFEST_DIR"))).unwrap();
@@ -35,13 +35,13 @@ fn presets_reach_their_stated_errors() {
     let mean: f64 = areas().zip(&truths[0]).map(|(area, e)| area * e / all).sum();
     for (name, quality, stated) in [("draft", Quality::DRAFT, 0.044), ("medium", Quality::MEDIUM, 0.0058)] {
         let mut squares = 0.0;
-        for seed in 0..2 {
+        for seed in 0..3 {
             let found = means(&scene, &common, quality, seed);
             let product = |q: usize| (found[q] - truths[0][q]) * (found[q] - truths[1][q]);
-            squares += areas().enumerate().map(|(q, area)| area / all * product(q)).sum::<f64>() / 2.0;
+            squares += areas().enumerate().map(|(q, area)| area / all * product(q)).sum::<f64>() / 3.0;
         }
         let error = squares.sqrt() / mean;
         println!("{name}: {:.2} %, stated {:.2} %", 100.0 * error, 100.0 * stated);
-        assert!(error <= 1.15 * stated, "{name}: {error}, stated {stated}");
+        assert!(error <= 1.12 * stated, "{name}: {error}, stated {stated}");
     }
 }
