@@ -20,7 +20,7 @@ use radiosity::{
     },
 };
 
-use super::options::point;
+use super::options::{parse, point};
 
 /// Name of the sun of `--sun`, for `--emitters`.
 const SUN: &str = "sun";
@@ -99,7 +99,7 @@ enum SkyArg {
 }
 
 fn efficacy(text: &str) -> Result<f64, String> {
-    super::options::parse(text, |x| (1e-3..=1e6).contains(&x), "expected a number of lumens above 0")
+    parse(text, |x| (1e-3..=1e6).contains(&x), "expected a number of lumens above 0")
 }
 
 fn luminaire_at(text: &str) -> Result<(PathBuf, DVec3), String> {
@@ -144,18 +144,13 @@ impl FromStr for SkyArg {
             return Ok(SkyArg::Image(text.into(), 1.0));
         }
         if let Some((file, strength)) = text.rsplit_once(':').filter(|(file, _)| is_image(file)) {
-            let strength = strength.parse().ok().filter(|&x| is_radiance(x));
-            return Ok(SkyArg::Image(
-                file.into(),
-                strength.ok_or_else(|| {
-                    format!("the strength of the image must be a number from 0 to {MOST_RADIANCE:e}")
-                })?,
-            ));
+            let wanted = format!("the strength of the image must be a number from 0 to {MOST_RADIANCE:e}");
+            return Ok(SkyArg::Image(file.into(), parse(strength, is_radiance, &wanted)?));
         }
         let (kind, value) = text.split_once(':').ok_or(WANTED)?;
         let number = || {
-            let number = value.parse().ok().filter(|&x| is_radiance(x));
-            number.ok_or_else(|| format!("`{value}` is not a number from 0 to {MOST_RADIANCE:e}"))
+            let wanted = format!("`{value}` is not a number from 0 to {MOST_RADIANCE:e}");
+            parse(value, is_radiance, &wanted)
         };
         Ok(match kind {
             "uniform" => SkyArg::Uniform(number()?),

@@ -4,7 +4,10 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::{Error, Result, scene::text::read_utf8};
+use crate::{
+    Error, Result,
+    scene::text::{line_of, read_utf8},
+};
 
 /// The thermal boundary condition of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -75,13 +78,13 @@ impl Conditions {
     pub fn load(path: &Path, names: &[String]) -> Result<Conditions> {
         let text = read_utf8(path)?;
         let file = toml::de::DeTable::parse(&text).map_err(|error| {
-            let line = error.span().map(|span| line_of(&text, span.start));
+            let line = error.span().map(|span| line_of(text.as_bytes(), span.start));
             Error::input(path, line, error.message().to_owned())
         })?;
         let mut conditions: Vec<Option<Condition>> = vec![None; names.len()];
         let mut sky = None;
         for (key, value) in file.into_inner() {
-            let line = Some(line_of(&text, key.span().start));
+            let line = Some(line_of(text.as_bytes(), key.span().start));
             let name = key.into_inner().into_owned();
             let fail = |message: String| Error::input(path, line, message);
             let entry = Entry::deserialize(toml::de::ValueDeserializer::from(value))
@@ -116,10 +119,6 @@ impl Conditions {
 fn quoted(name: &str) -> String {
     let bare = !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
     if bare { name.into() } else { format!("{name:?}") }
-}
-
-fn line_of(text: &str, at: usize) -> usize {
-    1 + text[..at.min(text.len())].matches('\n').count()
 }
 
 fn possible(name: &str, temperature: f64) -> std::result::Result<f64, String> {

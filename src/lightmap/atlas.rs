@@ -200,6 +200,11 @@ impl Atlas {
         self.cut.as_ref().map_or(t..t + 1, |cut| cut.facets_of(t, false))
     }
 
+    /// Whether any facet of a triangle has a place in the map.
+    pub(super) fn is_mapped(&self, t: usize) -> bool {
+        self.facets_of(t).any(|facet| self.chart[facet] != NONE)
+    }
+
     /// Whether a facet is the second copy of a triangle, for its back.
     pub fn is_second(&self, facet: usize) -> bool {
         self.cut.as_ref().is_some_and(|cut| cut.facets[facet].turned)

@@ -1,7 +1,7 @@
 //! All steps from a solution to a finished map.
 
 use super::{
-    Atlas, BakeOptions, Coverage, Flux, Lightmap, NONE, Texel, denoise, fireflies,
+    Atlas, BakeOptions, Coverage, Flux, Lightmap, Texel, denoise, fireflies,
     gather::{self, Gatherer, Noisy},
     grid::Grid,
     seams::Seams,
@@ -19,6 +19,11 @@ use crate::{
 /// Both sides of a triangle get texels if the darker side has more than this share of the flux on the brighter side.
 /// Patches that reach under a wall cause smaller shares.
 const BOTH: f64 = 1e-2;
+/// A texel that stands out from its neighbours is gathered again with this many times as many rays. The standard error
+/// of the new value is a quarter of the first one, so it shows whether the texel stood out by chance.
+const MORE_RAYS: u32 = 16;
+/// Distinguishes the random numbers of the second gathering.
+const AGAIN_SEED: u64 = 0x6167_6169_6e21;
 
 /// For each triangle, whether both of its sides have enough light to deserve texels. This is the value for
 /// [`AtlasOptions::two_sided`](super::AtlasOptions::two_sided).
@@ -91,11 +96,6 @@ pub fn divide(
     }
     Ok(parts)
 }
-
-/// A texel that stands out from its neighbours is gathered again with this many times as many rays. The error of its
-/// value is then a quarter of the first, so that what chance made is told from a bright spot.
-const MORE_RAYS: u32 = 16;
-const AGAIN_SEED: u64 = 0x6167_6169_6e21;
 
 /// Computes a map of the given side of each facet.
 fn show_sides(
@@ -227,19 +227,17 @@ impl Cells {
             [&self.direct, &self.reflected].map(|signal| denoise::filter(grid, coverage, signal, counts));
         let total =
             |direct: &Noisy, reflected: &Noisy| std::array::from_fn(|c| direct.mean[c] + reflected.mean[c]);
-        let (mut chart, mut shown) = (vec![NONE; grid.places()], vec![[0.0f32; 3]; grid.places()]);
-        let counted: Vec<u32> = (0..self.open.len() as u32).filter(|&i| counts(i as usize)).collect();
-        let texels: Vec<(usize, u32)> =
-            counted.iter().map(|&i| (coverage.texels()[i as usize] as usize, i)).collect();
+        let counted = (0..self.open.len()).filter(|&i| counts(i));
+        let texels: Vec<(usize, u32)> = counted.map(|i| (coverage.texels()[i] as usize, i as u32)).collect();
+        let mut shown = vec![[0.0; 3]; grid.places()];
         for &(place, i) in &texels {
-            let i = i as usize;
-            (chart[place], shown[place]) = (grid.chart(i), total(&direct[i], &reflected[i]));
+            shown[place] = total(&direct[i as usize], &reflected[i as usize]);
         }
         let again = |texels: &[u32]| {
             let found = gather(texels)?;
             Ok(found.iter().map(|texel| total(&texel.direct, &texel.reflected)).collect())
         };
-        fireflies::spread(grid, &chart, &texels, &mut shown, &again)?;
+        fireflies::spread(grid, &texels, &mut shown, &again)?;
         for (place, i) in texels {
             let direct = direct[i as usize].mean;
             reflected[i as usize].mean = std::array::from_fn(|c| shown[place][c] - direct[c]);

@@ -10,7 +10,7 @@ use std::collections::HashMap;
 
 use rayon::prelude::*;
 
-use super::{denoise::square, grid::Grid};
+use super::{atlas::NONE, denoise::square, grid::Grid};
 use crate::Result;
 
 /// A texel stands out if the larger of its brightness and that of its brightest neighbour but one exceeds the other by
@@ -28,18 +28,20 @@ const PASSES: usize = 8;
 /// Measures the texels with these numbers.
 pub(super) type Measure<'a> = dyn Fn(&[u32]) -> Result<Vec<[f32; 3]>> + 'a;
 
-/// Spreads fireflies. `texels` has the place and the number of each texel, and `again` measures texels with these numbers
-/// once more. `chart` and `values` are indexed by place.
+/// Spreads fireflies. `texels` has the place of each texel that counts, and its number among the covered ones. `again`
+/// measures texels with these numbers once more. `values` is indexed by place.
 ///
 /// # Errors
 /// Those of `again`.
 pub(super) fn spread(
     grid: &Grid,
-    chart: &[u32],
     texels: &[(usize, u32)],
     values: &mut [[f32; 3]],
     again: &Measure<'_>,
 ) -> Result<()> {
+    let mut chart = vec![NONE; grid.places()];
+    texels.iter().for_each(|&(place, i)| chart[place] = grid.chart(i as usize));
+    let chart = &chart;
     let near = |place: usize, reach: isize| {
         let on_chart = move |&at: &usize| at != place && chart[at] == chart[place];
         square(reach).filter_map(move |(dx, dy)| grid.neighbour(place, dx, dy)).filter(on_chart)
@@ -105,7 +107,7 @@ mod tests {
         bright.iter().for_each(|&(place, value)| values[place] = [value; 3]);
         let texels: Vec<(usize, u32)> = (0..values.len()).map(|place| (place, place as u32)).collect();
         let again = |texels: &[u32]| Ok(vec![[truth; 3]; texels.len()]);
-        spread(&grid, &vec![0; SIDE * SIDE], &texels, &mut values, &again).unwrap();
+        spread(&grid, &texels, &mut values, &again).unwrap();
         values
     }
 

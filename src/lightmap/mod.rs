@@ -178,9 +178,8 @@ impl Lightmap {
     /// Area of the surface inside solids, where no light arrives. One entry per material of the scene.
     pub fn hidden_areas(&self, scene: &Scene) -> Vec<f64> {
         let mut areas = vec![0.0; scene.materials.len()];
-        let is_mapped = |t: usize| self.atlas.facets_of(t).any(|facet| self.atlas.chart[facet] != NONE);
         let within = within_solids(scene);
-        for t in (0..within.len()).filter(|&t| within[t] && !is_mapped(t)) {
+        for t in (0..within.len()).filter(|&t| within[t] && !self.atlas.is_mapped(t)) {
             areas[scene.triangles[t].material as usize] += scene.area(t);
         }
         for i in 0..self.coverage.len() {
@@ -409,7 +408,7 @@ impl Lightmap {
         for i in 0..patches.len() {
             let t = patches.triangle(i);
             let e = rgb(&solution.irradiance[i * channels..][..channels]);
-            let is_mapped = self.atlas.facets_of(t).any(|facet| self.atlas.chart[facet] != NONE);
+            let is_mapped = self.atlas.is_mapped(t);
             if !is_mapped && patches.is_shut_in(i) {
                 continue;
             }

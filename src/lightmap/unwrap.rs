@@ -42,7 +42,8 @@ const SMALL_PAGE: usize = 128;
 /// # Errors
 /// [`Error::Setting`] when the map would be too small for the charts or too large altogether.
 pub(super) fn unwrap(scene: &Scene, tracer: &Tracer, options: &AtlasOptions) -> Result<Atlas> {
-    let whole = Unwrapper::new(scene, tracer, options, None);
+    let within = within_solids(scene);
+    let whole = Unwrapper::new((scene, &within), tracer, options, None);
     match options.layout {
         Layout::Resolution(side) => match whole.best_page(side) {
             Some(atlas) => Ok(atlas),
@@ -55,6 +56,8 @@ pub(super) fn unwrap(scene: &Scene, tracer: &Tracer, options: &AtlasOptions) -> 
 /// A scene prepared for uvunwrap.
 struct Unwrapper<'a> {
     scene: &'a Scene,
+    /// For each triangle of the scene, whether it is within solids. Nobody sees it, and no light is there.
+    within: &'a [bool],
     tracer: &'a Tracer,
     options: &'a AtlasOptions,
     /// The facets, if triangles are cut or have second copies.
@@ -70,7 +73,12 @@ struct Unwrapper<'a> {
 
 impl<'a> Unwrapper<'a> {
     /// `longest` is the approximate largest length of a chart; `None` if charts are not to be split.
-    fn new(scene: &'a Scene, tracer: &'a Tracer, options: &'a AtlasOptions, longest: Option<f64>) -> Self {
+    fn new(
+        (scene, within): (&'a Scene, &'a [bool]),
+        tracer: &'a Tracer,
+        options: &'a AtlasOptions,
+        longest: Option<f64>,
+    ) -> Self {
         let has_copies = options.two_sided.contains(&true);
         let long = longest.map(|longest| longer(scene, &surfaces(scene, options), longest));
         // A piece belongs to the cell that contains its middle. It reaches beyond the cell by up to two thirds of an
@@ -81,6 +89,7 @@ impl<'a> Unwrapper<'a> {
         let facets = cut.as_ref().map_or(scene, |cut| &cut.scene);
         let mut unwrapper = Unwrapper {
             scene,
+            within,
             tracer,
             options,
             positions: facets.vertices.iter().map(|&v| tracer.to_unit(v).to_array()).collect(),
@@ -94,8 +103,6 @@ impl<'a> Unwrapper<'a> {
         }
         let facets = unwrapper.facets();
         let mut groups: BTreeMap<u64, (f64, Vec<u32>)> = BTreeMap::new();
-        // Nobody sees what is within solids, and no light is there.
-        let within = within_solids(scene);
         let is_within =
             |f: usize| within[unwrapper.cut.as_ref().map_or(f, |cut| cut.facets[f].triangle as usize)];
         for (f, triangle) in facets.triangles.iter().enumerate().filter(|&(f, _)| !is_within(f)) {
@@ -104,6 +111,11 @@ impl<'a> Unwrapper<'a> {
         }
         unwrapper.groups = groups.into_values().collect();
         unwrapper
+    }
+
+    /// The same scene with charts that are split to about this length.
+    fn with_longest(&self, longest: f64) -> Unwrapper<'a> {
+        Unwrapper::new((self.scene, self.within), self.tracer, self.options, Some(longest))
     }
 
     fn facets(&self) -> &Scene {
@@ -168,7 +180,8 @@ impl<'a> Unwrapper<'a> {
         uvunwrap::generate(&meshes, &options)
     }
 
-    /// Sum over all facets with a place in the map of area times squared density factor: the number of texels of unit length.
+    /// Sum over all facets with a place in the map of area times squared density factor: the number of texels of unit
+    /// length.
     fn weighted_area(&self) -> f64 {
         let facets = self.facets();
         let area = |members: &[u32]| members.iter().map(|&f| facets.area(f as usize)).sum::<f64>();
@@ -190,7 +203,7 @@ impl<'a> Unwrapper<'a> {
     /// The scene with charts up to a share of the side of a single page that is used well.
     fn split_into(&self, share: f64) -> Unwrapper<'a> {
         let side = (self.weighted_area() / ENOUGH).sqrt();
-        Unwrapper::new(self.scene, self.tracer, self.options, Some(share * side))
+        self.with_longest(share * side)
     }
 
     /// A layout on one square page, and the share of the page that holds surface. `None` if the charts do not fit, or
@@ -256,7 +269,7 @@ impl<'a> Unwrapper<'a> {
                 let is_good = |(used, longest)| used >= ENOUGH || longest <= share * side as f64;
                 if !reached.is_some_and(is_good) {
                     let longest = share * side.saturating_sub(2 * PADDING as usize) as f64 * length;
-                    reached = attempt(&Unwrapper::new(self.scene, self.tracer, self.options, Some(longest)));
+                    reached = attempt(&self.with_longest(longest));
                 }
             }
             if reached.is_some_and(|(used, _)| used >= ENOUGH) {

@@ -132,9 +132,15 @@ fn shaded_edges(scene: &Scene, crease: f64) -> Vec<[u32; 2]> {
 fn edges_within(scene: &Scene, angle: f64, counts: impl Fn([u32; 2]) -> bool) -> Vec<[u32; 2]> {
     let normals: Vec<_> = (0..scene.triangles.len()).map(|t| scene.normal(t)).collect();
     let least_cosine = angle.to_radians().cos();
-    let within = within_solids(scene);
-    slots(scene)
-        .chunk_by(same_edge)
+    let slots = slots(scene);
+    let edges: Vec<&[Slot]> = slots.chunk_by(same_edge).collect();
+    // Without edges of more than two triangles nothing is within solids.
+    let within = match edges.iter().any(|edge| edge.len() > 2) {
+        true => within_solids(scene),
+        false => vec![false; scene.triangles.len()],
+    };
+    edges
+        .into_iter()
         .filter_map(|group| {
             let open: Vec<&Slot> = group.iter().filter(|(_, _, slot)| !within[*slot as usize / 3]).collect();
             let &[&(_, _, e), &(_, _, f)] = &open[..] else { return None };

@@ -34,10 +34,14 @@ pub(crate) fn decode(bytes: Vec<u8>) -> String {
 pub(crate) fn read_utf8(path: &Path) -> Result<String> {
     let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
     String::from_utf8(bytes).map_err(|error| {
-        let before = &error.as_bytes()[..error.utf8_error().valid_up_to()];
-        let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
+        let line = line_of(error.as_bytes(), error.utf8_error().valid_up_to());
         Error::input(path, Some(line), "this line is not UTF-8 text: save the file as UTF-8")
     })
+}
+
+/// The line, from 1, of the byte with this index.
+pub(crate) fn line_of(text: &[u8], at: usize) -> usize {
+    1 + text[..at.min(text.len())].iter().filter(|&&byte| byte == b'\n').count()
 }
 
 /// Logical lines, each with the number of its first physical line. LF, CR LF and CR end a line. A backslash at the end

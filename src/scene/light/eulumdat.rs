@@ -1,7 +1,7 @@
 //! EULUMDAT files (.ldt): one value a line, in a fixed order (Stockmar, "EULUMDAT - a format for the exchange of
 //! photometric data", 1990).
 
-use super::measured::{Goniometer, MOST_DIRECTIONS, Measured, Opening, Wrong, incomplete, reach_all_round};
+use super::measured::{Goniometer, MOST_DIRECTIONS, Measured, Opening, Wrong, reach_all_round};
 
 /// Number of lines for each set of lamps.
 const LINES_OF_SET: usize = 6;
@@ -111,7 +111,6 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
     if absolute {
         warnings.push("photometry is absolute: the flux of the lamps is the flux of the luminaire".into());
     }
-    warnings.extend(incomplete("vertical", &vertical, &[(0.0, 90.0), (0.0, 180.0), (90.0, 180.0)]));
     let millimetres = 1e-3;
     let round = width == 0.0;
     let width = if round { length } else { width };

@@ -18,7 +18,10 @@ use super::{
 };
 use crate::{
     Error, Result,
-    scene::{MOST_RADIANCE, Scene, direction, is_radiance, text::read_utf8},
+    scene::{
+        MOST_RADIANCE, Scene, direction, is_radiance,
+        text::{line_of, read_utf8},
+    },
 };
 
 #[derive(Debug, Clone, Copy, Deserialize)]
@@ -173,7 +176,7 @@ pub struct SunInFile {
 pub fn add(scene: &mut Scene, path: &Path, up: Option<Up>) -> Result<Option<SunInFile>> {
     let text = read_utf8(path)?;
     let wrong = |span: Option<Range<usize>>, message: String| {
-        let line = span.map(|span| text[..span.start.min(text.len())].matches('\n').count() + 1);
+        let line = span.map(|span| line_of(text.as_bytes(), span.start));
         Error::input(path, line, message)
     };
     let table: FileTable =

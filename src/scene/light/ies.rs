@@ -5,7 +5,7 @@
 //! of the opening, the ballast factor, one more factor, and watts. All angles follow, and then the intensities plane by
 //! plane.
 
-use super::measured::{Goniometer, MOST_DIRECTIONS, Measured, Opening, Wrong, incomplete, reach_all_round};
+use super::measured::{Goniometer, MOST_DIRECTIONS, Measured, Opening, Wrong, reach_all_round};
 
 /// Metres per foot.
 const FOOT: f64 = 0.3048;
@@ -126,23 +126,6 @@ pub(super) fn parse(text: &str) -> Result<Measured, Wrong> {
     check_angles(goniometer, &vertical, &horizontal).map_err(|message| {
         Wrong::at(if message.starts_with("vertical") { first_of_vertical } else { numbers.line }, message)
     })?;
-    warnings.extend(
-        match goniometer {
-            Goniometer::C => {
-                vec![incomplete("vertical", &vertical, &[(0.0, 90.0), (0.0, 180.0), (90.0, 180.0)])]
-            }
-            Goniometer::A | Goniometer::B => vec![
-                incomplete("vertical", &vertical, &[(0.0, 90.0), (-90.0, 90.0)]),
-                incomplete(
-                    "horizontal",
-                    &horizontal,
-                    &[(0.0, 90.0), (-90.0, 90.0), (0.0, 180.0), (-180.0, 180.0)],
-                ),
-            ],
-        }
-        .into_iter()
-        .flatten(),
-    );
     let mut candela = Vec::new();
     for _ in 0..rows * columns {
         let intensity = numbers.next("an intensity")?;

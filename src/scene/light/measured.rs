@@ -13,6 +13,31 @@ pub enum Goniometer {
     A,
 }
 
+impl Goniometer {
+    /// Warnings about angles that end where the goniometer does not: nothing is known beyond them.
+    pub(super) fn missing(self, vertical: &[f64], horizontal: &[f64]) -> Vec<String> {
+        let warning = |kind: &str, angles: &[f64], complete: &[(f64, f64)]| {
+            let (first, last) = (angles[0], angles[angles.len() - 1]);
+            (angles.len() > 1 && !complete.contains(&(first, last))).then(|| {
+                format!(
+                    "the {kind} angles run from {first} to {last}: the intensity beyond them is taken as 0"
+                )
+            })
+        };
+        let half = [(0.0, 90.0), (-90.0, 90.0)];
+        let warnings = match self {
+            Goniometer::C => {
+                [warning("vertical", vertical, &[(0.0, 90.0), (0.0, 180.0), (90.0, 180.0)]), None]
+            }
+            Goniometer::A | Goniometer::B => [
+                warning("vertical", vertical, &half),
+                warning("horizontal", horizontal, &[half, [(0.0, 180.0), (-180.0, 180.0)]].concat()),
+            ],
+        };
+        warnings.into_iter().flatten().collect()
+    }
+}
+
 /// The luminous opening of a luminaire: a rectangle or an ellipse.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Opening {
@@ -55,13 +80,4 @@ pub(super) fn reach_all_round(planes: &[f64]) -> bool {
     const ROUNDING: f64 = 0.01;
     let widest = planes.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
     planes.len() > 1 && planes[planes.len() - 1] - planes[0] + widest >= 360.0 - ROUNDING
-}
-
-/// The warning about angles that end where a goniometer of their type does not: nothing is known beyond them.
-pub(super) fn incomplete(kind: &str, angles: &[f64], complete: &[(f64, f64)]) -> Option<String> {
-    let ends = (angles[0], angles[angles.len() - 1]);
-    (angles.len() > 1 && !complete.contains(&ends)).then(|| {
-        let (first, last) = ends;
-        format!("the {kind} angles run from {first} to {last}: the intensity beyond them is taken as 0")
-    })
 }

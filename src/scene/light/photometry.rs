@@ -68,7 +68,9 @@ impl Photometry {
     }
 
     pub(super) fn new(measured: Measured) -> Photometry {
-        let Measured { goniometer, horizontal, vertical, candela, stated_flux, opening, warnings } = measured;
+        let Measured { goniometer, horizontal, vertical, candela, stated_flux, opening, mut warnings } =
+            measured;
+        warnings.extend(goniometer.missing(&vertical, &horizontal));
         let (horizontal, candela) = match goniometer {
             Goniometer::C => all_round(&horizontal, &candela, vertical.len()),
             _ => (horizontal, candela),

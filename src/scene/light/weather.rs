@@ -64,14 +64,19 @@ impl Hour {
         let [month, day, label] = self.label;
         format!("hour {label} of {month}/{day}")
     }
-}
 
-/// Number of days of a month, in a leap year.
-fn days_of(month: u32) -> u32 {
-    match month {
-        2 => 29,
-        4 | 6 | 9 | 11 => 30,
-        _ => 31,
+    /// Whether this hour comes after another one. After the last hour of a year comes its first. A year may have a leap
+    /// day, which files of a typical year have not.
+    fn follows(&self, before: &Hour) -> bool {
+        let [month, day, label] = before.label;
+        let is_day = |year, day| Moment::new(year, month, day, 0.0, 0.0).is_some();
+        match label {
+            ..24 => self.label == [month, day, label + 1],
+            _ => [2000, 2001].into_iter().any(|year| {
+                let next = if is_day(year, day + 1) { [month, day + 1, 1] } else { [month % 12 + 1, 1, 1] };
+                self.label == next
+            }),
+        }
     }
 }
 
@@ -106,19 +111,7 @@ impl Weather {
                 path.display(),
             )
         });
-        // After the last hour of a year comes its first.
-        let next = |[month, day, label]: [u32; 3]| -> Vec<[u32; 3]> {
-            let midnight = |month, day| [month, day, 1];
-            match (month, day, label) {
-                (_, _, ..24) => vec![[month, day, label + 1]],
-                (12, 31, _) => vec![midnight(1, 1)],
-                // Files of a typical year have no leap day.
-                (2, 28, _) => vec![midnight(2, 29), midnight(3, 1)],
-                _ if day == days_of(month) => vec![midnight(month + 1, 1)],
-                _ => vec![midnight(month, day + 1)],
-            }
-        };
-        let mut jumps = self.hours.windows(2).filter(|two| !next(two[0].label).contains(&two[1].label));
+        let mut jumps = self.hours.windows(2).filter(|two| !two[1].follows(&two[0]));
         let jump = jumps.next().map(|two| {
             let [before, after] = [two[0], two[1]].map(|hour| hour.name());
             let more = match jumps.count() {
@@ -189,7 +182,7 @@ fn parse(text: &str) -> std::result::Result<Weather, Wrong> {
         return Err((
             last.line,
             format!(
-                "the table ends with {}, but line {HEADERS} says that it ends with {month}/{day}: is the file cut off? \
+                "the table ends with {}, but line {HEADERS} says that it ends with hour 24 of {month}/{day}: is the file cut off? \
                  If not, correct line {HEADERS}",
                 last.name()
             ),
